@@ -21,21 +21,43 @@ step() {
     fi
 }
 
+# The steps that take longest after the tests. The first of them needs a minute of one processor in a fresh clone.
+take_slow_steps() {
+    step "types" "$bin/mypy"
+    step "import contracts" "$bin/lint-imports"
+    [ "$which" = all ] || return 0
+    step "command-line page is current" "$bin/python" scripts/generate_cli_page.py --check
+    step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site
+}
+
+which=${1:-all}
 # shellcheck disable=SC2086  # several words on purpose
 step "format" "$bin/ruff" format --check $code
 # shellcheck disable=SC2086  # likewise
 step "lint" "$bin/ruff" check $code
-step "types" "$bin/mypy"
-step "import contracts" "$bin/lint-imports"
 step "shell scripts" "$bin/shellcheck" scripts/*.sh .ci/run
-if [ "${1:-all}" = all ]; then
-    step "command-line page is current" "$bin/python" scripts/generate_cli_page.py --check
-    step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site
-    # Tests wait a third of their time for processes, robots and clocks: three at once on two cores, eight at most.
+if [ "$which" = all ]; then
+    # Tests wait a third of their time for processes, robots and clocks: the slow steps fill those gaps.
+    mkdir -p .make
+    {
+        take_slow_steps
+        printf '%s' "$failed" >.make/failed-steps
+    } >.make/slow-steps 2>&1 &
+    beside=$!
+    trap 'kill "$beside"; exit 130' INT TERM
+    # What pytest makes of the tests' code is kept, so that it is not made anew by each of the workers.
+    [ -d tests/__pycache__ ] || "$bin/pytest" -q --collect-only >.make/collected 2>&1 || :
+    # For the same reason three at once on two cores; eight at most.
     workers=$(((3 * $(getconf _NPROCESSORS_ONLN) + 1) / 2))
     [ "$workers" -le 8 ] || workers=8
     # worksteal: tests of one file stay with one worker, and share what the file sets up, as long as both have work.
-    "$bin/pytest" -q -n "$workers" --dist worksteal -m "not soak" || failed="$failed, tests"
+    tests=
+    "$bin/pytest" -q -n "$workers" --dist worksteal -m "not soak" || tests=", tests"
+    wait "$beside" || tests="$tests, steps beside the tests"
+    cat .make/slow-steps
+    failed="$(cat .make/failed-steps)$tests"
+else
+    take_slow_steps
 fi
 if [ -n "$failed" ]; then
     printf 'Failed: %s.\n' "${failed#, }"

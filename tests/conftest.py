@@ -50,11 +50,12 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_finish() -> None:
     """Leave what was imported and collected out of each later garbage collection, for good.
 
-    It is half a million objects, and each execution of an experiment collects: a quarter of a second otherwise.
+    It is half a million objects, and each execution of an experiment collects: a quarter of a second otherwise. What
+    orchestrators freeze stays so; counting the frozen ones, as each plan does, would look at all of them.
     """
     gc.collect()
     gc.freeze()
-    gc.unfreeze = lambda: None
+    gc.unfreeze, gc.get_freeze_count = lambda: None, lambda: 1
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -23,7 +23,7 @@ CORE = [
 LIBRARIES = {
     "analysis": ["pandas", "scipy", "numpy", "matplotlib"],
     "simulator": ["mujoco", "numpy"],
-    "replication": ["rocrate", "packaging"],
+    "replication": ["rocrate", "packaging", "spdx"],
 }
 
 WEIGH = '''\

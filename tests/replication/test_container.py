@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.replication.about import container_commands, containerfile, image_name
+from robot_runner.core.errors import PackageError
+from robot_runner.replication.container import as_base, container_commands, containerfile, image_name
 
 
-def _recipe(**manifest):
-    return containerfile({"experiment_name": "trial", "software": {"python": "3.12.4"}, **manifest}, has_wheels=True)
+def _recipe(*, has_comparison=False, image=None, **manifest):
+    software = {"python": "3.12.4", "robot_runner": "1.2.3"}
+    manifest = {"experiment_name": "trial", "software": software, **manifest}
+    return containerfile(manifest, has_wheels=True, has_comparison=has_comparison, image=image)
 
 
 @pytest.mark.parametrize(
@@ -28,7 +31,30 @@ def test_the_base_is_that_of_the_ros_or_of_the_python(manifest, base):
     recipe = _recipe(**manifest)
     assert f"ARG BASE={base}\nFROM ${{BASE}}\n" in recipe
     assert "--find-links environment/wheels" in recipe
-    assert recipe.endswith('CMD ["replicate", "original", "--to", "/results/replication", "--yes"]\n')
+    command = '["replicate", "original", "--to", "/results/replication", "--environment", "/opt/robot-runner", "--yes"]'
+    assert recipe.endswith(f"CMD {command}\n")
+    assert "No digest of the base image was known" in recipe
+
+
+def test_what_compares_stands_apart_unless_the_experiment_needs_it_anyway():
+    apart = _recipe(robot="simulated")
+    assert "/opt/comparison/bin/pip install --no-cache-dir ${PIP_OPTIONS} --find-links environment/wheels" in apart
+    assert "'robot-runner[analysis]==1.2.3'" in apart
+    assert 'ENTRYPOINT ["/opt/comparison/bin/robot-runner"]' in apart
+    together = _recipe(robot="simulated", has_comparison=True)
+    assert "/opt/comparison" not in together
+    assert 'ENTRYPOINT ["/opt/robot-runner/bin/robot-runner"]' in together
+    assert '"--environment", "here", "--yes"]' in together
+
+
+def test_a_base_with_its_digest_is_taken_and_what_is_no_image_is_refused():
+    pinned = f"registry.example/python:3.12-slim@sha256:{'ab' * 32}"
+    recipe = _recipe(robot="simulated", image=as_base(pinned))
+    assert f"ARG BASE={pinned}\n" in recipe
+    assert "is pinned by the digest" in recipe
+    for wrong in ("python@sha256:12", "a b", "x\nRUN evil", ""):
+        with pytest.raises(PackageError, match="is no image"):
+            as_base(wrong)
 
 
 def test_a_distribution_with_an_old_python_gets_another_one():

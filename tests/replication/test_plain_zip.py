@@ -17,7 +17,7 @@ def test_the_form_for_large_files_reads_as_any(tmp_path, monkeypatch):
     monkeypatch.setattr(plain_zip, "_LARGE", 10)
     with written_beside(tmp_path / "a.zip") as archive:
         stored = archive.add("runs/a.csv", [b"a,b\n", b"1,2\n"], size=11)
-        archive.add_folders()
+        archive.add_folders(["runs/"])
     assert (stored.size, len(stored.sha256)) == (8, 64)
     with zipfile.ZipFile(tmp_path / "a.zip") as opened:
         assert opened.read("runs/a.csv") == b"a,b\n1,2\n"

@@ -6,22 +6,12 @@ import os
 import re
 import shutil
 import subprocess
-import sys
-import sysconfig
-from importlib import metadata
 from pathlib import Path
 
 import pytest
+from tests.linked_environment import locked_names, make_linked_environment
 
 ROOT = Path(__file__).parents[2]
-SITE = Path(sysconfig.get_path("purelib"))
-CODE = """\
-import sys
-
-from robot_runner.cli.main import main
-
-sys.exit(main())
-"""
 
 
 @pytest.fixture
@@ -33,46 +23,17 @@ def clone(tmp_path):
         copy = shutil.copytree if source.is_dir() else shutil.copyfile
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         copy(source, folder / name, **({"ignore": shutil.ignore_patterns("__pycache__")} if source.is_dir() else {}))
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / ".venv"], check=True, timeout=60)
-    site = next((folder / ".venv").glob("lib/python*/site-packages"))
-    locked = re.findall(r"^([\w.-]+)==", (folder / "requirements" / "demo.txt").read_text("utf-8"), re.MULTILINE)
-    for name in locked:
-        _link(name, site)
-    _install_editable(folder, site)
+    make_linked_environment(folder / ".venv", locked_names(folder / "requirements" / "demo.txt"), code=folder / "src")
     files = "pyproject.toml requirements/demo.txt requirements/test.txt"
     stamp = f'printf "%s\\n" "$(pwd -P) $(cat {files} | cksum)" >.venv/.installed-demo'
     subprocess.run(["sh", "-c", stamp], cwd=folder, check=True, timeout=60)
     return folder
 
 
-def _link(name, site):
-    """Have an installed distribution in another environment, too; one that is for other systems is not here."""
-    try:
-        found = metadata.distribution(name)
-    except metadata.PackageNotFoundError:
-        return
-    for file in found.files or ():
-        target = site / file
-        if ".." in file.parts or file.suffix == ".pyc" or not Path(str(file.locate())).exists():
-            continue
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.unlink(missing_ok=True)
-        target.symlink_to(Path(str(file.locate())).resolve())
-
-
-def _install_editable(folder, site):
-    """Install the copied project as `pip install --editable` would."""
-    _link("robot-runner", site)
-    path_file = next(site.glob("*robot_runner*.pth"))
-    path_file.unlink()
-    path_file.write_text(f"{folder / 'src'}\n", encoding="utf-8")
-    program = folder / ".venv" / "bin" / "robot-runner"
-    program.write_text(f"#!{folder}/.venv/bin/python\n{CODE}", encoding="utf-8")
-    program.chmod(0o755)
-
-
 def test_a_newcomer_in_an_empty_home_ends_in_identical(clone, tmp_path):
-    lines = re.findall(r"^\$ (make demo .*robot-runner replicate .*)$", (clone / "README.md").read_text("utf-8"), re.M)
+    lines = re.findall(
+        r"^\$ (make demo .*robot-runner replicate .*)$", (clone / "README.md").read_text("utf-8"), re.MULTILINE
+    )
     assert len(lines) == 1
     home = tmp_path / "home"
     home.mkdir()

@@ -50,6 +50,15 @@ def test_the_quick_checks_execute_no_tests(clone: Path) -> None:
     assert _tools_called(clone) == {"ruff", "mypy", "lint-imports", "shellcheck"}
 
 
+def test_types_are_checked_while_the_tests_are_executed(clone: Path) -> None:
+    wait = "for _ in $(seq 200); do [ -e {other} ] && exit 0; sleep 0.05; done; exit 1"
+    for tool, other in (("pytest", "mypy"), ("mypy", "pytest")):
+        _write_tool(clone, tool, f"touch begun-{tool}; {wait.format(other=f'begun-{other}')}")
+    answer = _checks(clone, "all")
+    assert answer.returncode == 0, answer.stdout
+    assert "ok      types" in answer.stdout
+
+
 @pytest.mark.parametrize("tool", TOOLS)
 def test_any_step_that_fails_fails_the_whole_and_the_rest_is_still_done(clone: Path, tool: str) -> None:
     _write_tool(clone, tool, "echo what went wrong; exit 1")

@@ -42,11 +42,7 @@ def _tls_findings(place: str) -> list[Finding]:
     import dask.config  # noqa: PLC0415 - of an extra
     import distributed.config  # noqa: F401, PLC0415 - brings the defaults
 
-    lacking = [
-        name
-        for name in (f"{_TLS}.ca-file", f"{_TLS}.client.cert")
-        if not dask.config.get(name, None)
-    ]
+    lacking = [name for name in (f"{_TLS}.ca-file", f"{_TLS}.client.cert") if not dask.config.get(name, None)]
     if not lacking:
         return []
     names = " and ".join(f"DASK_{name.replace('.', '__').replace('-', '_').upper()}" for name in lacking)

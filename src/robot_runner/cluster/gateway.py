@@ -11,8 +11,8 @@ gateway renews as long as the worker answers; a run whose lease ends is stopped 
 worker that is lost is told to be over only when its lease and the time to close the run have passed: until then nobody
 executes the run a second time. (Gray and Cheriton, Leases, SOSP 1989; each side counts on its own clock.)
 
-**At most once.** A task is bound to one worker, and tells which; Dask does not retry it. A worker refuses what was meant for
-another one, and what it has begun before.
+**At most once.** A task is bound to one worker, and tells which; Dask does not retry it. A worker refuses what was
+meant for another one, and what it has begun before.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from dask.utils import parse_timedelta
 from distributed import Client
 
 from robot_runner.cluster import on_worker
-from robot_runner.cluster.cluster_members import ANSWER, Member, answer_of, joined
+from robot_runner.cluster.cluster_members import ANSWER, Member, UnansweredError, answer_of, joined
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.task import RecordReader
@@ -65,8 +65,7 @@ class _Attempt:
     received: int = 0
     is_over: bool = False
     is_ending: bool = False
-    is_killed: bool = False
-    tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    killed: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
     def token(self) -> str:
@@ -77,9 +76,9 @@ class Gateway:
     """Speaks to the cluster.
 
     Args:
-        facts: `address`, `session`, `root` of the experiment's folder, `runs` in it, `closing` (how long the end of a run
-            may take once it is asked to stop, s), what workers are told (`worker_facts`), and the settings of `lease`
-            and `patience`, both in s, and `in_place`.
+        facts: `address`, `session`, `root` of the experiment's folder, `runs` in it, `closing` (how long the end of a
+            run may take once it is asked to stop, s), what workers are told (`worker_facts`), and the settings of
+            `lease` and `patience`, both in s, and `in_place`.
         requests: a descriptor from which the orchestrator's requests are read.
         replies: a descriptor that takes what is told to it.
     """
@@ -135,10 +134,12 @@ class Gateway:
             identity = await client.scheduler.identity(n_workers=-1)
         workers = identity["workers"]
         for address in set(self._members) - set(workers):
-            self._lose(self._members[address], "its worker is gone")
+            self._lose(self._members[address], f"worker {self._members[address].name} is gone")
         for address, facts in workers.items():
             if address not in self._members:
-                member = self._members[address] = Member(address, str(facts["name"]), facts["nthreads"], facts["resources"])
+                member = self._members[address] = Member(
+                    address, str(facts["name"]), facts["nthreads"], facts["resources"]
+                )
                 self._go_on(self._keep(client, member))
 
     async def _keep(self, client: Client, member: Member) -> None:
@@ -153,8 +154,12 @@ class Gateway:
                 member.renewed = time.monotonic()
                 await answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
                 await asyncio.sleep(self._facts["lease"] / 4)
-        except ANSWER as error:
-            self._lose(member, f"its worker does not answer: {error or type(error).__name__}")
+        except TimeoutError:
+            self._lose(member, f"worker {member.name} has not answered for {self._facts['lease']:g} s")
+        except OSError:
+            self._lose(member, f"the connection to worker {member.name} was lost")
+        except UnansweredError as error:
+            self._lose(member, f"worker {member.name} does not take part any more: {error}")
 
     def _take_requests(self) -> None:
         requests, is_open = self._requests.read()
@@ -172,7 +177,7 @@ class Gateway:
     def _begin(self, order: dict[str, Any]) -> None:
         member = self._members.get(order["address"])
         if self._client is None or member is None or member.is_lost or member.id != order["worker"]:
-            self._replies.tell("over", {"token": order["token"], "lost": "its worker is gone"})
+            self._replies.tell("over", {"token": order["token"], "lost": f"worker {order['name']} is gone"})
             return
         attempt = self._attempts[order["token"]] = _Attempt(order, member)
         attempt.future = self._client.submit(
@@ -201,12 +206,19 @@ class Gateway:
             self._go_on(self._tell_lost(attempt, str(error) or type(error).__name__))
 
     async def _stop(self, attempt: _Attempt, kind: str, request: dict[str, Any]) -> None:
-        attempt.is_killed = attempt.is_killed or kind == "kill"
+        if kind == "kill":
+            attempt.killed.set()
         if self._client is not None and not attempt.member.is_lost:
             with contextlib.suppress(*ANSWER):
                 asked = {"kind": kind, **request}
                 await answer_of(
-                    self._client, attempt.member, self._facts["lease"], on_worker.stop, self._session, attempt.token, asked
+                    self._client,
+                    attempt.member,
+                    self._facts["lease"],
+                    on_worker.stop,
+                    self._session,
+                    attempt.token,
+                    asked,
                 )
 
     def _take_event(self, event: tuple[float, Mapping[str, Any]]) -> None:
@@ -228,10 +240,14 @@ class Gateway:
     async def _end(self, attempt: _Attempt, ended: dict[str, Any]) -> None:
         """Bring home what an attempt has left, and tell that it is over."""
         if "lost" in ended:
-            self._replies.tell("aside", {"worker": attempt.member.id, "because": ended["lost"]})
-            await self._tell_lost(attempt, ended["lost"], is_certain=not ended.get("has_begun", True))
+            if ended.get("is_unfit"):
+                told = {"worker": attempt.member.id, "because": ended["lost"]}
+                self._replies.tell("aside", told)
+            await self._tell_lost(attempt, ended["lost"], is_certain=ended.get("is_certain", False))
             return
-        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {"skipped": ended.get("skipped", [])}
+        over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {
+            "skipped": ended.get("skipped", [])
+        }
         if ended.get("files"):
             try:
                 await self._brought_home(attempt, ended)
@@ -248,9 +264,11 @@ class Gateway:
         async def read(name: str, offset: int, size: int) -> tuple[bytes, str]:
             if client is None:
                 raise OSError("the scheduler is out of reach")
-            return await answer_of(
-                client, attempt.member, lease, on_worker.read_piece, session, attempt.token, name, offset, size
+            ask = on_worker.read_piece
+            piece, digest = await answer_of(
+                client, attempt.member, lease, ask, session, attempt.token, name, offset, size
             )
+            return piece, digest
 
         root = Path(self._facts["root"])
         async with self._transfers:
@@ -275,13 +293,13 @@ class Gateway:
             self._go_on(self._tell_lost(attempt, because))
 
     async def _tell_lost(self, attempt: _Attempt, because: str, *, is_certain: bool = False) -> None:
-        """Tell that an attempt is lost, once its run has ended in any case; at once where it has not begun for certain."""
+        """Tell that an attempt is lost, once its run has ended in any case: at once where that is certain."""
         if attempt.is_over:
             return
         attempt.is_over = attempt.is_ending = True
         end = 0.0 if is_certain else attempt.member.renewed + self._facts["lease"] + self._facts["closing"]
-        while time.monotonic() < end and not attempt.is_killed:
-            await asyncio.sleep(min(0.1, max(0.0, end - time.monotonic())))
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(attempt.killed.wait(), max(0.0, end - time.monotonic()))
         self._forget(attempt)
         self._replies.tell("over", {"token": attempt.token, "lost": because})
 
@@ -317,6 +335,7 @@ class _Replies:
         os.set_blocking(descriptor, False)
         self._descriptor = descriptor
         self._pending = bytearray()
+        self._is_sent = asyncio.Event()
 
     def tell(self, kind: str, fields: dict[str, Any]) -> None:
         """Send one reply, once the pipe takes it."""
@@ -327,9 +346,8 @@ class _Replies:
 
     async def flushed(self) -> None:
         """Wait, but not for ever, until everything is sent."""
-        end = time.monotonic() + _GOODBYE
-        while self._pending and time.monotonic() < end:
-            await asyncio.sleep(0.01)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._is_sent.wait(), _GOODBYE)
 
     def _write(self) -> None:
         loop = asyncio.get_running_loop()
@@ -341,8 +359,10 @@ class _Replies:
             sent = len(self._pending)
         del self._pending[:sent]
         if self._pending:
+            self._is_sent.clear()
             loop.add_writer(self._descriptor, self._write)
         else:
+            self._is_sent.set()
             loop.remove_writer(self._descriptor)
 
 
@@ -359,12 +379,11 @@ def main(requests: int, replies: int) -> None:
 
 def _with_settings(facts: dict[str, Any]) -> dict[str, Any]:
     """Add what is set in Dask's own configuration, under `robot-runner`."""
-    set_here = {"lease": "30s", "patience": "5m", "in-place": True} | dask.config.get("robot-runner", {})
-    lease = parse_timedelta(set_here["lease"])
+    lease = parse_timedelta(dask.config.get("robot-runner.lease", "30s"))
     return facts | {
         "lease": lease,
-        "patience": parse_timedelta(set_here["patience"]),
-        "in_place": bool(set_here["in-place"]),
+        "patience": parse_timedelta(dask.config.get("robot-runner.patience", "5m")),
+        "in_place": bool(dask.config.get("robot-runner.in-place", True)),
         "worker_facts": facts["worker_facts"] | {"lease": lease},
     }
 

@@ -12,11 +12,10 @@ import hashlib
 import platform
 import sys
 from functools import cache
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import PackageNotFoundError, distributions, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import robot_runner
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
@@ -78,9 +77,9 @@ def _shown(value: str | None) -> str:
 
 
 def _packages() -> Iterator[tuple[str, str]]:
-    for each in entry_points():
-        if each.group.startswith(_GROUPS) and each.dist is not None and each.dist.name != "robot-runner":
-            yield each.dist.name, each.dist.version
+    for each in distributions():
+        if each.name != "robot-runner" and any(point.group.startswith(_GROUPS) for point in each.entry_points):
+            yield each.name, each.version
     for name in _BEHIND_SIMULATED_VALUES:
         try:
             yield name, version(name)
@@ -89,7 +88,7 @@ def _packages() -> Iterator[tuple[str, str]]:
 
 
 def _digest_of_source() -> str:
-    root = Path(robot_runner.__file__).parent
+    root = Path(__file__).parents[1]  # all of Robot Runner
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import shown_commit
+from robot_runner.replication.container import container_commands
 from robot_runner.replication.contents import CRATE, DESCRIBED, SUMS
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.authors import Author
     from robot_runner.replication.contents import LeftOut
 
-__all__ = ["About", "container_commands", "containerfile", "image_name", "readme"]
+__all__ = ["About", "readme"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +76,14 @@ class About:
             for each in self.authors
         )
 
+    def described(self, manifest: Mapping[str, Any]) -> str:
+        """Return what the package is, in one sentence."""
+        version = manifest.get("software", {}).get("robot_runner", "")
+        return (
+            f"Replication package of the experiment {self.name}, executed with Robot Runner {version}: "
+            "config, run table, raw data, circumstances."
+        )
+
     def findings(self) -> Iterator[Finding]:
         """Yield what others will miss, each with what to write into the config or to pass to the command."""
         if not self.authors:
@@ -87,45 +95,14 @@ class About:
                 problem = f"{each['name']} has no {', '.join(missing)}, which RO-Crate recommends"
                 yield Finding.warning("authors", problem, "Give it in Author(...), or to --author.")
         if not self.licence:
-            problem = "without a licence nobody may use the results"
+            problem = (
+                "no licence is given: the package says that all rights are reserved, and nobody may use the results"
+            )
             yield Finding.warning("licence", problem, 'Give licence="CC-BY-4.0" in the config, or --licence.')
         if not self.citation:
             fix = "Give citation in the config, or --citation."
             yield Finding.warning("citation", "nothing says what to cite", fix)
 
-
-#: The distributions of ROS whose Python is older than ours (REP 3, REP 2000), so that they get another one.
-_ROS_WITH_OLD_PYTHON = frozenset({"kinetic", "melodic", "noetic", "dashing", "eloquent", "foxy", "galactic", "humble"})
-
-_CONTAINERFILE = """\
-# An image that replicates the experiment {name}.
-# In this folder, `podman build .` makes it, or the same words with docker or buildah.
-{base}
-WORKDIR /experiment
-COPY environment environment
-ARG PIP_OPTIONS=""
-RUN python3 -m venv /opt/robot-runner \\
- && /opt/robot-runner/bin/pip install --no-cache-dir ${{PIP_OPTIONS}}{links} \\
-    -r environment/requirements.txt
-COPY . original
-VOLUME /results
-ENTRYPOINT ["/opt/robot-runner/bin/robot-runner"]
-CMD ["replicate", "original", "--to", "/results/replication", "--yes"]
-"""
-_PYTHON_BASE = """\
-ARG BASE=docker.io/library/python:{python}-slim
-FROM ${{BASE}}"""
-_ROS_BASE = """\
-# ROS {version}, distribution {distro}; --network=host lets the container see the robot.
-ARG BASE=docker.io/library/ros:{distro}-ros-base
-FROM ${{BASE}}
-RUN apt-get update && apt-get install -y --no-install-recommends python3-pip python3-venv \\
- && rm -rf /var/lib/apt/lists/*"""
-_NEWER_PYTHON = """
-# The Python of {distro} is older than Robot Runner's: another one is put beside it. What ROS compiled
-# for its own Python (rclpy) cannot be imported there: reach the robot over rosbridge or DDS.
-RUN python3 -m pip install uv && uv python install {python} \\
- && ln -s "$(uv python find {python})" /usr/local/bin/python3"""
 
 _README = """\
 # {name}
@@ -144,7 +121,8 @@ $ robot-runner replicate PACKAGE.zip --environment venv
 ```
 
 `PACKAGE.zip` is this package, or the folder it was unpacked to. The last command makes the environment,
-executes the same runs in the same order from the same seed, and says whether the results agree.
+executes the same runs in the same order from the same seed, and says whether the results agree: exit code 0 where
+they are identical or equivalent, 3 where they are different, 4 where that could not be decided.
 
 Or in a container:
 
@@ -163,44 +141,6 @@ _NOT_IN_IT = """
 
 {items}
 """
-
-
-def containerfile(manifest: Mapping[str, Any], *, has_wheels: bool) -> str:
-    """Return the text of a Containerfile (Docker, Podman, Buildah) of an image that replicates the experiment."""
-    ros = manifest.get("ros") or {}
-    facts = {
-        "python": ".".join(str(manifest.get("software", {}).get("python") or "3.11").split(".")[:2]),
-        "distro": ros.get("distro"),
-        "version": ros.get("version"),
-    }
-    base = _PYTHON_BASE
-    if facts["distro"] and not str(manifest.get("robot") or "").startswith("simulated"):
-        base = _ROS_BASE + (_NEWER_PYTHON if facts["distro"] in _ROS_WITH_OLD_PYTHON else "")
-    return _CONTAINERFILE.format(
-        name=manifest.get("experiment_name", "experiment"),
-        base=base.format(**facts),
-        links=" --find-links environment/wheels" if has_wheels else "",
-    )
-
-
-def image_name(experiment: str) -> str:
-    """Return a name for the image.
-
-    Example:
-        >>> image_name("Energy of Tasks")
-        'energy-of-tasks'
-    """
-    return "-".join(re.findall(r"[a-z0-9]+", experiment.casefold())) or "experiment"
-
-
-def container_commands(experiment: str, folder: str) -> tuple[str, ...]:
-    """Return the commands that build the image from an unpacked package and replicate in it."""
-    image = image_name(experiment)
-    results = f'"$HOME/{image}"'  # not in the package's folder, which has to stay as it is
-    return (
-        f"podman build -t {image} {folder}",
-        f"mkdir -p {results} && podman run --rm -v {results}:/results {image}",
-    )
 
 
 def readme(about: About, manifest: Mapping[str, Any], names: Sequence[str], left_out: Sequence[LeftOut]) -> str:

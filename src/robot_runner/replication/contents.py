@@ -15,7 +15,7 @@ from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.replication.redaction import forbidden_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Container, Iterable, Iterator, Sequence
 
     from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -27,6 +27,9 @@ DESCRIPTION = "package.json"
 SUMS = "SHA256SUMS"
 README = "README.md"
 CONTAINERFILE = "Containerfile"
+LICENCE = "LICENSE"
+CITATION, ZENODO = "CITATION.cff", ".zenodo.json"
+BADGES = "BADGES.md"
 DATA_PACKAGE = "datapackage.json"
 ENVIRONMENT = "environment/environment.json"
 REQUIREMENTS = "environment/requirements.txt"
@@ -35,7 +38,10 @@ MANIFEST, TABLE, SCHEMA = "manifest.json", "run_table.csv", "run_table.schema.js
 REGISTRATION = "registration.json"
 
 #: What packing makes anew; files of these names in an experiment's folder are not taken.
-GENERATED = frozenset({CRATE, DESCRIPTION, SUMS, README, CONTAINERFILE, DATA_PACKAGE, ENVIRONMENT, REQUIREMENTS})
+#: A licence's text that somebody put there is.
+GENERATED = frozenset(
+    {CRATE, DESCRIPTION, SUMS, README, CONTAINERFILE, DATA_PACKAGE, ENVIRONMENT, REQUIREMENTS, CITATION, ZENODO, BADGES}
+)
 
 #: What the files of a package hold, in the order in which a reader meets them.
 DESCRIBED = {
@@ -54,6 +60,10 @@ DESCRIBED = {
     CONTAINERFILE: "the recipe of a container image",
     DATA_PACKAGE: "a description of the run table (Frictionless Data Package)",
     README: "how to replicate the experiment, and what is in the package",
+    LICENCE: "under which terms it may be used",
+    CITATION: "how to cite it (Citation File Format), which GitHub and reference managers read",
+    ZENODO: "what Zenodo asks of an upload",
+    BADGES: "what the package has of what ACM's artifact badges ask for",
     DESCRIPTION: "how the package was made, and what is not in it",
     CRATE: "a description of everything (RO-Crate)",
     SUMS: "the SHA-256 of each file; `sha256sum -c SHA256SUMS` checks them without Robot Runner",
@@ -99,6 +109,7 @@ _ANY = MediaType(_BINARY, "Binary data", "https://www.rfc-editor.org/rfc/rfc2046
 _TEXT = MediaType("text/plain", "Plain text", f"{_PRONOM}x-fmt/111")
 _YAML = MediaType("application/yaml", "YAML", f"{_PRONOM}fmt/818")
 _BY_SUFFIX = {
+    ".cff": MediaType("application/yaml", "Citation File Format", "https://citation-file-format.github.io"),
     ".csv": MediaType("text/csv", "Comma separated values", f"{_PRONOM}x-fmt/18"),
     ".html": MediaType("text/html", "HTML 5", f"{_PRONOM}fmt/471"),
     ".ipynb": MediaType("application/x-ipynb+json", "Jupyter notebook", "https://nbformat.readthedocs.io"),
@@ -127,7 +138,27 @@ def media_type_of(name: str) -> MediaType:
         >>> media_type_of("runs/r_1/PsUtil/samples.csv").name
         'text/csv'
     """
-    return _TEXT if name in {CONTAINERFILE, SUMS} else _BY_SUFFIX.get(PurePosixPath(name).suffix.casefold(), _ANY)
+    return (
+        _TEXT if name in {CONTAINERFILE, SUMS, LICENCE} else _BY_SUFFIX.get(PurePosixPath(name).suffix.casefold(), _ANY)
+    )
+
+
+def folder_of(name: str, run_folders: Container[str]) -> str:
+    """Return the folder in which a file is described: that of its run, or the one at the top; it ends with `/`.
+
+    Example:
+        >>> folder_of("runs/r_1/PsUtil/samples.csv", {"runs/r_1/"}), folder_of("runs/note.txt", set())
+        ('runs/r_1/', 'runs/')
+    """
+    parts = name.split("/")
+    run = "/".join(parts[:2]) + "/"
+    return run if len(parts) > 2 and run in run_folders else f"{parts[0]}/"  # noqa: PLR2004 - folder, run, file
+
+
+def folders_of(names: Iterable[str], run_folders: Container[str]) -> set[str]:
+    """Return the folders that a package describes: those at its top, and those of runs; they end with `/`."""
+    inside = [name for name in names if "/" in name]
+    return {f"{name.partition('/')[0]}/" for name in inside} | {folder_of(name, run_folders) for name in inside}
 
 
 ALL, NONE = "all", "none"

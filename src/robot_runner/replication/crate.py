@@ -1,32 +1,53 @@
-"""The package as an RO-Crate (1.1) of the profile Process Run Crate (0.5).
+"""The package as an RO-Crate (1.1) of the profiles Process Run Crate and Workflow Run Crate (0.5).
 
 https://www.researchobject.org/ro-crate/specification/1.1/ and https://www.researchobject.org/workflow-run-crate/. The
-experiment is one action: Robot Runner executed a config, with the results as its outcome.
+experiment is one action: Robot Runner executed a config, with the results as its outcome. The config is the workflow,
+and each run is an action that executed it (`crate_actions`).
 """
 
 from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, metadata
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.words import shown_commit
-from robot_runner.replication.contents import CRATE, DESCRIBED, REQUIREMENTS, SUMS, media_type_of
+from robot_runner.replication.citation_files import NO_LICENCE
+from robot_runner.replication.contents import (
+    CRATE,
+    DESCRIBED,
+    LICENCE,
+    README,
+    REQUIREMENTS,
+    SUMS,
+    TABLE,
+    folder_of,
+    media_type_of,
+)
+from robot_runner.replication.crate_actions import RunActions, action_outcome, iso_stamp
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.storage.table_schema import ColumnDescription
     from robot_runner.replication.about import About
+    from robot_runner.replication.crate_actions import ExecutedRun
     from robot_runner.replication.plain_zip import StoredFile
 
-__all__ = ["crate_text", "require_rocrate"]
+__all__ = ["Executed", "crate_text", "require_rocrate"]
 
-_PROFILE = "https://w3id.org/ro/wfrun/process/0.5"
-
+_PROCESS = ("https://w3id.org/ro/wfrun/process/0.5", "Process Run Crate", "0.5")
+_WORKFLOW = (
+    ("https://w3id.org/ro/wfrun/workflow/0.5", "Workflow Run Crate", "0.5"),
+    ("https://w3id.org/workflowhub/workflow-ro-crate/1.0", "Workflow RO-Crate", "1.0"),
+)
+_BIOSCHEMAS_WORKFLOW = "https://bioschemas.org/profiles/ComputationalWorkflow/1.0-RELEASE"
+_PYTHON = "https://www.python.org"
 _PAPER = "https://doi.org/10.1109/ICSE-Companion52605.2021.00029"
 _SHA256 = "https://w3id.org/ro/terms/workflow-run#sha256"
 _EXPERIMENT = "#experiment"
@@ -39,43 +60,53 @@ def require_rocrate() -> Any:
         PackageError: it is not installed.
     """
     try:
+        import spdx  # noqa: F401, PLC0415 - an extra; what packs needs it, too
         from rocrate import rocrate  # noqa: PLC0415 - slow, and an extra
     except ImportError as error:
         fix = "Install it: pip install 'robot-runner[replication]'"
-        raise PackageError("the package rocrate is not installed", where="robot-runner pack", fix=fix) from error
+        raise PackageError(f"the package {error.name} is not installed", where="robot-runner pack", fix=fix) from error
     return rocrate
 
 
-def crate_text(
-    about: About,
-    manifest: Mapping[str, Any],
-    columns: Sequence[ColumnDescription],
-    files: Iterable[StoredFile],
-    *,
-    failed: int,
-) -> str:
+@dataclass(frozen=True, slots=True)
+class Executed:
+    """What was executed.
+
+    Attributes:
+        columns: the run table's.
+        runs: those that were executed.
+        run_folders: the run of each folder in the package that is a run's, by the folder's name, which ends with `/`.
+    """
+
+    columns: Sequence[ColumnDescription]
+    runs: Sequence[ExecutedRun]
+    run_folders: Mapping[str, str]
+
+
+def crate_text(about: About, manifest: Mapping[str, Any], executed: Executed, files: Iterable[StoredFile]) -> str:
     """Return the text of `ro-crate-metadata.json`.
 
     Args:
         about: who made the experiment, and under which terms.
         manifest: the experiment's.
-        columns: the run table's.
+        executed: what was executed.
         files: everything else in the package, in order.
-        failed: how many runs failed.
     """
-    return _Crate(about, manifest).text(columns, list(files), failed=failed)
+    return _Crate(about, manifest, executed).text(list(files))
 
 
 class _Crate:
-    def __init__(self, about: About, manifest: Mapping[str, Any]) -> None:
+    def __init__(self, about: About, manifest: Mapping[str, Any], executed: Executed) -> None:
         self._library = require_rocrate()
         self._crate = self._library.ROCrate(version="1.1")
         self._crate.metadata.extra_terms["sha256"] = _SHA256
         self._about = about
         self._manifest = manifest
+        self._executed = executed
+        self._workflow = f"config/{(manifest.get('config') or {}).get('file')}"
         self._pages: dict[str, Any] = {}
 
-    def text(self, columns: Sequence[ColumnDescription], files: Sequence[StoredFile], *, failed: int) -> str:
+    def text(self, files: Sequence[StoredFile]) -> str:
         root = self._crate.root_dataset
         parts = {file.name: self._file(file) for file in files}
         # The checksums are written last, as they cover this text, too: their own size and checksum are not known yet.
@@ -84,8 +115,8 @@ class _Crate:
         # Set at once: appending one by one takes a time that grows with the square of their number.
         root["hasPart"] = [part for name, part in parts.items() if "/" not in name] + list(folders.values())
         authors = [self._author(each, place) for place, each in enumerate(self._about.authors)]
-        self._describe_root(columns, authors)
-        root["mentions"] = [self._action(parts, folders, authors, failed=failed)]
+        self._describe_root(parts, authors)
+        root["mentions"] = [self._action(parts, folders, authors), *self._runs(parts, authors)]
         return json.dumps(self._generated(), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
 
     def _generated(self) -> Any:
@@ -106,15 +137,27 @@ class _Crate:
         return entity
 
     def _file(self, file: StoredFile) -> Any:
-        return self._entity(
-            file.name,
-            "File",
-            name=file.name,
-            description=_described(file.name),
-            contentSize=str(file.size),
-            sha256=file.sha256,
-            **self._format(file.name),
-        )
+        facts = {"name": file.name, "contentSize": str(file.size), "sha256": file.sha256, **self._format(file.name)}
+        if file.name == self._workflow:
+            return self._main_workflow(facts)
+        about = self._crate.root_dataset if file.name == README else None
+        return self._entity(file.name, "File", description=_described(file.name), about=about, **facts)
+
+    def _main_workflow(self, facts: dict[str, Any]) -> Any:
+        from rocrate.model import ComputerLanguage  # noqa: PLC0415 - slow, and an extra
+
+        python = str(self._manifest.get("software", {}).get("python") or "")
+        known = {"name": "Python", "url": {"@id": _PYTHON}, **({"version": python} if python else {})}
+        language = self._crate.add(ComputerLanguage(self._crate, _PYTHON, properties=known))
+        repository = (self._manifest.get("executions") or [{}])[-1].get("repository") or {}
+        origin, file_id = str(repository.get("origin") or ""), quote(self._workflow)
+        facts |= {
+            "conformsTo": {"@id": _BIOSCHEMAS_WORKFLOW},
+            "description": f"The config of {self._about.name}.",
+            "url": origin if origin.startswith("https://") else {"@id": file_id},
+            "version": repository.get("commit") or facts["sha256"],
+        }
+        return self._crate.add_workflow(dest_path=self._workflow, properties=facts, main=True, lang=language)
 
     def _format(self, name: str) -> dict[str, Any]:
         kind = media_type_of(name)
@@ -123,26 +166,33 @@ class _Crate:
         return {"encodingFormat": [kind.name, self._pages[kind.page]]}
 
     def _folders(self, parts: Mapping[str, Any]) -> dict[str, Any]:
+        """Describe each folder at the top, and in it the folder of each run."""
         below: dict[str, list[Any]] = {}
         for name, part in parts.items():
             if "/" in name:
-                below.setdefault(f"{name.partition('/')[0]}/", []).append(part)
+                below.setdefault(folder_of(name, self._executed.run_folders), []).append(part)
+        for name in [name for name in below if name.count("/") > 1]:
+            run = self._entity(name, "Dataset", name=name[:-1], hasPart=below.pop(name))
+            below.setdefault(f"{name.partition('/')[0]}/", []).append(run)
         return {name: self._entity(name, "Dataset", name=name[:-1], hasPart=inner) for name, inner in below.items()}
 
-    def _describe_root(self, columns: Sequence[ColumnDescription], authors: Sequence[Any]) -> None:
+    def _describe_root(self, parts: Mapping[str, Any], authors: Sequence[Any]) -> None:
         root, about = self._crate.root_dataset, self._about
-        software = self._manifest.get("software", {})
         root["name"] = about.name
-        root["description"] = (
-            f"Replication package of the experiment {about.name}, executed with Robot Runner "
-            f"{software.get('robot_runner', '')}: config, run table, raw data, circumstances."
-        )
-        root["datePublished"] = _iso(about.date)
-        root["conformsTo"] = [self._entity(_PROFILE, "CreativeWork", name="Process Run Crate", version="0.5")]
+        root["description"] = about.described(self._manifest)
+        root["datePublished"] = iso_stamp(about.date)
+        profiles = (_PROCESS, *_WORKFLOW) if self._workflow in parts else (_PROCESS,)
+        root["conformsTo"] = [
+            self._entity(url, "CreativeWork", name=name, version=release) for url, name, release in profiles
+        ]
         root["keywords"] = "robotics, experiment, replication"
-        if about.licence_url:
-            text = f"The licence of this package: {about.licence}"
-            root["license"] = self._entity(about.licence_url, "CreativeWork", name=about.licence, description=text)
+        root["license"] = self._entity(
+            about.licence_url or "#no-licence",
+            "CreativeWork",
+            name=about.licence or "No licence was given",
+            description=f"The licence of this package: {about.licence}" if about.licence else NO_LICENCE,
+            subjectOf=parts.get(LICENCE),
+        )
         if about.citation:
             root["citation"] = self._citation(about.citation)
         if authors:
@@ -158,7 +208,7 @@ class _Crate:
                 description=column.description,
                 measurementTechnique=column.origin,
             )
-            for column in columns
+            for column in self._executed.columns
             if column.role is ColumnRole.MEASURE
         ]
 
@@ -180,22 +230,28 @@ class _Crate:
         person = f"https://orcid.org/{orcid}" if orcid else f"#author-{place + 1}"
         return self._entity(person, "Person", name=author.get("name"), affiliation=affiliation)
 
-    def _action(
-        self, parts: Mapping[str, Any], folders: Mapping[str, Any], authors: Sequence[Any], *, failed: int
-    ) -> Any:
+    def _runs(self, parts: Mapping[str, Any], authors: Sequence[Any]) -> list[Any]:
+        """Return the actions of the runs, if the package has the config that they executed."""
+        if self._workflow not in parts:
+            return []
+        folders = {run: self._crate.dereference(name) for name, run in self._executed.run_folders.items()}
+        actions = RunActions(self._entity, parts[self._workflow], parts.get(TABLE))
+        return actions.describe(self._executed.runs, folders, authors)
+
+    def _action(self, parts: Mapping[str, Any], folders: Mapping[str, Any], authors: Sequence[Any]) -> Any:
         executions = self._manifest.get("executions") or [{}]
         ended = executions[-1].get("finished_at")
         inputs = [name for name in parts if name.startswith("config/") or name == REQUIREMENTS]
         results = [name for name in ("run_table.csv", "journal.jsonl", "manifest.json") if name in parts]
-        status = "CompletedActionStatus" if ended and not failed else "FailedActionStatus"
+        failed = sum(run.has_failed for run in self._executed.runs)
         error = f"{failed} runs failed." if failed else None if ended else "The experiment did not come to its end."
         return self._entity(
             _EXPERIMENT,
             "CreateAction",
             name=f"Execution of {self._about.name}",
             description=f"Robot Runner executed the runs of {self._about.name}.",
-            startTime=_iso(executions[0].get("started_at")),
-            endTime=_iso(ended or executions[-1].get("started_at")),
+            startTime=iso_stamp(executions[0].get("started_at")),
+            endTime=iso_stamp(ended or executions[-1].get("started_at")),
             agent=list(authors),
             instrument=self._robot_runner(),
             object=[*(parts[name] for name in inputs), *self._sources()],
@@ -203,8 +259,7 @@ class _Crate:
                 *(parts[name] for name in results),
                 *(folders[name] for name in ("runs/", "report/") if name in folders),
             ],
-            actionStatus=f"http://schema.org/{status}",
-            error=error,
+            **action_outcome(error),
         )
 
     def _sources(self) -> Iterator[Any]:
@@ -264,10 +319,6 @@ def _page_of(package: str | None) -> str:
 def _compact(entity: dict[str, Any]) -> dict[str, Any]:
     """Return an entity whose lists of one are that one, as RO-Crate recommends."""
     return {name: value[0] if isinstance(value, list) and len(value) == 1 else value for name, value in entity.items()}
-
-
-def _iso(stamp: str | None) -> str | None:
-    return stamp.replace("Z", "+00:00") if stamp else None
 
 
 def _slug(text: str) -> str:

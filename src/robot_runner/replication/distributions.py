@@ -33,6 +33,7 @@ __all__ = [
     "closure",
     "distributions_in",
     "installed_distributions",
+    "packages_of_extra",
     "wheel_name",
     "wheel_of",
     "write_wheel",
@@ -149,6 +150,12 @@ def _extras(name: str) -> set[str]:
     optional = [each for each in _requirements(name) if not _is_asked_by({""}, each)]
     asked = {extra: [canonical(each.name) for each in optional if _is_asked_by({extra}, each)] for extra in offered}
     return {extra for extra, names in asked.items() if names and all(name in installed for name in names)}
+
+
+def packages_of_extra(name: str, extra: str) -> set[str]:
+    """Return the canonical names of what an extra of an installed distribution asks for in addition."""
+    optional = [each for each in _requirements(name) if not _is_asked_by({""}, each)]
+    return {canonical(each.name) for each in optional if _is_asked_by({extra}, each)}
 
 
 def _requirements(name: str) -> list[Requirement]:

@@ -151,6 +151,8 @@ class _Explaining:
             yield "Waited in all", shown_duration(history.waited)
         yield "Robot", str(self._manifest.get("robot") or "as the config says")
         yield "Host", self._host()
+        yield "System", self._system()
+        yield from (("Program", self._program(path, owner)) for path, owner in history.programs)
         yield "Commit", history.commit
         yield "Registered", self._registered()
         for host in history.hosts:
@@ -226,6 +228,21 @@ class _Explaining:
         parts = [host.get("processor"), host.get("system"), host.get("release")]
         machine = " ".join(str(part) for part in parts if part)
         return f"{machine}, Python {software['python']}" if software.get("python") else machine
+
+    def _system(self) -> str:
+        software = self._manifest.get("software") or {}
+        named = (software.get("system") or {}).get("name")
+        packages = len(software.get("system_packages") or ())
+        return f"{named or 'unknown'}, {packages:,} packages in the manifest" if named or packages else ""
+
+    def _program(self, path: str, owner: str) -> str:
+        """Return which program it was, and of which version as far as that is known."""
+        known = (self._manifest.get("programs") or {}).get(path) or {}
+        if known.get("package"):
+            told = f"{known['package']} {known.get('version') or ''}".rstrip()
+        else:
+            told = f"SHA-256 {known['sha256']}" if known.get("sha256") else "of an unknown version"
+        return f"{path} ({told}){f', called by {owner}' if owner else ''}"
 
     def _measure_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         published = self._history.measures.get(column.name, {})

@@ -68,13 +68,13 @@ class PlainZip:
         self.stored[name] = StoredFile(name, written, digest.hexdigest())
         return self.stored[name]
 
-    def add_folders(self) -> None:
-        """Write an entry for each folder at the top: what describes a package names them.
+    def add_folders(self, names: Iterable[str]) -> None:
+        """Write an entry for each of these folders, whose names end with `/`: what describes a package names them.
 
         Raises:
             OSError: it cannot be written.
         """
-        for name in sorted({f"{name.partition('/')[0]}/" for name in self.stored if "/" in name}):
+        for name in sorted(names):
             entry = _entry(name, 0o40755)
             entry.external_attr |= 0x10  # how MS-DOS marks a folder
             self._archive.writestr(entry, b"")

@@ -43,6 +43,7 @@ class RunHistory:
         commit: of the config's repository.
         subjects: software under test, with its command and where its output is.
         steps: what a person did before the run, and noted of it.
+        programs: the programs that were called, by who called them.
     """
 
     attempt: int = 0
@@ -64,6 +65,7 @@ class RunHistory:
     commit: str = ""
     subjects: list[str] = field(default_factory=list)
     steps: list[str] = field(default_factory=list)
+    programs: list[tuple[str, str]] = field(default_factory=list)
 
     @classmethod
     def read(cls, journal: Path, run_id: str) -> Self:
@@ -91,7 +93,7 @@ class RunHistory:
             self.waits, self.waited = [], 0.0
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
-        self.bound, self.readers, self.stopped, self.subjects = [], None, "", []
+        self.bound, self.readers, self.stopped, self.subjects, self.programs = [], None, "", [], []
 
     def _end(self, record: dict[str, Any]) -> None:
         self.finished_at = self.finished_at or record["at"]  # a later end only adds what was published after it
@@ -119,6 +121,9 @@ class RunHistory:
             command = " ".join(map(str, record["command"]))
             on = f" on {record['host']}" if record.get("host") else ""
             self.subjects.append(f"{record.get('owner')}{on}: {command} (output in {record.get('output')})")
+
+    def _take_program(self, record: dict[str, Any]) -> None:
+        self.programs.append((str(record.get("path")), str(record.get("owner") or "")))
 
     def _take_bound(self, record: dict[str, Any]) -> None:
         each = record["parameters"].items()
@@ -165,6 +170,7 @@ _TAKEN_BY: dict[str, Callable[[RunHistory, dict[str, Any]], None]] = {
     "mission_stopped": RunHistory._take_stop,
     **dict.fromkeys(("gate", "waited", "guard"), RunHistory._take_wait),
     "subject": RunHistory._take_subject,
+    "program": RunHistory._take_program,
     "bound": RunHistory._take_bound,
     "clock": RunHistory._take_clock,
 }

@@ -11,20 +11,24 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.core.storage.table_schema import data_package, table_resource
 from robot_runner.replication import contents
-from robot_runner.replication.about import containerfile, readme
+from robot_runner.replication.about import readme
+from robot_runner.replication.badges import BadgeFacts, badges_text
+from robot_runner.replication.citation_files import citation_text, licence_text, zenodo_text
 from robot_runner.replication.cleaning import Cleaning, Replaced, in_words
+from robot_runner.replication.container import containerfile
 from robot_runner.replication.contents import ALL, Contents, LeftOut, PackedFile
-from robot_runner.replication.crate import crate_text
-from robot_runner.replication.distributions import canonical, wheel_name, wheel_of, write_wheel
+from robot_runner.replication.crate import Executed, crate_text
+from robot_runner.replication.crate_requirements import crate_faults
+from robot_runner.replication.distributions import canonical, packages_of_extra, wheel_name, wheel_of, write_wheel
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from robot_runner.core.config.authors import Author
-    from robot_runner.core.storage.table_schema import ColumnDescription
     from robot_runner.replication.about import About
     from robot_runner.replication.distributions import InstalledDistribution
     from robot_runner.replication.environment import RecordedEnvironment
@@ -47,7 +51,8 @@ class Packing:
         doubtful: what happens with what may be a secret: packing is refused, or it is packed as it is, or replaced.
         authors, licence, citation: take the place of what the config said.
         with_wheels: whether packages that only this machine has go in as wheels.
-        with_hashes: whether the package index that pip is set up for is asked for the hashes of its files.
+        with_hashes: whether the package index that pip is set up for is asked for the hashes that the lock of Robot
+            Runner does not have.
 
     Example:
         >>> Packing(raw=("Ina219",)).licence is None
@@ -62,6 +67,7 @@ class Packing:
     citation: str | None = None
     with_wheels: bool = True
     with_hashes: bool = False
+    base_image: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +78,19 @@ class PackingPlan:
         asked: what is asked of the package.
         contents: which files go in.
         redactor: replaces secrets.
-        failed: how many runs failed.
+        executed: what was executed.
+        runs, undone: how many runs there are, and how many of them are not done.
     """
 
     asked: Packing
     about: About
     manifest: dict[str, Any]
-    columns: Sequence[ColumnDescription]
+    executed: Executed
     contents: Contents
     environment: RecordedEnvironment
     redactor: Redactor
-    failed: int
+    runs: int
+    undone: int
 
 
 class Sealing:
@@ -109,6 +117,7 @@ class Sealing:
 
         Raises:
             StorageError: a file cannot be read.
+            PackageError: the crate would not be valid.
             OSError: the package cannot be written.
         """
         for file in self._plan.contents.files:
@@ -162,16 +171,52 @@ class Sealing:
             self._add_json(contents.DATA_PACKAGE, data_package(plan.about.name, [resource]))
         self._add_text(contents.REQUIREMENTS, plan.environment.requirements(self.wheels))
         self._add_json(contents.ENVIRONMENT, plan.environment.as_mapping(self.wheels))
-        self._add_text(contents.CONTAINERFILE, containerfile(plan.manifest, has_wheels=bool(self.wheels)))
+        self._add_text(contents.CONTAINERFILE, self._containerfile())
         self._add_json(contents.DESCRIPTION, self._description())
-        names = [*stored, contents.README]
+        self._add_terms()
+        names = [*stored, contents.BADGES, contents.README]
+        self._add_text(contents.BADGES, badges_text(self._badge_facts({*names, contents.CRATE, contents.SUMS})))
         self._add_text(contents.README, readme(plan.about, plan.manifest, names, self.left_out))
         files = [stored[name] for name in sorted(stored)]
-        crate = crate_text(plan.about, plan.manifest, plan.columns, files, failed=plan.failed)
+        folders = contents.folders_of(stored, plan.executed.run_folders)
+        crate = crate_text(plan.about, plan.manifest, plan.executed, files)
+        if faults := [*crate_faults(crate, {*stored, *folders, contents.SUMS})]:
+            raise PackageError.of_findings(faults)
         self._add_text(contents.CRATE, crate)
         sums = "".join(f"{file.sha256}  {name}\n" for name, file in sorted(stored.items()))
         self._archive.add(contents.SUMS, [sums.encode()])
-        self._archive.add_folders()
+        self._archive.add_folders(folders)
+
+    def _add_terms(self) -> None:
+        """Add the licence's text, unless somebody put one there, and how to cite the package."""
+        about = self._plan.about
+        if contents.LICENCE not in self._archive.stored and (text := licence_text(about)):
+            self._add_text(contents.LICENCE, text)
+        self._add_text(contents.CITATION, citation_text(about, about.described(self._plan.manifest)))
+        self._add_text(contents.ZENODO, zenodo_text(about, about.described(self._plan.manifest)))
+
+    def _badge_facts(self, names: set[str]) -> BadgeFacts:
+        plan = self._plan
+        return BadgeFacts(
+            plan.about,
+            plan.manifest,
+            plan.executed.columns,
+            names,
+            plan.undone,
+            plan.runs,
+            tuple(each.name for each in self.left_out),
+            len(plan.environment.needed),
+            len(plan.environment.without_hash(self.wheels)),
+        )
+
+    def _containerfile(self) -> str:
+        needed = {canonical(each.name) for each in self._plan.environment.needed}
+        return containerfile(
+            self._plan.manifest,
+            has_wheels=bool(self.wheels),
+            has_comparison=packages_of_extra("robot-runner", "analysis") <= needed,
+            image=self._plan.asked.base_image,
+        )
 
     def _description(self) -> dict[str, Any]:
         return {
@@ -180,6 +225,7 @@ class Sealing:
             "experiment": self._plan.about.name,
             "config": self._plan.manifest.get("config"),
             "raw": list(self._plan.asked.raw),
+            "base_image": self._plan.asked.base_image,
             "left_out": [asdict(each) for each in self.left_out],
             "replaced": [asdict(each) for each in self.cleaning.replaced],
             "doubtful": [asdict(each) for each in self.cleaning.doubtful],

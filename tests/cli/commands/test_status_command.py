@@ -63,6 +63,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "todo": 0,
         "current_run": None,
         "current_event": None,
+        "in_flight": [],
         "left_is_least": False,
         "failures": [f"r_1: {reason}", f"r_3: {reason}"],
         "excluded": {},

@@ -76,7 +76,7 @@ def test_what_happens_in_a_run_is_known(progress: Progress, clock: Any, notices:
     progress.take(RunRecord("r_1", "shared", {"owner": "BasicTurtlebot3", "values": shared}))
     clock.now += 3
     assert (progress.current.event, progress.current.shared) == ("launch_mission", "forward (2 of 12)")
-    assert progress.elapsed_in_run == 3
+    assert progress.elapsed_in(progress.current) == 3
     progress.take(RunRecord("r_1", "event", {"event": "stop_measurement"}))
     assert progress.current.shared == "", "the phase is over with its event"
     progress.take(RunRecord("r_1", "failure", {"problem": "first"}))

@@ -156,7 +156,7 @@ def test_stop_begins_no_more_runs_and_lets_those_in_flight_end(execute: Callable
         time.sleep(0.8)
     """
     executed = execute(body, table=EIGHT, workers=3)
-    assert [row["status"] for row in executed.table] == ["Failed", "Done", "Done", *["Todo"] * 5]
+    assert [row["status"] for row in executed.table] == ["Failed", "Done", "Done", *["-"] * 5]
     assert executed.finished.stopped_by == "on_failure"
 
 
@@ -175,7 +175,7 @@ def test_each_place_rests_and_gates_are_awaited_side_by_side(execute: Callable[.
     head = PORTS.replace(
         "class Lamp",
         "class Slow(Condition):\n"
-        + """\
+        """\
     is_outside = True
     def __str__(self):
         return "half a second has gone by"
@@ -237,4 +237,4 @@ def test_status_and_notices_tell_of_places(execute: Callable[..., Any]) -> None:
     assert {task.place for task in started} == {"slot 1", "slot 2"}
     status = read_status(executed.folder)
     assert status.done == 8
-    assert status.in_flight == {}
+    assert status.in_flight == ()

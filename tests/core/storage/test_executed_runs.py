@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations, permutations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.executed_runs import done_runs, executed_order, moved_runs
 from robot_runner.core.storage.journal import Journal
@@ -11,6 +11,7 @@ from robot_runner.core.storage.journal import Journal
 if TYPE_CHECKING:
     from pathlib import Path
 
+ENDED: dict[str, Any] = {"seconds": 1.0, "failure": None, "measures": {}, "stamps": {}}
 TABLE = ["r_1", "r_2", "r_3", "r_4", "r_5"]
 
 
@@ -32,8 +33,9 @@ def test_the_last_attempt_counts_and_warm_up_runs_do_not(tmp_path: Path) -> None
     with Journal(tmp_path / "journal.jsonl") as journal:
         for run, repetition in (("w_1", 0), ("r_1", 1), ("r_2", 1), ("w_1", 0), ("r_1", 1), ("r_3", 1)):
             journal.append("attempt_started", run=run, attempt=1, repetition=repetition)
-            journal.append("attempt_finished", run=run, attempt=1, status="failed" if run == "r_2" else "done")
-        journal.append("attempt_finished", run="r_3", attempt=2, status="interrupted")
+            status = "failed" if run == "r_2" else "done"
+            journal.append("attempt_finished", run=run, attempt=1, status=status, **ENDED)
+        journal.append("attempt_finished", run="r_3", attempt=2, status="interrupted", **ENDED)
     assert executed_order(tmp_path / "journal.jsonl") == ["r_2", "r_1", "r_3"]
     assert done_runs(tmp_path / "journal.jsonl") == {"w_1", "r_1"}
     assert executed_order(tmp_path / "nowhere.jsonl") == []

@@ -58,13 +58,13 @@ def test_only_the_kinds_asked_for_are_read(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
     with Journal(path) as journal:
         for kind in ("event", "finding", "event", "eventual"):
-            journal.append(kind)
+            journal.append(kind, event="start_run", owner="PsUtil", problem="a gap", fix="")
     assert [record["kind"] for record in read_journal(path, kinds={"event"})] == ["event", "event"]
 
 
 def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path: Path) -> None:
     path = tmp_path / "journal.jsonl"
-    path.write_text('{"kind":"a"}\nnonsense\n{"kind":"b"}\n')
+    path.write_text('{"kind":"a","at":"2026-01-31T12:00:00Z"}\nnonsense\n{"kind":"b"}\n')
     with pytest.raises(StorageError) as refused:
         list(read_journal(path))
     assert refused.value.where == f"{path}:2"
@@ -92,16 +92,19 @@ def test_a_journal_is_read_alike_in_blocks_of_any_size(
     """Lines that a block cuts, kinds that are the beginning of another, and text that looks like a record."""
     monkeypatch.setattr(guarded_files, "_BLOCK", block)
     path = tmp_path / "journal.jsonl"
-    kinds = ["event", "event_late", "measure", "event", "failure"]
+    kinds = ["said", "said_late", "other", "said", "third"]
     with Journal(path) as journal:
         for number, kind in enumerate(kinds * 20):
-            journal.append(kind, number=number, text='\n{"kind":"event"}\n' * (number % 3))
+            journal.append(kind, number=number, event="start_run", text='\n{"kind":"event"}\n' * (number % 3))
     assert [record["number"] for record in read_journal(path)] == list(range(100))
-    chosen = [record["number"] for record in read_journal(path, kinds={"failure", "event"})]
+    chosen = [record["number"] for record in read_journal(path, kinds={"third", "said"})]
     assert chosen == [number for number in range(100) if number % 5 in {0, 3, 4}]
 
 
-@pytest.mark.parametrize("kinds", [None, {"measure"}])
+_LINE = b'{"kind":"other","at":"2026-01-31T12:00:00.250Z"}\n'
+
+
+@pytest.mark.parametrize("kinds", [None, {"other"}])
 @pytest.mark.parametrize(
     "damage", [b'{"kind":"even\n', b"lost\n", b'{"kind":"event","a":1}\r\n', b'{"kind":"event"}{"kind":"event"\n']
 )
@@ -109,9 +112,9 @@ def test_a_damaged_line_is_refused_after_those_before_it_whatever_kind_is_asked_
     tmp_path: Path, damage: bytes, kinds: set[str] | None
 ) -> None:
     path = tmp_path / "journal.jsonl"
-    path.write_bytes(b'{"kind":"measure"}\n' * 3 + damage + b'{"kind":"measure"}\n')
+    path.write_bytes(_LINE * 3 + damage + _LINE)
     read = read_journal(path, kinds=kinds)
-    assert [next(read)["kind"] for _ in range(3)] == ["measure"] * 3
+    assert [next(read)["kind"] for _ in range(3)] == ["other"] * 3
     with pytest.raises(StorageError) as refused:
         next(read)
     assert refused.value.findings[0].where == f"{path}:4"

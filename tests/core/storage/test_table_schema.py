@@ -138,9 +138,13 @@ def test_none_as_a_treatment_is_no_missing_value() -> None:
     ("text", "problem"),
     [
         ("{", "the file is not valid JSON: Expecting property name enclosed in double quotes"),
-        ("[]", "the file has no list of fields"),
-        ('{"fields": 5}', "the file has no list of fields"),
-        ('{"fields": [{"type": "number"}]}', "fields[0] has no name"),
+        ("[]", "it is a list, not a mapping"),
+        ('{"fields": 5}', "fields is 5, not a list"),
+        ('{"fields": [{"type": "number"}]}', "fields[0].name is missing"),
+        ('{"fields": [{"name": "A", "unit": ["J"]}]}', "fields[0].unit is a list, not a text"),
+        ('{"fields": [{"name": "A"}, {"name": "A"}]}', "it has two fields for 'A'"),
+        ('{"fields": [], "fields": []}', "the file is not valid JSON: the key 'fields' is there twice"),
+        ("[" * 100_000, "its JSON is nested deeper than 64 levels"),
         ('{"fields": [{"name": "A", "robot_runner:role": "odd"}]}', "fields[0] has the unknown role 'odd'"),
     ],
 )

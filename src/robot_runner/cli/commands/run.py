@@ -70,11 +70,19 @@ def add_arguments(parser: Parser) -> None:
         help="how many runs this machine executes at the same time, or auto for as many as it has cores; the same as "
         "--set workers=N",
     )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="execute the runs on the workers of a Dask cluster: the address of its scheduler, such as "
+        "tcp://scheduler:8786 or tls://scheduler:8786; the same as --set cluster=ADDRESS",
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
 
 
 def execute(arguments: Namespace) -> int:
     """Execute every run that is not done."""
+    if arguments.cluster is not None:
+        arguments.set = [*arguments.set, f"cluster={arguments.cluster}"]
     if arguments.workers is not None:
         arguments.set = [*arguments.set, f"workers={arguments.workers}"]
     with no_byte_code():

@@ -89,9 +89,11 @@ def _now(status: ExperimentStatus) -> str:
         seen = f": {one_line(gate['seen'])}" if gate["seen"] else ""
         after = f"after {shown_duration(gate['seconds'])}, at {gate['at']}"
         return f"{gate['run']} waits until {one_line(gate['condition'])}{seen} ({after})"
-    if status.current_run is None:
-        return ""
-    return f"{status.current_run}, {status.current_event or 'about to start'}"
+    places = len(status.in_flight) > 1
+    return "; ".join(
+        f"{f'{each.place}: ' if places and each.place else ''}{each.run}, {each.event or 'about to start'}"
+        for each in status.in_flight
+    )
 
 
 def _to_do(status: ExperimentStatus) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from rich.cells import cell_len
 from rich.console import Group
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from robot_runner.cli.console import UserConsole
+    from robot_runner.cli.screens.progress import CurrentRun
     from robot_runner.core.config.experiment import Experiment
 
 __all__ = ["LiveScreen"]
@@ -234,18 +236,29 @@ class LiveScreen:
             counts.append(f", {left}", style="dim")
         return counts
 
-    def _current(self) -> tuple[Text, Text]:
-        current = self.progress.current
-        if current is None:
-            return self._between_runs()
+    def _current(self) -> list[Text]:
+        """Return what happens now: two lines of the only run, or one line of each place."""
+        runs = list(self.progress.in_flight.values())
+        if not runs:
+            return list(self._between_runs())
+        if len(runs) == 1 and not runs[0].task.place:
+            return [self._run(runs[0], with_count=True), self._event(runs[0], self._pause())]
+        width = max(cell_len(each.task.place) for each in runs)
+        return [self._at_place(each, width) for each in sorted(runs, key=lambda each: each.task.slot)]
+
+    def _at_place(self, current: CurrentRun, width: int) -> Text:
+        line = Text(f"  {current.task.place.ljust(width)}", style="dim", no_wrap=True, overflow="ellipsis")
+        return line.append(self._run(current, with_count=False)).append(self._event(current, ""))
+
+    def _run(self, current: CurrentRun, *, with_count: bool) -> Text:
         task = current.task
-        attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
+        attempt = f"attempt {task.attempt}" if task.attempt > 1 else ""
+        count = f"run {task.run_number} of {task.run_count}" if with_count else ""
+        brackets = ", ".join(filter(None, (count, attempt)))
         treatments = treatments_in_words(task, self._experiment.model)
         run = Text("  ▶ ", style="cyan", no_wrap=True, overflow="ellipsis")
-        run.append(f"{task.run_id}", style="bold").append(
-            f" (run {task.run_number} of {task.run_count}{attempt}): {treatments}", style="default"
-        )
-        return run, self._event()
+        run.append(f"{task.run_id}", style="bold")
+        return run.append(f"{f' ({brackets})' if brackets else ''}: {treatments}", style="default")
 
     def _pause(self) -> str:
         return ", pauses after this run" if pause_is_requested(self._experiment.folder.pause) else ""
@@ -257,15 +270,12 @@ class LiveScreen:
         line = Text(f"  ▷ {waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")
         return line, Text(f"    {waited_so_far(waiting)}", no_wrap=True, overflow="ellipsis")
 
-    def _event(self) -> Text:
-        current = self.progress.current
+    def _event(self, current: CurrentRun, pause: str) -> Text:
         line = Text("    ", no_wrap=True, overflow="ellipsis")
-        if current is None:
-            return line
-        line.append(current.event or "starting")
+        line.append(current.event or "starting", style="default")
         if current.shared:
             line.append(f": {one_line(current.shared)}", style="cyan")
-        line.append(f"   {shown_duration(self.progress.elapsed_in_run)}{self._pause()}", style="dim")
+        line.append(f"   {shown_duration(self.progress.elapsed_in(current))}{pause}", style="dim")
         if current.failure:
             line.append(f"   ✗ {one_line(current.failure)}; closing what is open", style="red")
         return line

@@ -389,4 +389,5 @@ class PlainScreen:
 
 def _named(task: RunTask) -> str:
     attempt = f", attempt {task.attempt}" if task.attempt > 1 else ""
-    return f"run {task.run_number} of {task.run_count} ({task.run_id}{attempt})"
+    place = f", {task.place}" if task.place else ""
+    return f"run {task.run_number} of {task.run_count} ({task.run_id}{attempt}{place})"

@@ -59,7 +59,7 @@ class Progress:
     Attributes:
         run_count: all runs of the table; 0 before the experiment has started.
         done, failed: how many runs are done, earlier sessions included, and how many failed in this one.
-        current: the run that is being executed, if one is.
+        in_flight: the runs that are being executed, by id, in the order in which they began.
         run_ids: the runs that were executed in this session.
         origins: where the values of the run table came from, with the measures of each origin.
         bad_values: the runs of this session whose values are not good, by measure and quality.
@@ -79,7 +79,8 @@ class Progress:
         self.run_count = 0
         self.done = 0
         self.failed = 0
-        self.current: CurrentRun | None = None
+        self._failed: set[str] = set()
+        self.in_flight: dict[str, CurrentRun] = {}
         self.run_ids: dict[str, None] = {}
         self.origins: dict[str, dict[str, None]] = {}
         self.bad_values: dict[str, dict[str, list[str]]] = {}
@@ -94,9 +95,13 @@ class Progress:
         return self._clock() - self._began
 
     @property
-    def elapsed_in_run(self) -> float:
-        """How long the present attempt has taken so far, in seconds."""
-        return self._clock() - self.current.started if self.current else 0.0
+    def current(self) -> CurrentRun | None:
+        """The run that is being executed, or the one of them that began last; None where none is."""
+        return next(reversed(self.in_flight.values()), None)
+
+    def elapsed_in(self, run: CurrentRun) -> float:
+        """Return how long the present attempt at a run has taken so far, in seconds."""
+        return self._clock() - run.started
 
     @property
     def seconds_left(self) -> float | None:
@@ -120,9 +125,9 @@ class Progress:
                 self.is_waiting = False
                 self._take_left(notice.left)
                 self.has_begun = True
-                self.current = CurrentRun(notice.task, self._clock())
+                self.in_flight[notice.task.run_id] = CurrentRun(notice.task, self._clock())
             case RunRecord():
-                self._take_record(notice.kind, notice.fields)
+                self._take_record(notice)
             case AttemptFinished():
                 self._take_end(notice)
                 self._take_left(notice.left)
@@ -141,23 +146,24 @@ class Progress:
     def _take_left(self, left: TimeLeft | None) -> None:
         self._left, self._left_since = left, self._clock()
 
-    def _take_record(self, kind: str, fields: Mapping[str, object]) -> None:
-        if self.current is None:
+    def _take_record(self, notice: RunRecord) -> None:
+        run, kind, fields = self.in_flight.get(notice.run_id), notice.kind, notice.fields
+        if run is None:
             return
         if kind == "event":
-            self.current.event = str(fields["event"])
-            self.current.shared = ""
+            run.event = str(fields["event"])
+            run.shared = ""
         elif kind == "shared":
-            self.current.shared = _said(fields["values"])
+            run.shared = _said(fields["values"])
         elif kind == "waiting":
-            self.current.shared = f"waiting until {fields['condition']}: {fields['seen']}".removesuffix(": ")
+            run.shared = f"waiting until {fields['condition']}: {fields['seen']}".removesuffix(": ")
         elif kind == "waited":
-            self.current.shared = ""
-        elif kind == "failure" and not self.current.failure:
-            self.current.failure = str(fields["problem"])
+            run.shared = ""
+        elif kind == "failure" and not run.failure:
+            run.failure = str(fields["problem"])
 
     def _take_end(self, notice: AttemptFinished) -> None:
-        self.current = None
+        self.in_flight.pop(notice.task.run_id, None)
         status = notice.outcome.status
         if status is AttemptStatus.INTERRUPTED:
             return
@@ -170,7 +176,10 @@ class Progress:
                 self._take_qualities(notice.task.run_id, notice.outcome.measures)
             self.run_ids[notice.task.run_id] = None
             self.done += status is AttemptStatus.DONE
-            self.failed += status is AttemptStatus.FAILED
+            self._failed.discard(notice.task.run_id)  # another robot may have executed it again
+            if status is AttemptStatus.FAILED:
+                self._failed.add(notice.task.run_id)
+            self.failed = len(self._failed)
 
     def _take_qualities(self, run_id: str, measures: Mapping[str, PublishedMeasure]) -> None:
         for name in self._columns:

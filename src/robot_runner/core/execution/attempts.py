@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,7 @@ from robot_runner.core.config.gate_parameters import GuardAction
 from robot_runner.core.config.parameters import FailurePolicy
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
 from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.notices import (
@@ -23,6 +25,7 @@ from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.run_ending import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
+from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
@@ -90,6 +93,8 @@ class Attempts:
         self._between_runs = BetweenRuns(experiment, progress, events, self._operator, observer, notify, patience)
         self._gates = Gates(experiment, progress, notify, patience)
         self._refresh = patience.refresh_screen
+        self._lost: Counter[str] = Counter()
+        self._left: dict[str, int] = {}
 
     @property
     def _is_ending(self) -> bool:
@@ -113,7 +118,7 @@ class Attempts:
         name = "" if self._has_one_place else place.name
         yield from self._between_runs.prepare(run, finished, place, name, is_cleared=is_cleared)
         outcome = None
-        for attempts_left in reversed(range(self._parameters.attempts)):
+        for attempts_left in range(self._left.pop(run.run_id, self._parameters.attempts - 1), -1, -1):
             if attempts_left < self._parameters.attempts - 1:
                 yield from self._between_runs.prepare_again(run)
             passage = Passage() if self._is_ending else (yield from self._gates.pass_before(run, place.experiment))
@@ -126,18 +131,37 @@ class Attempts:
             if self._keep(task, outcome):
                 break
         has_failed = outcome is not None and outcome.status is AttemptStatus.FAILED
-        if has_failed and self._parameters.on_failure is FailurePolicy.STOP:
+        if has_failed and not self.is_to_do_elsewhere(run) and self._parameters.on_failure is FailurePolicy.STOP:
             self._stop.reason = self._stop.reason or "on_failure"
         return outcome
 
     def _keep(self, task: RunTask, outcome: RunOutcome) -> bool:
         """Keep how an attempt went; return whether it was the last one."""
-        is_last = task.attempts_left == 0 or outcome.status is not AttemptStatus.FAILED or bool(self._stop.reason)
+        is_last = outcome.status is not AttemptStatus.FAILED or bool(self._stop.reason)
+        if outcome.is_lost and not is_last:
+            # Beyond what the config grants to attempts that were lost, such a one is one of `attempts`.
+            self._lost[task.run_id] += 1
+            left = task.attempts_left - (self._lost[task.run_id] > self._parameters.attempts_if_lost)
+            if left >= 0:
+                self._left[task.run_id] = left
+        is_to_do = task.run_id in self._left
+        is_last = is_last or (task.attempts_left == 0 and not is_to_do)
         noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
         self._notice(AttemptFinished(task, outcome, is_last, self._progress.time_left))
         if noticed:
             self._notice(FindingsNoticed(noticed))
-        return is_last
+        return is_last or is_to_do
+
+    def is_to_do_elsewhere(self, run: PendingRun) -> bool:
+        """Whether the last attempt at a run was lost with its place, and another one is to be made."""
+        return run.run_id in self._left
+
+    def tell_of_place(self, problem: str) -> None:
+        """Keep and show what a person should know of a place that has come, or is gone."""
+        self._progress.note("place", problem=problem)
+        finding = Finding.warning("places", problem)
+        self._progress.find(finding)
+        self._notice(FindingsNoticed((finding,)))
 
     def _is_stopped_by(self, reason: str, run: PendingRun) -> bool:
         """Stop the experiment where there is a reason to; the run that it was about to execute is still to do."""
@@ -166,6 +190,10 @@ class Attempts:
             report(kind, fields)
 
         self._operator.hand_over(task, report_own)
+        if place.experiment.parameters.robots:
+            origin = Origin.SIMULATED if is_simulated(place.experiment.parameters.robot) else Origin.MEASURED
+            robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": origin.value}
+            report_own("measure", robot)
         passage.report_to(report_own, [column.name for column in self._experiment.columns.declared])
         self._bind_plugins(task, report_own)
         if not builder.has_failed:

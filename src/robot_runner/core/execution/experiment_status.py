@@ -12,6 +12,7 @@ from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import Durations, TimeLeft
+from robot_runner.core.execution.places import InFlight
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.excluded_runs import ExcludedRuns
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
@@ -65,7 +66,8 @@ class ExperimentStatus:
         is_waiting_for_user: whether it waits for `robot-runner continue`.
         waiting_for: what it waits for then: `next_run`, `step` (empty where it only asks whether the run may start),
             and `questions` as plain data; None while it does not wait.
-        current_run, current_event: what is being executed, or None.
+        current_run, current_event: what is being executed, or None; of several runs the one that began last.
+        in_flight: each run that is being executed, with its place where there are several.
         failures: why each failed run failed, one line each.
         findings: what looked odd.
         todo: how many runs are left to be executed; those that are excluded do not count, neither here nor in `failed`.
@@ -122,6 +124,7 @@ class ExperimentStatus:
     gate: Mapping[str, Any] | None = None
     gate_seconds: float = 0.0
     waiting_for: Mapping[str, Any] | None = None
+    in_flight: tuple[InFlight, ...] = ()
 
 
 def read_status(folder: Path) -> ExperimentStatus:
@@ -141,7 +144,7 @@ def read_status(folder: Path) -> ExperimentStatus:
     holder = holder_of(files.lock)
     left = _time_left(files, history, is_executed=holder is not None)
     return ExperimentStatus(
-        experiment_name=manifest["experiment_name"],
+        experiment_name=manifest.get("experiment_name", files.root.name),
         folder=folder,
         holder=holder,
         is_waiting_for_user=holder is not None and history.waiting_for is not None,
@@ -149,8 +152,9 @@ def read_status(folder: Path) -> ExperimentStatus:
         done=_count(statuses, RunStatus.DONE),
         failed=_count(counting, RunStatus.FAILED),
         todo=_count(counting, RunStatus.TODO, RunStatus.RUNNING) + history.unlisted,
-        current_run=history.current_run if holder else None,
-        current_event=history.current_event if holder else None,
+        current_run=history.in_flight[-1].run if holder and history.in_flight else None,
+        current_event=history.in_flight[-1].event if holder and history.in_flight else None,
+        in_flight=history.in_flight if holder else (),
         failures=tuple(
             f"{run}: {reason}" for run, reason in history.failures.items() if counting.get(run) is RunStatus.FAILED
         ),
@@ -236,8 +240,7 @@ class _History:
         self._excluded = ExcludedRuns()
         self.gate: dict[str, Any] | None = None
         self.gate_seconds = 0.0
-        self.current_run: str | None = None
-        self.current_event: str | None = None
+        self._in_flight: dict[str, InFlight] = {}
         self.started_at: str | None = None
         self.finished_at: str | None = None
         self.combinations: dict[str, Mapping[str, Any]] = {}
@@ -255,7 +258,7 @@ class _History:
         # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
         for record in read_journal(files.journal):
             if self.sessions:
-                self.sessions[-1] = replace(self.sessions[-1], ended_at=record["at"])
+                self.sessions[-1] = replace(self.sessions[-1], ended_at=record.get("at", self.sessions[-1].ended_at))
             self._excluded.take(record)
             take = getattr(self, f"_take_{record['kind']}", None)
             if take is not None:
@@ -285,6 +288,10 @@ class _History:
         return max(0.0, time.time() - datetime.fromisoformat(self._left_at).timestamp())
 
     @property
+    def in_flight(self) -> tuple[InFlight, ...]:
+        return tuple(self._in_flight.values())
+
+    @property
     def executed(self) -> list[str]:
         return list(self._begun)
 
@@ -307,6 +314,7 @@ class _History:
         self._planned = int(record.get("runs", 0))
         self.gate = self.waiting_for = None
         self.is_paused = False
+        self._in_flight.clear()
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
 
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
@@ -321,14 +329,16 @@ class _History:
         self.precision = tuple(str(each["in_words"]) for each in record.get("precision", ()))
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
-        self.current_run, self.current_event = record["run"], None
+        self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))
         self._take_left(record)
         if record.get("repetition") != 0:  # a warm-up run comes before each session, whatever the table's order
             self._begun.pop(record["run"], None)
             self._begun[record["run"]] = None
 
     def _take_event(self, record: Mapping[str, Any]) -> None:
-        self.current_event = record["event"]
+        run = self._in_flight.get(record.get("run", ""))
+        if run is not None:
+            self._in_flight[run.run] = replace(run, event=record["event"])
 
     def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
         ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
@@ -339,7 +349,7 @@ class _History:
             name: quality_of_value(each["value"], each.get("doubts", ())) for name, each in record["measures"].items()
         }
         self._qualities[record["run"]] = {name: each for name, each in told.items() if each is not Quality.GOOD}
-        self.current_run = self.current_event = None
+        self._in_flight.pop(record["run"], None)
         self._take_left(record)
 
     def _take_left(self, record: Mapping[str, Any]) -> None:

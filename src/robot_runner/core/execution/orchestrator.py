@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ from robot_runner.core.execution.local_places import places_of
 from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
+    FindingsNoticed,
     Notice,
     Observer,
     PreparationStarted,
@@ -124,7 +125,7 @@ class _Orchestrator:
         claims = Claims(self._parameters, experiment.plugins, experiment.events)
         self._places = places_of(experiment, claims, progress.combinations_left)
         has_one_place = len(self._places.all) == 1
-        progress.expect_places(len(self._places.all))
+        progress.expect_places(max(1, len(self._places.all)))
         attempts = Attempts(
             experiment,
             progress,
@@ -136,7 +137,14 @@ class _Orchestrator:
             has_one_place=has_one_place,
         )
         self._side_by_side = SideBySide(
-            progress, self._places, lambda task: frozenset(claims.of(task.combination)), attempts, patience, self._stop
+            progress,
+            self._places,
+            lambda task: frozenset(claims.of(task.combination)),
+            attempts,
+            patience,
+            self._stop,
+            progress.turns if self._parameters.robots else None,
+            self._find,
         )
 
     def execute(self, findings: Sequence[Finding]) -> ExperimentFinished:
@@ -158,8 +166,9 @@ class _Orchestrator:
 
     def _execute_between_events(self, findings: Sequence[Finding]) -> None:
         try:
-            returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
-            self._execute_runs(is_cleared=any(value is True for value in returned))
+            with closing(self._places):
+                returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
+                self._execute_runs(is_cleared=any(value is True for value in returned))
         except BaseException as error:
             self._end_after(error, findings)
             raise
@@ -239,6 +248,10 @@ class _Orchestrator:
             seconds=time.monotonic() - self._started,
             excluded=progress.excluded,
         )
+
+    def _find(self, finding: Finding) -> None:
+        self._progress.find(finding)
+        self._notice(FindingsNoticed((finding,)))
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)

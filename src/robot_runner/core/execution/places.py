@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.task import OutcomeBuilder, Report, RunOutcome, RunTask
 
-__all__ = ["INTERRUPTED", "Awaited", "Place", "Places", "RunInFlight", "Watch"]
+__all__ = ["INTERRUPTED", "Awaited", "InFlight", "Place", "Places", "RunInFlight", "Watch"]
 
 #: Why a run is ended that the user's interruption ends.
 INTERRUPTED = "the user interrupted the experiment"
@@ -59,6 +59,15 @@ class Awaited(Protocol):
     def kill(self) -> None:
         """Have it end at once: the user has asked twice."""
         ...
+
+
+@dataclass(frozen=True, slots=True)
+class InFlight:
+    """A run that is being executed: where (empty where there is one place only), and its last event."""
+
+    run: str
+    place: str = ""
+    event: str | None = None
 
 
 class RunInFlight(Awaited, Protocol):
@@ -105,6 +114,8 @@ class Place(Protocol):
         is_aside: whether it takes no runs any more, or not now: its worker is gone, or its robot was set aside.
     """
 
+    is_aside: bool
+
     @property
     def name(self) -> str: ...  # noqa: D102 - as above
 
@@ -113,9 +124,6 @@ class Place(Protocol):
 
     @property
     def slot(self) -> int: ...  # noqa: D102 - as above
-
-    @property
-    def is_aside(self) -> bool: ...  # noqa: D102 - as above
 
     def claimed(self, claims: Collection[str], combination: Mapping[str, object]) -> frozenset[str] | None:
         """Return what a run would hold here for itself; None where it cannot be executed here.

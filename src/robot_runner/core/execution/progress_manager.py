@@ -12,7 +12,8 @@ from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.batches import REPEATED
 from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
-from robot_runner.core.execution.circumstances import keep_config, note_clock
+from robot_runner.core.execution.called_programs import CALLED, ReportedFacts
+from robot_runner.core.execution.circumstances import keep_config
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.recovery import selected_places, with_session_warm_ups
@@ -22,9 +23,10 @@ from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask, seed_of_run
+from robot_runner.core.execution.turns import Turns, turns_of
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
-from robot_runner.core.storage.layout import drop_empty_log, keep_log, keep_refused, put_earlier_attempt_away
+from robot_runner.core.storage.layout import drop_empty_log, keep_log, put_earlier_attempt_away
 from robot_runner.core.storage.lock import ExperimentLock, forget_pause
 from robot_runner.core.storage.manifest import write_manifest
 
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
 __all__ = ["ProgressManager"]
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
-_OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound")
+_OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", CALLED)
 _OF_ATTENDANCE = ("waited", "guard", "asked", "answered", "subject", "mission_stopped", "outlives")
 _KEPT = frozenset((*_OF_RUN, *_OF_ATTENDANCE))
 
@@ -116,6 +118,7 @@ class ProgressManager:
                 self._journal.append(PREPARED, flush=True, treatments=prepared)
             keep_config(self._experiment, self._manifest)
             write_manifest(self._folder.manifest, self._manifest)
+            self._reported = ReportedFacts(self._folder, self._manifest)
             self._file = TableOnDisk(self._folder.run_table, self._rows, self._journal, reading)
             if not recovered.is_on_disk:
                 recovered.write_schema(self._folder.schema)
@@ -204,6 +207,10 @@ class ProgressManager:
         """The treatments of each run that is to be executed in this session."""
         return map(self._rows.combination, self._selected)
 
+    def turns(self) -> Turns:
+        """Return which robots have executed what, where several take turns."""
+        return turns_of(self._rows)
+
     def expect_places(self, count: int) -> None:
         """Take into account that so many runs are executed at the same time, where they may."""
         self._durations.places = count
@@ -285,10 +292,7 @@ class ProgressManager:
         """Keep what a run reports while it is executed."""
         if kind in _KEPT:
             self._journal.append(kind, run=task.run_id, attempt=task.attempt, **fields)
-        if kind == "clock":
-            note_clock(self._manifest, fields)
-        if kind == "refused":
-            keep_refused(self._folder, task.run_id, fields)
+        self._reported.take(task.run_id, kind, fields)
         if kind == "event" and fields["event"] == "continue" and "continue_at" in self._rows.layout.stamps:
             self._rows.record(task.run_id, stamps={"continue_at": fields["at"]})
             self._file.refresh()
@@ -363,6 +367,7 @@ class ProgressManager:
         self.bring_table_up_to_date()
         self._table.write_schema(self._folder.schema)
         self._manifest["executions"][-1]["finished_at"] = utc_now()
+        self._reported.describe_programs()
         write_manifest(self._folder.manifest, self._manifest)
         counts = {"done": self.done_count, "failed": len(self._failed), "runs": self.run_count}
         self.note("experiment_finished", flush=True, interrupted=interrupted, **counts)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.execution.called_programs import notice_programs
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
@@ -56,7 +57,11 @@ def become_interpreter(
     description = {
         "config": str(experiment.config_path),
         # Of a replication, the config that is executed lies in the package, and its results go elsewhere.
-        "set": {**experiment.overrides, "results_output_path": str(experiment.folder.root.parent)},
+        "set": {
+            **experiment.overrides,
+            "results_output_path": str(experiment.folder.root.parent),
+            **_own_robot(experiment),
+        },
         "task": described_task(experiment, task),
         "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
@@ -65,10 +70,17 @@ def become_interpreter(
     os.execv(sys.executable, [sys.executable, "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
 
 
+def _own_robot(experiment: Experiment) -> dict[str, str]:
+    """Return the robot of the run's place, where several take turns."""
+    robot = experiment.parameters.robot
+    return {"robot": robot} if experiment.parameters.robots and robot is not None else {}
+
+
 def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None, report: RecordWriter) -> None:
     gate = InterruptGate()
     gate.listen()
     keeper = os.getppid()
+    notice_programs(experiment, report)
     execute_run(experiment, task, report, gate, systems)
     report(FINISHED, {})
     if os.getppid() != keeper:  # it was killed, and cannot end what the run leaves behind

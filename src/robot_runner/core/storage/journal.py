@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import sentences_without_secrets
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_blocks
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
+from robot_runner.core.storage.file_shapes import RECORDS, Record
+from robot_runner.core.storage.guarded_files import LINE_LIMIT, MissingFileError, open_descriptor, open_to_read, read_blocks
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
@@ -100,6 +102,8 @@ class Journal:
         size = os.fstat(self._descriptor).st_size
         end = size
         while end > 0:
+            if size - end > LINE_LIMIT:
+                raise _corrupt(self._path, b"", f"its last {size - end:,} bytes have no end of a line")
             start = max(0, end - 65536)
             newline = os.pread(self._descriptor, end - start, start).rfind(b"\n")
             if newline >= 0:
@@ -197,23 +201,25 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
     """Return the record that a line of the journal holds.
 
     Raises:
-        StorageError: it is no record.
+        StorageError: it is no record, or not as records of its kind are.
     """
     try:
-        record = json.loads(line)
-    except ValueError as error:
-        raise _corrupt(path, line) from error
-    if not isinstance(record, dict) or not isinstance(record.get("kind"), str):
-        raise _corrupt(path, line)
+        record: dict[str, Any] = parsed_json(line.decode())
+    except (ValueError, RecursionError) as error:
+        raise _corrupt(path, line, str(error)) from error
+    kind = record.get("kind") if isinstance(record, dict) else None
+    faults = faults_of(record, RECORDS.get(kind, Record) if isinstance(kind, str) else Record)
+    if faults:
+        raise _corrupt(path, line, "; ".join(faults))
     return record
 
 
-def _corrupt(path: Path, line: bytes) -> StorageError:
+def _corrupt(path: Path, line: bytes, reason: str = "") -> StorageError:
     # Lines are counted only where one is wrong.
     lines = chain.from_iterable(map(BytesIO, read_blocks(path)))
     number = next((number for number, each in enumerate(lines, start=1) if each == line), 0)
     return StorageError(
-        "this line is no record of a journal",
+        f"this line is no record of a journal{f': {reason}' if reason else ''}",
         where=f"{path}:{number}",
         fix="Restore the file from a backup, or delete the line to go on without it.",
     )

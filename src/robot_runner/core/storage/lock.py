@@ -10,6 +10,8 @@ from enum import Enum
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
+from robot_runner.core.storage.file_shapes import HolderFile, RequestFile
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, remove, replace
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.lock_files import is_held_exclusively, lock_exclusively
@@ -78,6 +80,9 @@ class ExperimentLock:
         os.pwrite(self._descriptor, json.dumps(asdict(holder)).encode(), 0)
 
 
+_SIGNED = tuple(HolderFile.__annotations__)
+
+
 def holder_of(path: Path) -> Holder | None:
     """Return who holds the lock at this moment, or None; nothing is changed by asking."""
     try:
@@ -92,9 +97,10 @@ def holder_of(path: Path) -> Holder | None:
 
 def _read(descriptor: int) -> Holder:
     try:
-        return Holder(**json.loads(os.pread(descriptor, 4096, 0)))
-    except (ValueError, TypeError, RecursionError):  # locked and not yet signed
-        return Holder(0, "unknown", "")
+        said = json.loads(os.pread(descriptor, 4096, 0))
+    except (ValueError, RecursionError):  # locked and not yet signed
+        said = None
+    return Holder(0, "unknown", "") if faults_of(said, HolderFile) else Holder(**{name: said[name] for name in _SIGNED})
 
 
 def _refusal(path: Path, holder: Holder) -> ExecutionError:
@@ -150,10 +156,9 @@ def take_request(control: Path) -> Request | None:
         return None
     forget_command(control)
     try:
-        said = json.loads(text)
-        answers = {str(name): str(answer) for name, answer in said.get("answers", {}).items()}
-        return Request(Command(said["command"]), answers)
-    except (ValueError, KeyError, AttributeError, RecursionError):
+        said = parsed_json(text.decode())
+        return None if faults_of(said, RequestFile) else Request(Command(said["command"]), said.get("answers", {}))
+    except (ValueError, RecursionError):
         return None
 
 

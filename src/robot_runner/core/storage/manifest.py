@@ -13,7 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import without_environment_secrets
+from robot_runner.core.storage.declared_shapes import shape_findings
+from robot_runner.core.storage.file_shapes import Manifest
 from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
+from robot_runner.core.storage.system_packages import describe_system, installed_system_packages
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -26,6 +29,7 @@ _COMPARED = frozenset(
 )
 #: Version of the experiment folder's format; a newer one is refused by readers.
 FORMAT = 1
+_RESTORE = "Restore it from a backup."
 
 
 def describe_host() -> dict[str, Any]:
@@ -42,12 +46,14 @@ def describe_host() -> dict[str, Any]:
 
 
 def describe_software() -> dict[str, Any]:
-    """Return the versions of Python, of Robot Runner, and of every installed package."""
+    """Return the versions of Python, Robot Runner and the system, and of every package of Python and of the system."""
     return {
         "python": platform.python_version(),
         "implementation": sys.implementation.name,
         "robot_runner": version("robot-runner"),
         "packages": _packages(),
+        "system": describe_system(),
+        "system_packages": installed_system_packages(),
     }
 
 
@@ -88,7 +94,8 @@ def read_manifest(path: Path) -> dict[str, Any]:
     """Return the manifest of an experiment folder.
 
     Raises:
-        StorageError: there is none, it does not parse, or its format is newer than this version knows.
+        StorageError: there is none, it does not parse, its format is newer than this version knows, or it is not as a
+            manifest is.
     """
     try:
         manifest = read_json(path)
@@ -99,13 +106,15 @@ def read_manifest(path: Path) -> dict[str, Any]:
     except DamagedFileError as error:
         raise StorageError(f"the manifest cannot be read: {error.problem}", where=error.where, fix=error.fix) from error
     if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
-        raise StorageError("the file is no manifest of an experiment", where=str(path), fix="Restore it from a backup.")
+        raise StorageError("the file is no manifest of an experiment", where=str(path), fix=_RESTORE)
     if manifest["format"] > FORMAT:
         raise StorageError(
             f"the manifest has format {manifest['format']}, newer than {FORMAT}, which this version knows",
             where=str(path),
             fix="Update robot-runner.",
         )
+    if findings := shape_findings(str(path), "manifest of an experiment", manifest, Manifest, _RESTORE):
+        raise StorageError.of_findings(findings)
     return manifest
 
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import DesignError, StorageError
+from robot_runner.core.storage.declared_shapes import shape_findings
+from robot_runner.core.storage.file_shapes import RegistrationFile
 from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
 from robot_runner.core.words import enumerated
 
@@ -33,19 +35,6 @@ FORMAT = 1
 _SUM = "sha256"
 #: A registration has some kilobytes; what is larger is something else.
 _LARGEST = 16 << 20
-#: Each with the type that it has to have.
-_SHAPE: dict[str, type | tuple[type, ...]] = {
-    "format": int,
-    "registered_at": str,
-    "experiment": str,
-    "config": dict,
-    "design": dict,
-    "seed": int,
-    "measures": list,
-    "analysis": (dict, type(None)),
-    "power": (dict, type(None)),
-    _SUM: str,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,16 +113,8 @@ def read_registration(path: Path) -> Registration:
     if isinstance(content, dict) and isinstance(content.get("format"), int) and content["format"] > FORMAT:
         problem = f"the registration has format {content['format']}, newer than {FORMAT}, which this version knows"
         raise StorageError(problem, where=where, fix="Update robot-runner.")
-    wrong = (
-        [name for name, kind in _SHAPE.items() if not isinstance(content.get(name), kind) or name not in content]
-        if isinstance(content, dict)
-        else list(_SHAPE)
-    )
-    if wrong:
-        problem = (
-            f"this is no registration: {enumerated(wrong)} {'is' if len(wrong) == 1 else 'are'} not as it has them"
-        )
-        raise StorageError(problem, where=where, fix=_FIX)
+    if findings := shape_findings(where, "registration", content, RegistrationFile, _FIX):
+        raise StorageError.of_findings(findings)
     if not _is_comparable(content):
         raise StorageError("this is no registration: parts of it are not as it has them", where=where, fix=_FIX)
     return Registration(path, content, checksum_of(content) == content[_SUM])

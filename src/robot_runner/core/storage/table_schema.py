@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import Counter
 from dataclasses import replace
 from numbers import Integral
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus, are_stamps
+from robot_runner.core.storage.declared_shapes import shape_findings
+from robot_runner.core.storage.file_shapes import Schema
 from robot_runner.core.storage.guarded_files import DamagedFileError, read_json
 from robot_runner.core.storage.guarded_files import replace as replace_file
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole
@@ -43,6 +46,7 @@ __all__ = [
 
 _OWN = "robot_runner:"
 _PROFILE = "https://specs.frictionlessdata.io/schemas/table-schema.json"
+_SCHEMA_FIX = "Restore it from a backup, or delete it: it is written anew."
 _STAMP_FORMAT = "%Y-%m-%dT%H:%M:%S.%fZ"
 
 
@@ -76,10 +80,13 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
         schema = read_json(path)
     except DamagedFileError as error:
         raise _no_schema(path, error.problem) from error
-    fields = schema.get("fields") if isinstance(schema, dict) else None
-    if not isinstance(fields, list):
-        raise _no_schema(path, "the file has no list of fields")
-    return tuple(_description(path, place, each) for place, each in enumerate(fields))
+    if findings := shape_findings(str(path), "schema of a run table", schema, Schema, _SCHEMA_FIX):
+        raise StorageError.of_findings(findings)
+    columns = tuple(_description(path, place, each) for place, each in enumerate(schema["fields"]))
+    twice = [name for name, count in Counter(column.name for column in columns).items() if count > 1]
+    if twice:
+        raise _no_schema(path, f"it has two fields for {twice[0]!r}")
+    return columns
 
 
 def _field(column: ColumnDescription) -> dict[str, Any]:
@@ -98,35 +105,30 @@ def _field(column: ColumnDescription) -> dict[str, Any]:
     return field
 
 
-def _description(path: Path, place: int, field: object) -> ColumnDescription:
-    if not isinstance(field, dict) or not isinstance(field.get("name"), str):
-        raise _no_schema(path, f"fields[{place}] has no name")
+def _description(path: Path, place: int, field: Mapping[str, Any]) -> ColumnDescription:
     word = field.get(f"{_OWN}role", ColumnRole.EXTRA.value)
     role = next((role for role in ColumnRole if role.value == word), None)
     if role is None:
         raise _no_schema(path, f"fields[{place}] has the unknown role {word!r}")
-    origin = field.get(f"{_OWN}origin")
-    texts = {key: str(field.get(key, "")) for key in ("title", "description", "unit")}
-    name = str(field.get(f"{_OWN}column", field["name"]))
+    texts = {key: field.get(key, "") for key in ("title", "description", "unit")}
+    name = field.get(f"{_OWN}column", field["name"])
     doubts = field.get(f"{_OWN}doubts") or {}
-    if not isinstance(doubts, dict) or not all(isinstance(reasons, list) for reasons in doubts.values()):
-        raise _no_schema(path, f"the doubts of fields[{place}] are no mapping from runs to reasons")
     return ColumnDescription(
         name=name,
         role=role,
-        type=str(field.get("type", "any")),
-        owner=str(field.get(f"{_OWN}owner", "")),
-        origin=None if origin is None else str(origin),
-        findings=tuple(map(str, field.get(f"{_OWN}findings") or ())),
+        type=field.get("type", "any"),
+        owner=field.get(f"{_OWN}owner", ""),
+        origin=field.get(f"{_OWN}origin"),
+        findings=tuple(field.get(f"{_OWN}findings") or ()),
         heading="" if name == field["name"] else field["name"],
-        doubts={run_id: tuple(map(str, reasons)) for run_id, reasons in doubts.items()},
+        doubts={run_id: tuple(reasons) for run_id, reasons in doubts.items()},
         **texts,
     )
 
 
 def _no_schema(path: Path, reason: str) -> StorageError:
     problem = f"the file is no schema of a run table: {reason}"
-    return StorageError(problem, where=str(path), fix="Restore it from a backup, or delete it: it is written anew.")
+    return StorageError(problem, where=str(path), fix=_SCHEMA_FIX)
 
 
 # What the run table's columns hold: from the table itself, and from what is known of its measures.

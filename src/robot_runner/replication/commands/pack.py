@@ -6,6 +6,7 @@ and home paths are replaced or left out, and listed. Packing twice gives the sam
 
 from __future__ import annotations
 
+from argparse import BooleanOptionalAction
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,9 +77,19 @@ def add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--hashes",
-        action="store_true",
-        help="ask the package index that pip is set up for, for the hashes of the packages needed: others' pip then "
-        "demands them",
+        action=BooleanOptionalAction,
+        default=True,
+        help="ask the package index that pip is set up for, for the hashes of needed packages that the lock of Robot "
+        "Runner does not have: others' pip then demands them (it is asked if left out)",
+    )
+    parser.add_argument(
+        "--base-image",
+        metavar="IMAGE",
+        help="what the container image is based on, best with its digest (NAME:TAG@sha256:DIGITS), instead of the "
+        "official image of the experiment's Python or ROS",
+    )
+    parser.add_argument(
+        "--sign", metavar="KEY", help="sign it with this key of ssh, such as ~/.ssh/id_ed25519, as FILE.sig beside it"
     )
     add_json(parser)
 
@@ -87,7 +98,9 @@ def execute(arguments: Namespace) -> int:
     """Write the package; say what is in it, what is not, and what others will miss."""
     folder = folder_of_target(arguments.target, arguments.set).root
     authors, licence = _authors(arguments.author), _licence(arguments.licence)
+    from robot_runner.replication.container import as_base  # noqa: PLC0415 - only where a package is made
     from robot_runner.replication.packing import Packing, pack  # noqa: PLC0415 - takes a while to import
+    from robot_runner.replication.signatures import check_signature, sign, signature_of  # noqa: PLC0415 - as above
 
     packing = Packing(
         raw=tuple(arguments.raw or ("all",)),
@@ -98,19 +111,37 @@ def execute(arguments: Namespace) -> int:
         citation=arguments.citation,
         with_wheels=not arguments.no_wheels,
         with_hashes=arguments.hashes,
+        base_image=None if arguments.base_image is None else as_base(arguments.base_image),
     )
     target = Path(arguments.to).expanduser() if arguments.to else Path.cwd() / f"{folder.name}.zip"
-    if arguments.hashes:
-        complaints().print("Asking the package index for hashes: a minute or so, five at most.", style="dim")
+    key = _key(arguments.sign)
     with byte_progress("packing") as progress:
-        packed = pack(folder, target, packing, progress)
+        packed = pack(folder, target, packing, progress, _say_asking)
+    signature = sign(target, key) if key else None
     if arguments.json:
-        print_json(_as_json(packed))
+        print_json({**_as_json(packed), "signature": str(signature) if signature else None})
     else:
-        _print(output(), packed, has_asked=arguments.hashes)
+        _print(output(), packed, signature, has_asked=arguments.hashes)
         if packed.findings:
             show_findings(packed.findings)
+    if signature is None and signature_of(target).exists():
+        check_signature(target)  # of an earlier package: of the same bytes it is good still
     return 0
+
+
+def _key(text: str | None) -> Path | None:
+    """Return the key to sign with; it is looked for before anything is packed."""
+    key = Path(text).expanduser() if text else None
+    if key is not None and not key.is_file():
+        fix = "Name a key of ssh; `ssh-keygen -t ed25519` makes one."
+        raise UsageError("there is no such key", where=str(key), fix=fix)
+    return key
+
+
+def _say_asking(count: int) -> None:
+    packages = counted(count, "package")
+    text = f"Asking the package index for the hashes of {packages}: minutes at most; --no-hashes skips it."
+    complaints().print(text, style="dim")
 
 
 def _authors(texts: list[str]) -> tuple[Author, ...]:
@@ -132,7 +163,7 @@ def _licence(text: str | None) -> str | None:
     return text
 
 
-def _print(console: UserConsole, packed: Packed, *, has_asked: bool) -> None:
+def _print(console: UserConsole, packed: Packed, signature: Path | None, *, has_asked: bool) -> None:
     name = shown_path(packed.path.resolve())
     console.print(Text(name, style="bold"))
     print_facts(
@@ -142,6 +173,7 @@ def _print(console: UserConsole, packed: Packed, *, has_asked: bool) -> None:
             ("SHA-256", packed.sha256),
             ("Wheels", ", ".join(packed.wheels)),
             ("Hashes", _hashes(packed, has_asked=has_asked)),
+            ("Signed", shown_path(signature.resolve()) if signature else ""),
             ("Next", f"look into it before you publish it, and check it: robot-runner verify {name}"),
         ],
     )
@@ -161,7 +193,7 @@ def _hashes(packed: Packed, *, has_asked: bool) -> str:
     if not packed.without_hash:
         return f"of all {packages} needed: pip demands them" if packed.package_count else ""
     known = packed.package_count - len(packed.without_hash)
-    advice = "" if has_asked else "; --hashes asks the package index for the others"
+    advice = "" if has_asked else "; without --no-hashes the package index is asked for the others"
     return f"of {known} of {packages} needed: pip demands none{advice}"
 
 

@@ -131,7 +131,7 @@ def _replicate(arguments: Namespace) -> Ending:
     print_plan(output(), source, differing, deviations, target, has_all=arguments.all_differences)
     facts = facts_of(arguments.package, source, differing, deviations)
     if arguments.environment == _CONTAINER:
-        print_container(output(), source.experiment, _unpacked(source, target))
+        print_container(output(), source, _unpacked(source, target))
         return Ending(0, facts)
     make_sure(is_agreed=arguments.yes)
     own = arguments.environment or _offered(arguments, source, differing)

@@ -20,9 +20,10 @@ from robot_runner.cli.console import (
 from robot_runner.cli.findings import show_findings
 from robot_runner.cli.parser import UsageError
 from robot_runner.cli.screens.plain import terminal_input
+from robot_runner.core.errors import Finding
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, listed, one_line
-from robot_runner.replication.about import container_commands
+from robot_runner.replication.container import container_commands, is_pinned
 from robot_runner.replication.differences import ranked, remaining_differences
 from robot_runner.replication.replicating import original_settings
 
@@ -69,13 +70,14 @@ def wants_own_environment(differing: Sequence[Difference], *, is_agreed: bool) -
         differing: what differs.
         is_agreed: whether everything was agreed to beforehand; otherwise who sits at the terminal is asked.
     """
-    names = listed(one_line(each.what) for each in ranked(differing)[0] if each.is_package)
+    names = [one_line(each.what) for each in ranked(differing)[0] if each.is_package]
     if not names:
         return False
+    because = f"as {listed(names)} {'differs' if len(names) == 1 else 'differ'} here"
     if is_agreed:
-        output().print(f"The package's own environment is taken, as {names} differ here (--environment here: not).")
+        output().print(f"The package's own environment is taken, {because} (--environment here: not).")
         return True
-    return agrees(f"Make the package's own environment first, as {names} differ here? [Y/n]", otherwise=True)
+    return agrees(f"Make the package's own environment first, {because}? [Y/n]", otherwise=True)
 
 
 def print_plan(
@@ -127,11 +129,17 @@ def print_made_environment(console: UserConsole, folder: Path, environment: Mapp
     _print_differences(console, differing, "The environment that was made differs:", "made", has_all=False)
 
 
-def print_container(console: UserConsole, experiment: str, root: Path) -> None:
+def print_container(console: UserConsole, source: Source, root: Path) -> None:
     """Print the commands that build an image and replicate in it."""
+    image = source.description.get("base_image")
+    if not (isinstance(image, str) and is_pinned(image)):
+        fix = "`--build-arg BASE=NAME@sha256:...` pins it."
+        show_findings(
+            [Finding.warning("Containerfile", "no digest of its base image is known, so that it may change", fix)]
+        )
     console.print()
     console.print("Build the image and replicate in it (docker takes the same words):", style="bold")
-    for command in container_commands(experiment, shlex.quote(shown_path(root))):
+    for command in container_commands(source.experiment, shlex.quote(shown_path(root))):
         console.print(f"  {command}", soft_wrap=True)
 
 

@@ -1,0 +1,249 @@
+"""What JSON that was read has to look like: declared once as TypedDicts, checked wherever it comes from a disk.
+
+A file of an experiment may be damaged, of another tool, or prepared by a stranger. Readers index it as its shape says,
+so a value that has another type must be named here: the file, the place in it, what is there and what should be.
+Keys that a shape does not have are let pass, as a later version may write them.
+"""
+
+# Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from functools import cache
+from types import NoneType, UnionType
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    NewType,
+    NotRequired,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+    is_typeddict,
+)
+
+from robot_runner.core.errors import Finding
+
+__all__ = ["Moment", "Scalar", "faults_of", "parsed_json", "shape_findings"]
+
+#: A moment in UTC or with its offset, as ISO 8601 has it.
+Moment = NewType("Moment", str)
+#: One value of a run: a measure, a treatment, an answer.
+Scalar = bool | int | float | str | None
+
+#: Nobody reads more than this.
+_MOST_FAULTS = 20
+_SHOWN = 60
+#: Ours have less than ten levels; beyond some hundred, Python's own functions fail on them.
+_DEEPEST = 64
+_LARGEST_COUNT = 2**63
+#: pandas knows moments between 1677 and 2262.
+_MOMENT = re.compile(r"(?:19|20|21)\d\d-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{1,9})?(?:Z|[+-]\d\d:\d\d)")
+
+_WORDS = {
+    dict: "a mapping",
+    list: "a list",
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    NoneType: "null",
+}
+
+#: Looks at a value of the right type, knows its place, and adds what is wrong.
+_Look = Callable[[Any, str, list[str]], None]
+
+
+class _Shape(NamedTuple):
+    """The types that a value may have as JSON is read, with what looks further into each."""
+
+    words: str
+    looks: Mapping[type, _Look | None]
+
+
+def parsed_json(text: str) -> Any:
+    """Return the value that JSON has. Half a surrogate pair, which no file can take, becomes text: `\\ud800`.
+
+    Raises:
+        ValueError: it is no JSON, or names a key twice, so that two readers could read two things.
+        RecursionError: it is nested too deeply for any reader.
+    """
+    value = _decode(text)
+    return _encodable(value) if "\\ud" in text or "\\uD" in text else value
+
+
+def _encodable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {_encodable(name): _encodable(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return list(map(_encodable, value))
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for place, name in enumerate(names) if name in names[:place])
+        raise ValueError(f"the key {twice!r} is there twice")
+    return found
+
+
+_decode = json.JSONDecoder(object_pairs_hook=_unique_keys).decode
+
+
+def faults_of(value: Any, shape: Any) -> list[str]:
+    """Return what is wrong with a value: nothing, or a line for each place, up to a sensible number.
+
+    Args:
+        value: as `json` read it.
+        shape: a TypedDict, or what stands in one: `str`, `list[...]`, `dict[str, ...]`, `... | None`, `Moment`, `Any`.
+
+    Example:
+        >>> faults_of({"runs": [{"run": 7}]}, dict[str, list[dict[str, str]]])
+        ["runs[0].run is 7, not a text"]
+    """
+    faults: list[str] = []
+    _look(_compiled(shape), value, "", faults)
+    return faults
+
+
+def shape_findings(where: str, what: str, value: Any, shape: Any, fix: str) -> list[Finding]:
+    """Return an error finding for each fault of a value that was read.
+
+    Args:
+        where: the file.
+        what: what it should be, as in `manifest`.
+        value, shape: as `faults_of` takes them.
+        fix: what to do about it.
+    """
+    return [Finding.error(where, f"the file is no {what}: {fault}", fix) for fault in faults_of(value, shape)]
+
+
+def _look(shape: _Shape, value: Any, place: str, faults: list[str]) -> None:
+    try:
+        look = shape.looks[type(value)]
+    except KeyError:
+        if len(faults) < _MOST_FAULTS:
+            faults.append(f"{place or 'it'} is {_shown(value)}, not {shape.words}")
+        return
+    if look is not None:
+        look(value, place, faults)
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, dict | list):
+        return f"{_WORDS[type(value)]}"
+    text = str(value) if value is None or isinstance(value, bool) else repr(value)
+    return f"{text[:_SHOWN]}…" if len(text) > _SHOWN else text
+
+
+@cache
+def _compiled(shape: Any) -> _Shape:
+    """Return what is looked at, made once from a declaration."""
+    if shape is Any:
+        return _Shape("anything", {bool: None, int: _count_in_reach, float: None, str: None, NoneType: None} | _NESTED)
+    if shape is Moment:
+        return _Shape("a moment such as 2026-01-31T12:00:00Z", {str: _moment})
+    if is_typeddict(shape):
+        return _Shape(_WORDS[dict], {dict: _fields_of(shape)})
+    origin, arguments = get_origin(shape), get_args(shape)
+    if origin is Annotated:
+        return _compiled(arguments[0])
+    if origin in {Union, UnionType}:
+        several = [_compiled(each) for each in arguments]
+        return _Shape(
+            " or ".join(each.words for each in several), {k: v for each in several for k, v in each.looks.items()}
+        )
+    if origin is dict:
+        return _Shape(_WORDS[dict], {dict: _values_of(_compiled(arguments[1]))})
+    if origin is list:
+        return _Shape(_WORDS[list], {list: _items_of(_compiled(arguments[0]))})
+    return _Shape(_WORDS[shape or NoneType], _PLAIN[shape or NoneType])
+
+
+def _fields_of(shape: Any) -> _Look:
+    hints = get_type_hints(shape, include_extras=True)
+    fields = {name: _compiled(_without_marks(hint)) for name, hint in hints.items()}
+    required = shape.__required_keys__
+
+    def look(value: dict[str, Any], place: str, faults: list[str]) -> None:
+        head = f"{place}." if place else ""
+        for name, field in fields.items():
+            if name in value:
+                _look(field, value[name], f"{head}{name}", faults)
+            elif name in required and len(faults) < _MOST_FAULTS:
+                faults.append(f"{head}{name} is missing")
+
+    return look
+
+
+def _without_marks(hint: Any) -> Any:
+    return get_args(hint)[0] if get_origin(hint) is NotRequired else hint
+
+
+def _values_of(inner: _Shape) -> _Look:
+    def look(value: dict[str, Any], place: str, faults: list[str]) -> None:
+        head = f"{place}." if place else ""
+        for name, each in value.items():
+            _look(inner, each, f"{head}{name}", faults)
+
+    return look
+
+
+def _items_of(inner: _Shape) -> _Look:
+    def look(value: list[Any], place: str, faults: list[str]) -> None:
+        for number, each in enumerate(value):
+            _look(inner, each, f"{place}[{number}]", faults)
+
+    return look
+
+
+def _moment(value: str, place: str, faults: list[str]) -> None:
+    try:
+        is_moment = _MOMENT.fullmatch(value) is not None and bool(datetime.fromisoformat(value))
+    except ValueError:
+        is_moment = False
+    if not is_moment and len(faults) < _MOST_FAULTS:
+        faults.append(f"{place} is {_shown(value)}, not a moment such as 2026-01-31T12:00:00Z")
+
+
+def _finite(value: float, place: str, faults: list[str]) -> None:
+    if not math.isfinite(value) and len(faults) < _MOST_FAULTS:
+        faults.append(f"{place} is {value}, not a finite number")
+
+
+def _count_in_reach(value: int, place: str, faults: list[str]) -> None:
+    if not -_LARGEST_COUNT <= value < _LARGEST_COUNT and len(faults) < _MOST_FAULTS:
+        faults.append(f"{place} is a number of {len(str(value)):,} digits")
+
+
+def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
+    """Look at what has no declared shape, level by level: it may be nested, within reason."""
+    level = [value]
+    for _ in range(_DEEPEST):
+        held = [each for each in level if isinstance(each, dict | list)]
+        if not held:
+            return
+        level = [each for one in held for each in (one.values() if isinstance(one, dict) else one)]
+        for each in level:
+            if type(each) is int:
+                _count_in_reach(each, place, faults)
+    if len(faults) < _MOST_FAULTS:
+        faults.append(f"{place or 'it'} is nested deeper than {_DEEPEST} levels")
+
+
+_NESTED: dict[type, _Look | None] = {dict: _not_too_deep, list: _not_too_deep}
+_PLAIN: dict[Any, dict[type, _Look | None]] = {
+    str: {str: None},
+    bool: {bool: None},
+    NoneType: {NoneType: None},
+    int: {int: _count_in_reach},
+    float: {float: _finite, int: _count_in_reach},
+    dict: {dict: _not_too_deep},
+    list: {list: _not_too_deep},
+}

@@ -1,0 +1,175 @@
+"""What a package has of what ACM's artifact badges ask for, as a checklist that says of each line why.
+
+Artifact Review and Badging, version 1.1 (24 August 2020):
+https://www.acm.org/publications/policies/artifact-review-and-badging-current. What nobody but a person can know is left
+to the author or to the reviewers; it is never met by itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.words import counted
+from robot_runner.replication.contents import CRATE, DATA_PACKAGE, LICENCE, README, REQUIREMENTS, SUMS, ZENODO
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+
+    from robot_runner.core.storage.table_schema import ColumnDescription
+    from robot_runner.replication.about import About
+
+__all__ = ["BadgeFacts", "BadgeLine", "State", "badge_lines", "badges_text"]
+
+_POLICY = "https://www.acm.org/publications/policies/artifact-review-and-badging-current"
+_AVAILABLE = "Artifacts Available"
+_FUNCTIONAL = "Artifacts Evaluated: Functional"
+_REUSABLE = "Artifacts Evaluated: Reusable"
+_REPRODUCED = "Results Reproduced"
+_REPLICATED = "Results Replicated"
+_PACK_IT = "robot-runner pack makes it"
+
+
+class State(Enum):
+    """How a line of the checklist stands."""
+
+    MET = "met"
+    NOT_MET = "not met"
+    AUTHOR = "for the author to say"
+    REVIEWERS = "for the reviewers to say"
+
+
+@dataclass(frozen=True, slots=True)
+class BadgeLine:
+    """One line of the checklist: what a badge asks for, how it stands, and the fact behind it."""
+
+    badge: str
+    what: str
+    state: State
+    fact: str
+
+
+@dataclass(frozen=True, slots=True)
+class BadgeFacts:
+    """What is known of an experiment or of its package.
+
+    Attributes:
+        columns: the run table's.
+        names: the files that are there.
+        undone: how many runs are not done.
+        runs: how many there are.
+        left_out: what is not in the package.
+        packages: how many Python packages the experiment needs; None where it is not packed.
+        without_hash: of how many of them no file's hash is known.
+    """
+
+    about: About
+    manifest: Mapping[str, Any]
+    columns: Sequence[ColumnDescription]
+    names: Collection[str]
+    undone: int
+    runs: int
+    left_out: Sequence[str] = ()
+    packages: int | None = None
+    without_hash: int = 0
+
+
+def badge_lines(facts: BadgeFacts) -> tuple[BadgeLine, ...]:
+    """Return the checklist, badge by badge."""
+    return (*_available(facts), *_functional(facts), *_reusable(facts), *_results(facts))
+
+
+def badges_text(facts: BadgeFacts) -> str:
+    """Return the checklist as Markdown."""
+    rows: list[str] = []
+    badge = ""
+    for line in badge_lines(facts):
+        if line.badge != badge:
+            rows += ["", f"## {line.badge}", "", "| asked for | state | fact |", "|---|---|---|"]
+        badge = line.badge
+        rows.append(f"| {line.what} | {line.state.value} | {_cell(line.fact)} |")
+    return (
+        f"# Checklist for ACM's artifact badges: {facts.about.name}\n\n"
+        f"What this package has of what [ACM's policy]({_POLICY}), version 1.1, asks for. The badges are given by "
+        "reviewers.\n" + "\n".join(rows) + "\n"
+    )
+
+
+def _line(badge: str, what: str, is_met: object, met: str, otherwise: str) -> BadgeLine:
+    return BadgeLine(badge, what, State.MET if is_met else State.NOT_MET, met if is_met else otherwise)
+
+
+def _available(facts: BadgeFacts) -> Iterator[BadgeLine]:
+    described = f"{ZENODO} describes it for Zenodo" if ZENODO in facts.names else _PACK_IT
+    fact = f"Deposit the package in an archive that gives it a DOI; {described}."
+    yield BadgeLine(_AVAILABLE, "A DOI or link in a public archive that lasts", State.AUTHOR, fact)
+    licence = facts.about.licence
+    where = f", its text in {LICENCE}" if LICENCE in facts.names else ""
+    missing = "No licence was given: robot-runner pack --licence."
+    yield _line(_AVAILABLE, "Terms of use", licence, f"{licence}{where}.", missing)
+    authors = facts.about.authors_in_words
+    yield _line(_AVAILABLE, "Authors to cite", authors, f"{authors}.", "Nobody is named: robot-runner pack --author.")
+
+
+def _functional(facts: BadgeFacts) -> Iterator[BadgeLine]:
+    inventory = f"{README} and {CRATE} list {counted(len(facts.names), 'file')}."
+    has_inventory = {README, CRATE} <= set(facts.names)
+    yield _line(_FUNCTIONAL, "Documented: an inventory", has_inventory, inventory, f"No {CRATE}: {_PACK_IT}.")
+    cited = facts.about.citation
+    fact = f"The paper is said to be {cited}." if cited else "No paper is named: citation in the config, or --citation."
+    yield BadgeLine(_FUNCTIONAL, "Consistent: it belongs to the paper", State.AUTHOR, fact)
+    fact = f"{facts.runs - facts.undone} of {counted(facts.runs, 'run')} are done."
+    yield _line(_FUNCTIONAL, "Complete: all runs", facts.runs and not facts.undone, fact, fact)
+    left_out = f"Left out: {', '.join(facts.left_out)}."
+    yield _line(_FUNCTIONAL, "Complete: raw data", not facts.left_out, "Nothing was left out.", left_out)
+    yield from _exercisable(facts)
+    fact = f"{SUMS} has the SHA-256 of each file; robot-runner verify checks them."
+    yield _line(_FUNCTIONAL, "Verified: it is whole", SUMS in facts.names, fact, f"No {SUMS}: {_PACK_IT}.")
+
+
+def _exercisable(facts: BadgeFacts) -> Iterator[BadgeLine]:
+    config = f"config/{(facts.manifest.get('config') or {}).get('file')}"
+    fact = f"robot-runner replicate executes {config} again."
+    yield _line(_FUNCTIONAL, "Exercisable: it runs again", config in facts.names, fact, "There is no config.")
+    robot = str(facts.manifest.get("robot") or "")
+    what = "Exercisable: the hardware is within reach"
+    if robot.startswith("simulated"):
+        yield BadgeLine(_FUNCTIONAL, what, State.MET, "On the simulated robot: no hardware is needed.")
+    else:
+        fact = f"Say whether reviewers can use {robot or 'what it needs'}, or try --set robot=simulated."
+        yield BadgeLine(_FUNCTIONAL, what, State.AUTHOR, fact)
+    known = (facts.packages or 0) - facts.without_hash
+    fact = f"{REQUIREMENTS} pins {counted(facts.packages or 0, 'package')}, {known} of them by the hash of their files."
+    otherwise = f"No {REQUIREMENTS}: {_PACK_IT}." if facts.packages is None else fact
+    is_pinned = facts.packages and not facts.without_hash
+    yield _line(_FUNCTIONAL, "Exercisable: the software is pinned", is_pinned, fact, otherwise)
+
+
+def _reusable(facts: BadgeFacts) -> Iterator[BadgeLine]:
+    measures = [each for each in facts.columns if each.role is ColumnRole.MEASURE]
+    lacking = [each.name for each in measures if not (each.unit and each.description)]
+    described = f"Each of {counted(len(measures), 'measure')} has a unit and a meaning in the schema."
+    otherwise = f"Without a unit or a meaning: {', '.join(lacking)}." if lacking else "There are no measures."
+    yield _line(_REUSABLE, "Each measure is described", measures and not lacking, described, otherwise)
+    has_formats = {CRATE, DATA_PACKAGE} <= set(facts.names)
+    fact = "RO-Crate and Frictionless Data Package, CSV and JSON."
+    yield _line(_REUSABLE, "Formats of the field", has_formats, fact, f"No {DATA_PACKAGE}: {_PACK_IT}.")
+    commit = ((facts.manifest.get("executions") or [{}])[-1].get("repository") or {}).get("commit")
+    otherwise = "The config was in no repository when it was executed."
+    yield _line(_REUSABLE, "The version of the source is known", commit, f"Commit {commit}.", otherwise)
+    fact = "Say in the paper or a README what can be changed, and what it is good for beyond the paper."
+    yield BadgeLine(_REUSABLE, "Structured so that others can build on it", State.AUTHOR, fact)
+
+
+def _results(facts: BadgeFacts) -> Iterator[BadgeLine]:
+    own = " This is itself a replication of another package." if facts.manifest.get("replication") else ""
+    fact = f"robot-runner replicate ends in a verdict on each measure.{own}"
+    yield BadgeLine(_REPRODUCED, "Others got the results with this package", State.REVIEWERS, fact)
+    fact = "It asks for a study of its own: nothing in a package can show it."
+    yield BadgeLine(_REPLICATED, "Others got the results without this package", State.REVIEWERS, fact)
+
+
+def _cell(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|")

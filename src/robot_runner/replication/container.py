@@ -1,0 +1,140 @@
+"""The recipe of a container image that replicates an experiment, and the commands that use it."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import PackageError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["as_base", "container_commands", "containerfile", "image_name", "is_pinned"]
+
+#: An image by its name, with a tag or a digest or both, as the Open Container Initiative's distribution names them.
+_IMAGE = re.compile(r"[\w][\w.\-/:]{0,254}(@sha256:[0-9a-f]{64})?", re.ASCII)
+#: The distributions of ROS whose Python is older than ours (REP 3, REP 2000), so that they get another one.
+_ROS_WITH_OLD_PYTHON = frozenset({"kinetic", "melodic", "noetic", "dashing", "eloquent", "foxy", "galactic", "humble"})
+
+_CONTAINERFILE = """\
+# An image that replicates the experiment {name}, and ends with the verdict on it:
+# exit code 0 identical or equivalent, 3 different, 4 undecided, 1 some run failed.
+# In this folder, `podman build .` makes it, or the same words with docker or buildah.
+{pin}
+{base}
+WORKDIR /experiment
+COPY environment environment
+ARG PIP_OPTIONS=""
+# What executes the experiment: what the package lists, and nothing else.
+RUN python3 -m venv /opt/robot-runner \\
+ && /opt/robot-runner/bin/pip install --no-cache-dir ${{PIP_OPTIONS}}{links} \\
+    -r environment/requirements.txt
+{comparison}COPY . original
+VOLUME /results
+ENTRYPOINT ["{program}"]
+CMD ["replicate", "original", "--to", "/results/replication", "--environment", "{environment}", "--yes"]
+"""
+#: Apart from what executes the experiment, so that no version of that changes.
+_COMPARISON = """\
+# What compares the results stands apart, so that it changes no version of what executes the experiment.
+RUN python3 -m venv /opt/comparison \\
+ && /opt/comparison/bin/pip install --no-cache-dir ${{PIP_OPTIONS}}{links} \\
+    'robot-runner[analysis]=={version}'
+"""
+_PINNED = "# The base image is pinned by the digest that was given when the package was made."
+_NOT_PINNED = """\
+# No digest of the base image was known when the package was made, so that it may change under its name.
+# `--build-arg BASE=NAME@sha256:...` pins it; `robot-runner pack --base-image NAME@sha256:...` does so for everyone."""
+_PYTHON_IMAGE = "docker.io/library/python:{python}-slim"
+_ROS_IMAGE = "docker.io/library/ros:{distro}-ros-base"
+_PYTHON_BASE = """\
+ARG BASE={image}
+FROM ${{BASE}}"""
+_ROS_BASE = """\
+# ROS {version}, distribution {distro}; --network=host lets the container see the robot.
+ARG BASE={image}
+FROM ${{BASE}}
+RUN apt-get update && apt-get install -y --no-install-recommends python3-pip python3-venv \\
+ && rm -rf /var/lib/apt/lists/*"""
+_NEWER_PYTHON = """
+# The Python of {distro} is older than Robot Runner's: another one is put beside it. What ROS compiled
+# for its own Python (rclpy) cannot be imported there: reach the robot over rosbridge or DDS.
+RUN python3 -m pip install uv && uv python install {python} \\
+ && ln -s "$(uv python find {python})" /usr/local/bin/python3"""
+
+
+def as_base(text: str) -> str:
+    """Return the name of a base image, as it was given.
+
+    Raises:
+        PackageError: it is no name of an image.
+
+    Example:
+        >>> as_base("docker.io/library/python:3.12-slim")
+        'docker.io/library/python:3.12-slim'
+    """
+    if not _IMAGE.fullmatch(text):
+        fix = "Give NAME:TAG@sha256:DIGITS, as `podman image inspect --format '{{.Digest}}'` and the like tell it."
+        raise PackageError(f"{text!r} is no image", where="--base-image", fix=fix)
+    return text
+
+
+def is_pinned(image: str) -> bool:
+    """Return whether an image is named by its digest, so that it stays the same."""
+    return "@sha256:" in image
+
+
+def containerfile(
+    manifest: Mapping[str, Any], *, has_wheels: bool, has_comparison: bool = False, image: str | None = None
+) -> str:
+    """Return the text of a Containerfile (Docker, Podman, Buildah) of an image that replicates the experiment.
+
+    Args:
+        manifest: the experiment's.
+        has_wheels: whether the package brings wheels.
+        has_comparison: whether what the experiment needs holds what compares results, so that one environment does.
+        image: the base image; None for the official one of the experiment's Python or ROS.
+    """
+    ros, software = manifest.get("ros") or {}, manifest.get("software") or {}
+    is_ros = bool(ros.get("distro")) and not str(manifest.get("robot") or "").startswith("simulated")
+    facts = {
+        "python": ".".join(str(software.get("python") or "3.11").split(".")[:2]),
+        "distro": ros.get("distro"),
+        "version": ros.get("version"),
+    }
+    facts["image"] = image or (_ROS_IMAGE if is_ros else _PYTHON_IMAGE).format(**facts)
+    base = _ROS_BASE if is_ros else _PYTHON_BASE
+    if is_ros and facts["distro"] in _ROS_WITH_OLD_PYTHON:
+        base += _NEWER_PYTHON
+    links = " --find-links environment/wheels" if has_wheels else ""
+    apart = _COMPARISON.format(links=links, version=software.get("robot_runner") or "0")
+    return _CONTAINERFILE.format(
+        name=manifest.get("experiment_name", "experiment"),
+        pin=_PINNED if is_pinned(str(facts["image"])) else _NOT_PINNED,
+        base=base.format(**facts),
+        links=links,
+        comparison="" if has_comparison else apart,
+        program=f"/opt/{'robot-runner' if has_comparison else 'comparison'}/bin/robot-runner",
+        environment="here" if has_comparison else "/opt/robot-runner",
+    )
+
+
+def image_name(experiment: str) -> str:
+    """Return a name for the image.
+
+    Example:
+        >>> image_name("Energy of Tasks")
+        'energy-of-tasks'
+    """
+    return "-".join(re.findall(r"[a-z0-9]+", experiment.casefold())) or "experiment"
+
+
+def container_commands(experiment: str, folder: str) -> tuple[str, ...]:
+    """Return the commands that build the image from an unpacked package and replicate in it."""
+    image = image_name(experiment)
+    results = f'"$HOME/{image}"'  # not in the package's folder, which has to stay as it is
+    return (
+        f"podman build -t {image} {folder}",
+        f"mkdir -p {results} && podman run --rm -v {results}:/results {image}",
+    )

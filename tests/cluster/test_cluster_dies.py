@@ -1,0 +1,224 @@
+"""What of a cluster can die or fall silent, really killed: no run is lost, and none is executed twice at a time."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.cluster.conftest import LEASE, PATIENCE, Cluster, Proxy, Watched, journal_of, table_of, until
+
+if TYPE_CHECKING:
+    import subprocess
+    from collections.abc import Callable, Iterator
+
+
+@pytest.fixture
+def proxy(cluster: Cluster) -> Iterator[Proxy]:
+    """Return a connection between the orchestrator and the scheduler that can be cut."""
+    made = Proxy(cluster.port)
+    yield made
+    made.close()
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def _lost(watched: Watched) -> list[str]:
+    """Return why attempts were lost."""
+    return [record["failure"] for record in journal_of(watched.folder, "attempt_finished") if record.get("is_lost")]
+
+
+def _ends_well(experiment: subprocess.Popen[str], watched: Watched) -> str:
+    watched.go()
+    answer, _ = experiment.communicate(timeout=PATIENCE)
+    assert experiment.returncode == 0, answer
+    assert [row["Twice"] for row in table_of(watched.folder)] == ["2.0", "4.0", "6.0"]
+    assert not watched.was_executed_twice_at_a_time
+    return answer
+
+
+def test_the_run_of_a_worker_that_is_killed_is_lost_with_its_reason_and_executed_elsewhere(
+    cluster: Cluster, watched: Watched
+) -> None:
+    worker = cluster.worker("killed")
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    os.killpg(worker.pid, signal.SIGKILL)
+    until(lambda: not _is_alive(run), "the run ends with its worker")
+    assert (watched.told / "r_1.closed").exists(), "it has closed what it opened"
+    cluster.worker("other")
+    until(lambda: _lost(watched), "the attempt is lost")
+    answer = _ends_well(experiment, watched)
+    (lost,) = _lost(watched)
+    assert "the attempt was lost" in lost, answer
+    assert "worker killed" in lost
+    assert [record["place"] for record in journal_of(watched.folder, "attempt_started")][:2] == ["killed", "other"]
+    assert cluster.left_on("other") == []
+
+
+def test_runs_end_where_their_orchestrator_was_killed_with_its_gateway(cluster: Cluster, watched: Watched) -> None:
+    cluster.worker("one")
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    for pid in _children(experiment.pid):  # the gateway has a session of its own
+        os.kill(pid, signal.SIGKILL)
+    os.killpg(experiment.pid, signal.SIGKILL)
+    killed = time.monotonic()
+    until(lambda: not _is_alive(run), "the run ends with its lease")
+    assert time.monotonic() - killed < LEASE + 10
+    assert (watched.told / "r_1.closed").exists()
+    _ends_well(cluster.experiment(watched.config), watched)
+
+
+def _children(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(each) for task in tasks for each in (task / "children").read_text().split()]
+
+
+@pytest.mark.soak
+def test_a_run_is_told_at_once_to_stop_where_its_orchestrator_alone_was_killed(
+    start_cluster: Callable[..., Cluster], watched: Watched
+) -> None:
+    cluster = start_cluster(settings={"DASK_ROBOT_RUNNER__LEASE": "1h"})
+    cluster.worker("one")
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    experiment.kill()
+    until(lambda: not _is_alive(run), "the gateway has the run stopped", 30)
+    assert (watched.told / "r_1.closed").exists()
+
+
+@pytest.mark.soak
+def test_a_nanny_starts_the_worker_again_that_was_killed(cluster: Cluster, watched: Watched) -> None:
+    nanny = cluster.worker("one", nanny=True)
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    worker = next(pid for pid in _children(nanny.pid) if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text())
+    os.kill(worker, signal.SIGKILL)
+    until(lambda: not _is_alive(run), "the run ends with its worker")
+    until(lambda: _lost(watched), "the attempt is lost")
+    _ends_well(experiment, watched)
+    assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"one"}
+
+
+@pytest.mark.soak
+def test_where_a_nanny_dies_its_worker_is_lost(cluster: Cluster, watched: Watched) -> None:
+    nanny = cluster.worker("one", nanny=True)
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    nanny.kill()
+    until(lambda: not _is_alive(run), "the run ends with the worker, which ends with its nanny")
+    cluster.worker("other")
+    _ends_well(experiment, watched)
+
+
+@pytest.mark.soak
+def test_a_scheduler_that_is_killed_and_started_again_costs_an_attempt(cluster: Cluster, watched: Watched) -> None:
+    cluster.worker("one")
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    cluster.scheduler.kill()
+    cluster.scheduler.wait()
+    until(lambda: not _is_alive(run), "the run ends, as nobody renews its lease")
+    cluster.start_scheduler()
+    cluster.worker("two")
+    answer = _ends_well(experiment, watched)
+    assert len(_lost(watched)) == 1, answer
+
+
+@pytest.mark.soak
+def test_an_experiment_without_workers_ends_when_its_patience_does_and_resumes(
+    cluster: Cluster, watched: Watched
+) -> None:
+    experiment = cluster.experiment(watched.config, DASK_ROBOT_RUNNER__PATIENCE="2s")
+    answer, _ = experiment.communicate(timeout=PATIENCE)
+    assert experiment.returncode == 2, answer
+    assert "no worker has been there for 2 s" in answer
+    assert "Traceback" not in answer
+    cluster.worker("one")
+    _ends_well(cluster.experiment(watched.config), watched)
+
+
+@pytest.mark.soak
+def test_a_cut_between_orchestrator_and_cluster_never_has_a_run_executed_twice_at_a_time(
+    cluster: Cluster, watched: Watched, proxy: Proxy
+) -> None:
+    """Nobody is told of the cut: the run is stopped by its lease, and begun again some time after that."""
+    cluster.worker("one")
+    cluster.address = f"tcp://127.0.0.1:{proxy.port}"
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    proxy.cut()
+    cut = time.monotonic()
+    until(lambda: not _is_alive(run), "the run ends with its lease")
+    assert time.monotonic() - cut < LEASE + 10
+    assert (watched.told / "r_1.closed").exists()
+    proxy.mend()
+    _ends_well(experiment, watched)
+    assert len(_lost(watched)) == 1
+
+
+@pytest.mark.soak
+def test_a_worker_that_is_cut_off_is_lost_and_used_again_when_it_is_back(cluster: Cluster, watched: Watched) -> None:
+    """A stopped process answers nobody, as one does behind a cable that was pulled; its run goes on without it."""
+    worker = cluster.worker("one")
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    worker.send_signal(signal.SIGSTOP)
+    until(lambda: not _is_alive(run), "the run ends with its lease, though its worker is stopped")
+    assert (watched.told / "r_1.closed").exists()
+    until(lambda: _lost(watched), "the attempt is lost")
+    worker.send_signal(signal.SIGCONT)
+    _ends_well(experiment, watched)
+
+
+@pytest.mark.soak
+def test_a_worker_that_is_slow_to_answer_loses_nothing(cluster: Cluster, watched: Watched) -> None:
+    worker = cluster.worker("one")
+    experiment = cluster.experiment(watched.config)
+    watched.pid()
+    worker.send_signal(signal.SIGSTOP)
+    time.sleep(LEASE / 3)
+    worker.send_signal(signal.SIGCONT)
+    _ends_well(experiment, watched)
+    assert _lost(watched) == []
+
+
+@pytest.mark.soak
+@pytest.mark.skipif(os.geteuid() != 0, reason="a small disk is mounted")
+def test_a_worker_whose_disk_is_full_executes_nothing_and_the_runs_go_elsewhere(
+    cluster: Cluster, watched: Watched, tmp_path: Path
+) -> None:
+    local = tmp_path / "full"
+    local.mkdir()
+    script = 'mount -t tmpfs -o size=8m none "$0" && exec "$@"'
+    before = ["unshare", "--mount", "sh", "-c", script, str(local)]
+    cluster.worker("full", before=before, local=local)
+    experiment = cluster.experiment(watched.config)
+    until(lambda: "the worker's disk is full" in str(_lost(watched)), "the attempt is lost")
+    cluster.worker("other")
+    _ends_well(experiment, watched)
+    done = [each["run"] for each in journal_of(watched.folder, "attempt_finished") if each["status"] == "done"]
+    assert sorted(done) == ["r_1", "r_2", "r_3"]
+
+
+@pytest.mark.soak
+def test_attempts_that_are_lost_count_where_the_config_says_so(cluster: Cluster, watched: Watched) -> None:
+    worker = cluster.worker("killed")
+    experiment = cluster.experiment(watched.config, "--set", "attempts_if_lost=0")
+    watched.pid()
+    os.killpg(worker.pid, signal.SIGKILL)
+    until(lambda: _lost(watched), "the attempt is lost")
+    cluster.worker("other")
+    watched.go()
+    answer, _ = experiment.communicate(timeout=PATIENCE)
+    assert experiment.returncode == 1, answer
+    assert [row["status"] for row in table_of(watched.folder)] == ["Failed", "Done", "Done"]

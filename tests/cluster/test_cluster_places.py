@@ -1,0 +1,130 @@
+"""Runs on the workers of a real Dask cluster: the same values as here, and raw data comes home."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+
+from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, apart_from, journal_of, table_of, until
+
+import robot_runner
+
+SIMULATED = """
+import beside
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins.profilers import Ina219
+from robot_runner.plugins.systems import BasicTurtlebot3
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "simulated"
+    results_output_path = "results"
+    robot = "simulated"
+    plugins = [BasicTurtlebot3(sleep_s=0.1, drive_s=0.3, task_s=0.2, rotate_s=2.5), Ina219()]
+
+    def start_run(self, context):
+        print("a run begins")
+
+    def populate_run_data(self, context):
+        (context.raw_data_folder / "deep").mkdir()
+        (context.raw_data_folder / "deep" / "raw.bin").write_bytes(bytes(range(256)) * 8192)
+        return {"Drawn": beside.drawn(context)}
+
+    def create_run_table(self):
+        factor = Factor("Task", ["Computation", "Network"])
+        return RunTableModel([factor], repetitions=3, data_columns=["Drawn", "Energy"], seed=4)
+"""
+BESIDE = "import random\n\n\ndef drawn(context):\n    return random.Random(context.run_seed).random()\n"
+VOLATILE = "_at"
+
+
+def _values(folder: Path) -> list[dict[str, str]]:
+    return [{name: value for name, value in row.items() if not name.endswith(VOLATILE)} for row in table_of(folder)]
+
+
+def _answer(experiment: subprocess.Popen[str]) -> str:
+    out, _ = experiment.communicate(timeout=PATIENCE)
+    return out
+
+
+def _all_files(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_two_workers_without_a_shared_folder_yield_the_values_of_this_machine(cluster: Cluster, tmp_path: Path) -> None:
+    config = tmp_path / "config.py"
+    config.write_text(SIMULATED, encoding="utf-8")
+    (tmp_path / "beside.py").write_text(BESIDE, encoding="utf-8")
+    here = tmp_path / "here"
+    subprocess.run(
+        [str(BIN / "robot-runner"), "run", str(config), "--plain", "--set", f"results_output_path={here}"],
+        check=True,
+        capture_output=True,
+        timeout=PATIENCE,
+    )
+    (tmp_path / "results").mkdir()
+    for name in ("one", "two"):
+        cluster.worker(name, before=apart_from(tmp_path / "results"))
+    experiment = cluster.experiment(config)
+    answer = _answer(experiment)
+    assert experiment.returncode == 0, answer
+    there = tmp_path / "results" / "simulated"
+    assert _values(there) == _values(here / "simulated")
+    assert _all_files(there / "runs").keys() == _all_files(here / "simulated" / "runs").keys()
+    for name, content in _all_files(there / "runs").items():
+        assert len(content) == len((here / "simulated" / "runs" / name).read_bytes()), name
+    assert (there / "runs" / "r_1" / "log.txt").read_text() == "a run begins\n"
+    assert {record["place"] for record in journal_of(there, "attempt_started")} == {"one", "two"}
+    assert list(there.glob(".probe*")) == []
+    for name in ("one", "two"):
+        until(lambda name=name: cluster.left_on(name) == [], f"nothing is left on {name}")
+
+
+def test_a_shared_folder_is_written_in_place_and_ctrl_c_ends_the_runs(cluster: Cluster, watched: Watched) -> None:
+    cluster.worker("one")
+    experiment = cluster.experiment(watched.config)
+    watched.pid()
+    experiment.send_signal(signal.SIGINT)
+    answer = _answer(experiment)
+    assert experiment.returncode == 130, answer
+    assert (watched.told / "r_1.closed").exists()
+    watched.go()
+    experiment = cluster.experiment(watched.config)
+    answer = _answer(experiment)
+    assert experiment.returncode == 0, answer
+    assert [row["Twice"] for row in table_of(watched.folder)] == ["2.0", "4.0", "6.0"]
+    assert (watched.folder / "runs" / "r_2" / "raw.txt").read_text() == "r_2"
+    assert not watched.was_executed_twice_at_a_time
+
+
+def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told(
+    cluster: Cluster, watched: Watched, tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(Path(robot_runner.__file__).parent, other / "robot_runner")
+    changed = other / "robot_runner" / "core" / "words.py"
+    changed.write_text(changed.read_text() + "# another checkout\n")
+    cluster.worker("other", PYTHONPATH=str(other))
+    watched.go()
+    experiment = cluster.experiment(watched.config)
+    refused = "worker other: the worker has the same version of Robot Runner with another source"
+    until(lambda: journal_of(watched.folder, "place"), "the worker is refused")
+    cluster.worker("same")
+    answer = _answer(experiment)
+    assert experiment.returncode == 0, answer
+    assert refused in answer
+    assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"same"}
+
+
+def test_a_run_goes_to_a_worker_that_offers_what_it_claims(cluster: Cluster, watched: Watched) -> None:
+    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["robot:alice"]'))
+    cluster.worker("without")
+    watched.go()
+    experiment = cluster.experiment(watched.config)
+    until(lambda: "robot:alice=1" in str(journal_of(watched.folder, "place")), "it is told")
+    cluster.worker("with", "--resources", "robot:alice=1")
+    answer = _answer(experiment)
+    assert experiment.returncode == 0, answer
+    assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"with"}
