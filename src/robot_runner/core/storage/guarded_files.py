@@ -15,7 +15,6 @@ What cannot be done is a `StorageError` that names the file, why, and what to do
 from __future__ import annotations
 
 import errno
-import json
 import os
 import stat
 from contextlib import contextmanager, suppress

@@ -15,7 +15,13 @@ from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.file_shapes import RECORDS, Record
-from robot_runner.core.storage.guarded_files import LINE_LIMIT, MissingFileError, open_descriptor, open_to_read, read_blocks
+from robot_runner.core.storage.guarded_files import (
+    LINE_LIMIT,
+    MissingFileError,
+    open_descriptor,
+    open_to_read,
+    read_blocks,
+)
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
