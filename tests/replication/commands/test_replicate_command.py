@@ -248,6 +248,20 @@ def test_it_is_replicated_in_an_empty_folder_and_a_fresh_environment(packed, tmp
     assert answer.stdout.count("is identical in all 4 runs") == 4
 
 
+@pytest.mark.soak
+def test_the_whole_demo_is_replicated_identically(program, tmp_path):
+    for words in (
+        ["demo", "--folder", "demo"],
+        ["pack", "demo/basic_experiment", "--no-hashes", "--to", "demo.zip"],
+        ["replicate", "demo.zip", "--yes"],
+    ):
+        answer = subprocess.run(
+            [program, *words], cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False
+        )
+        assert answer.returncode == 0, answer.stderr
+    assert "The results are identical: every value of 15 runs" in answer.stdout
+
+
 def _fresh_environment(folder, package):
     """Make an environment with the package's wheel; the libraries are those of the tests, for want of a network."""
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True, timeout=60)
