@@ -82,6 +82,7 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.from_python import run_experiment as run_experiment
     from robot_runner.core.links.declared_host import Host as Host
     from robot_runner.core.links.declared_host import Reboot as Reboot
+    from robot_runner.core.links.several_robots import Robots as Robots
     from robot_runner.core.treatments import treatment as treatment
 else:
     __getattr__, __dir__ = open_door(__name__)

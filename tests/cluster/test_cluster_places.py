@@ -6,17 +6,12 @@ import shutil
 import signal
 import subprocess
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, apart_from, journal_of, table_of, until
 
 import robot_runner
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-SIMULATED = '''
+SIMULATED = """
 import beside
 from robot_runner import ExperimentConfig, Factor, RunTableModel
 from robot_runner.plugins.profilers import Ina219
@@ -40,7 +35,7 @@ class RobotRunnerConfig(ExperimentConfig):
     def create_run_table(self):
         factor = Factor("Task", ["Computation", "Network"])
         return RunTableModel([factor], repetitions=3, data_columns=["Drawn", "Energy"], seed=4)
-'''
+"""
 BESIDE = "import random\n\n\ndef drawn(context):\n    return random.Random(context.run_seed).random()\n"
 VOLATILE = "_at"
 

@@ -138,6 +138,39 @@ def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, sta
     assert (labels["Energy"], labels["Distance"], labels["CPU"]) == (True, True, False)
 
 
+def test_two_robots_of_one_graph_take_turns_and_each_drives_its_own_runs(
+    graph: str, start: Start, write_config: Callable[..., Path]
+) -> None:
+    link = graph if ":" in graph else f"{graph}:"
+    both = ", ".join(f"{f'{link},namespace=/{name}'.replace(':,', ':')!r}" for name in ("erin", "frank"))
+    mission = "task='Video', task_factor=None, sleep_s=0.1, drive_s=0.8, task_s=0.1, rotate_s=1.8"
+    body = f"""
+        robot = Robots({both})
+        claims = []
+        plugins = [BasicTurtlebot3({mission}, odometry_timeout_s=30), RosTopics(["odom"])]
+    """
+    plugins = "from robot_runner.plugins.systems import BasicTurtlebot3\n"
+    plugins += "from robot_runner.plugins.profilers import RosTopics\n"
+    head = HEAD.replace("import *\n", f"import *\n{plugins}", 1)
+    table = TABLE.replace('Factor("Task", ["Video", "Network"])', 'Factor("Load", [1, 2])').replace(
+        "Energy", "Distance"
+    )
+    with simulated_robot(graph, "--namespace", "/erin"), simulated_robot(graph, "--namespace", "/frank"):
+        experiment = start(config=write_config(body, table=table, head=head))
+        assert experiment.end() == 0, experiment.output
+    rows = experiment.table
+    assert {row["status"] for row in rows} == {"Done"}
+    assert sorted((row["Load"], row["Robot"]) for row in rows) == [
+        (load, robot) for load in ("1", "2") for robot in ("erin", "frank")
+    ]
+    assert all(float(row["Distance"]) > 0.05 for row in rows)
+    schema = json.loads((experiment.folder / "run_table.schema.json").read_text())
+    assert "simulated" in json.dumps(next(each for each in schema["fields"] if each["name"] == "Distance"))
+    records = map(json.loads, (experiment.folder / "journal.jsonl").read_text().splitlines())
+    kinds = [record["kind"] for record in records if record["kind"] in {"attempt_started", "attempt_finished"}]
+    assert kinds[:2] == ["attempt_started"] * 2, "both drive at once"
+
+
 def test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster(
     graph: str, start: Start, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

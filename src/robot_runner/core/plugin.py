@@ -42,7 +42,7 @@ _log = logging.getLogger(__name__)
 THIS_MACHINE = "host:localhost"
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
-_RESERVED_NAMES = frozenset({"config", "log", "operator"})
+_RESERVED_NAMES = frozenset({"config", "log", "operator", "robots"})
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_robot, is_simulation
+from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
@@ -145,7 +145,7 @@ class Battery(Profiler):
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to listen."""
         link, clock = connect_robot(context, namespace=self.namespace), context.clock
-        self._heard = heard = _Heard(is_simulation(link, self.namespace))
+        self._heard = heard = _Heard(is_simulation(link, robot_namespace(context, self.namespace)))
         self._subscription = link.subscribe(self.topic, _TYPE, lambda message: heard.take(clock.now(), message))
         self._begun_at = clock.now()
 

@@ -130,8 +130,8 @@ def _environment(manifest: Mapping[str, Any]) -> dict[str, Any]:
         canonical(name): {"name": name, "version": release, "is_needed": True}
         for name, release in (software.get("packages") or {}).items()
     }
-    known = {name: manifest.get(name) for name in ("robot", "ros", "host")}
-    return {"python": software.get("python"), "packages": packages, **known}
+    known = {name: manifest.get(name) for name in ("robot", "ros", "host", "programs")}
+    return {"python": software.get("python"), "packages": packages, "system": software.get("system"), **known}
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_robot, is_simulation
+from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.ssh_host import ssh_findings
 from robot_runner.core.plugin import Profiler
@@ -135,8 +135,9 @@ class RosBag(Profiler):
         self._begun_at, self._recorded, self._problems = None, None, []
         self._measured_from_ns = 0
         link = connect_robot(context, namespace=self.namespace)
-        self._is_simulated = is_simulation(link, self.namespace)
-        found = found_topics(link, self.topics, self.namespace, context.clock, patience=self.patience)
+        namespace = robot_namespace(context, self.namespace)
+        self._is_simulated = is_simulation(link, namespace)
+        found = found_topics(link, self.topics, namespace, context.clock, patience=self.patience)
         self._problems = [f"{topic} is not published" for topic, typed in found.items() if typed is None]
         topics = [typed for typed in found.values() if typed is not None]
         if not topics:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_host, connect_robot, is_simulated, is_simulation
+from robot_runner.core.links.connect import connect_host, connect_robot, is_simulated, is_simulation, robot_namespace
 from robot_runner.core.links.host import (
     LOCAL,
     ProcessHost,
@@ -133,7 +133,9 @@ class RosGraph(Profiler):
         """Connect, before the robot moves and before anything is measured."""
         self._sampler = self._utilisation = None
         self._graphs = {}
-        self._is_simulated = is_simulation(connect_robot(context, namespace=self.namespace), self.namespace)
+        self._is_simulated = is_simulation(
+            connect_robot(context, namespace=self.namespace), robot_namespace(context, self.namespace)
+        )
         if self.nodes:
             link = self._computer(context)
             if isinstance(link, RemoteHost):

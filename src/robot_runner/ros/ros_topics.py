@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_robot, is_simulation
+from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import publish_measures
 from robot_runner.core.sampling.quality import write_quality, write_samples
@@ -109,8 +109,9 @@ class RosTopics(Profiler):
         self._received = {topic: ReceivedTopic(self._labels[topic], rate) for topic, rate in self.topics.items()}
         self._subscriptions = []
         link = connect_robot(context, namespace=self.namespace)
-        self._is_simulated = is_simulation(link, self.namespace)
-        found = found_topics(link, self.topics, self.namespace, context.clock, patience=self.patience)
+        namespace = robot_namespace(context, self.namespace)
+        self._is_simulated = is_simulation(link, namespace)
+        found = found_topics(link, self.topics, namespace, context.clock, patience=self.patience)
         for topic, typed in found.items():
             if typed is None:
                 self._received[

@@ -28,7 +28,7 @@ class TestPack:
         assert answer.code == 0, answer.err
         assert answer.out.startswith("small.zip")
         assert "Wheels   robot-runner" in answer.out
-        assert "replaced: password, 1 time (config/small.py)" in answer.out
+        assert "replaced: password, 1 time (config/small.py, line 23)" in answer.out
         assert "replaced: password, 4 times in 4 files (runs/…/log.txt)" in answer.out
         assert re.search(r"Hashes +of all \d\d+ packages needed: pip demands them", answer.out)
         assert "there is no report" in answer.err

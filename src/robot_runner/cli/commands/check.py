@@ -90,7 +90,7 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
             ("Plugins", ", ".join(plugin.name for plugin in experiment.plugins) or "none"),
             ("Measures", measures_in_words(experiment.columns)),
             *_seen(probe),
-            ("Robot", experiment.parameters.robot or "none"),
+            ("Robot", ", ".join(experiment.parameters.robots) or experiment.parameters.robot or "none"),
             ("Mode", experiment.parameters.operation_type.name),
             ("Registered", _registered(experiment)),
             ("Results", shown_path(experiment.folder.root)),

@@ -79,6 +79,7 @@ class Progress:
         self.run_count = 0
         self.done = 0
         self.failed = 0
+        self._failed: set[str] = set()
         self.in_flight: dict[str, CurrentRun] = {}
         self.run_ids: dict[str, None] = {}
         self.origins: dict[str, dict[str, None]] = {}
@@ -175,7 +176,10 @@ class Progress:
                 self._take_qualities(notice.task.run_id, notice.outcome.measures)
             self.run_ids[notice.task.run_id] = None
             self.done += status is AttemptStatus.DONE
-            self.failed += status is AttemptStatus.FAILED
+            self._failed.discard(notice.task.run_id)  # another robot may have executed it again
+            if status is AttemptStatus.FAILED:
+                self._failed.add(notice.task.run_id)
+            self.failed = len(self._failed)
 
     def _take_qualities(self, run_id: str, measures: Mapping[str, PublishedMeasure]) -> None:
         for name in self._columns:

@@ -27,6 +27,7 @@ from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+from robot_runner.core.links.several_robots import Robots
 from robot_runner.core.storage.executed_runs import done_runs
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -139,6 +140,8 @@ def read_parameters(loaded: LoadedConfig) -> tuple[Parameters | None, list[Findi
             findings.append(_malformed(loaded, parameter, value))
         else:
             values[parameter.name] = parameter.kind.normalise(value)
+    if isinstance(robots := values.get("robot"), Robots):
+        values |= {"robot": next(iter(robots.links.values())), "robots": robots.links}
     return (None if findings else Parameters(**values)), findings
 
 

@@ -101,7 +101,7 @@ def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
     The values that a config returns of a run with the simulated robot are labelled as simulated, and need no machine.
     """
     robot = parameters.robot
-    if robot is not None and not is_simulated(robot):
+    if robot is not None and not (parameters.robots or is_simulated(robot)):  # of several, its place claims one
         yield f"robot:{robot}"
     for host in parameters.hosts.values():
         yield THIS_MACHINE if host.is_local else f"host:{host.address}"

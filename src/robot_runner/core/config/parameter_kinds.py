@@ -15,6 +15,7 @@ from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.precision import Precision
 from robot_runner.core.events.window import is_phase_name
 from robot_runner.core.links.declared_host import are_hosts, named_hosts
+from robot_runner.core.links.several_robots import Robots
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -152,7 +153,10 @@ PATH = Kind(
     Path,
     Path,
 )
-LINK = Kind('the name of a robot link, such as "simulated"', lambda value: isinstance(value, str) and value != "")
+LINK = Kind(
+    'the name of a robot link, such as "simulated", or Robots(...) of several',
+    lambda value: isinstance(value, Robots) or (isinstance(value, str) and value != ""),
+)
 _SCHEDULER = re.compile(r"(tcp|tls)://(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9._-]+):[0-9]{1,5}")
 CLUSTER = Kind(
     "the address of a Dask scheduler, such as tcp://scheduler:8786 or tls://scheduler:8786",

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 from robot_runner.core.config.gate_parameters import Gate, Guard
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.precision import Precision
     from robot_runner.core.design.run_table_model import RunTable, RunTableModel
     from robot_runner.core.links.declared_host import Host
+    from robot_runner.core.links.several_robots import Robots
     from robot_runner.core.plugin import Plugin
 
 __all__ = [
@@ -164,9 +166,10 @@ class StaticParameters:
     time_between_runs_in_ms: int = _declare(
         "How long the robot rests between two runs, in milliseconds.", whole(0, " of milliseconds"), 0
     )
-    robot: str | None = _declare(
+    robot: str | Robots | None = _declare(
         'How the robot is reached: "simulated" is the embedded TurtleBot3, which is never chosen silently; real ones '
-        "by ros1, ros2, dds, rosbridge://host:9090 or auto.",
+        'by ros1, ros2, dds, rosbridge://host:9090 or auto, one of a graph by its namespace: "ros2://alice". '
+        "`Robots(...)` names several, of which each run takes a free one.",
         LINK.or_none(),
         None,
     )
@@ -324,6 +327,9 @@ class Parameters(StaticParameters):
     """
 
     results_output_path: Path
+    robot: str | None
+    #: How each robot that takes turns is reached, by its name: `robot` is the first of them, or a run's own.
+    robots: Mapping[str, str] = MappingProxyType({})
     hosts: Mapping[str, Host]
     required_ros_version: int | str | None
     required_ros_distro: str | None

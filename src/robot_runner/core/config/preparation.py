@@ -33,8 +33,17 @@ from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import most_repetitions
 from robot_runner.core.errors import ConfigError, DesignError, Finding, LinkError, StorageError
 from robot_runner.core.events.manager import EventManager
-from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureColumns, resolve_columns, with_phases
-from robot_runner.core.links.connect import found_robot, link_findings, looks_for_robot
+from robot_runner.core.events.measure import (
+    OPERATOR_OWNER,
+    ROBOT,
+    ROBOTS_OWNER,
+    Measure,
+    MeasureColumns,
+    resolve_columns,
+    with_phases,
+)
+from robot_runner.core.links.connect import found_robot, is_simulated, link_findings, looks_for_robot
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -68,7 +77,24 @@ def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[
     """Return what stands between the experiment and its robot, and what the checks of installed packages find."""
     if looks_for_robot(parameters.robot):
         return []  # nothing was found, which is a finding already
-    return [*link_findings(parameters.robot), *announced_checks(loaded.where, parameters, plugins)]
+    return [*_link_findings(parameters), *announced_checks(loaded.where, parameters, plugins)]
+
+
+def _link_findings(parameters: Parameters) -> Iterator[Finding]:
+    """Yield what stands in the way of each robot, and that robots which take turns are not of one kind."""
+    if not parameters.robots:
+        yield from link_findings(parameters.robot)
+    for link in dict.fromkeys(parameters.robots.values()):
+        yield from link_findings(link)
+    if parameters.robots and parameters.cluster is not None:
+        problem = "several robots take turns on this machine, and the runs are to be executed on a cluster"
+        yield Finding.error("robot", problem, "Name one robot, or leave cluster out.")
+    looked_for = [name for name, link in parameters.robots.items() if looks_for_robot(link)]
+    if looked_for or len(set(map(is_simulated, parameters.robots.values()))) > 1:
+        problem = (
+            f"{enumerated(looked_for)} would be looked for" if looked_for else "simulated and real robots take turns"
+        )
+        yield Finding.error("robot", problem, "Name robots of one kind, each by its own link.")
 
 
 #: From a config file and what is set from outside to a config object; raises ConfigError.
@@ -167,7 +193,8 @@ def _check_machine(
     loaded: LoadedConfig, parameters: Parameters | None, plugins: tuple[Plugin, ...], model: RunTableModel | None
 ) -> Iterator[Finding]:
     yield from loaded.lacking
-    yield from check_plugins(plugins, model, getattr(loaded.config, "robot", None))
+    robot = parameters.robot if parameters is not None else getattr(loaded.config, "robot", None)
+    yield from check_plugins(plugins, model, robot)
     if parameters is not None:
         runs = _most_runs(model, parameters) if model is not None else 0
         yield from check_robot(loaded, parameters, plugins)
@@ -214,9 +241,11 @@ def _columns(
     measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
     if answers := operator_measures(steps):
         measures[OPERATOR_OWNER] = answers
+    if parameters is not None and parameters.robots:
+        measures[ROBOTS_OWNER] = (Measure(ROBOT, "", "The robot that executed the run."),)
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
     findings += column_findings
-    columns = columns.with_all_of(OPERATOR_OWNER)
+    columns = columns.with_all_of(OPERATOR_OWNER).with_all_of(ROBOTS_OWNER)
     return columns.with_quality() if parameters is not None and parameters.quality_columns else columns
 
 

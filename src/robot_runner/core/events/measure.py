@@ -20,6 +20,8 @@ __all__ = [
     "CONFIG_OWNER",
     "OPERATOR_OWNER",
     "QUALITY_SUFFIX",
+    "ROBOT",
+    "ROBOTS_OWNER",
     "Measure",
     "MeasureColumn",
     "MeasureColumns",
@@ -239,6 +241,8 @@ def _bounded(name: str, number: int, where: str) -> int:
 CONFIG_OWNER = "config"
 #: Owns the answers of the person who takes part.
 OPERATOR_OWNER = "operator"
+#: Whose measure it is which robot executed a run, where several take turns, and what it is called.
+ROBOTS_OWNER, ROBOT = "robots", "Robot"
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from robot_runner.core.config.gate_parameters import GuardAction
 from robot_runner.core.config.parameters import FailurePolicy
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
 from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.gates import Gates, Passage
 from robot_runner.core.execution.notices import (
@@ -24,6 +25,7 @@ from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.run_ending import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
+from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
@@ -188,6 +190,10 @@ class Attempts:
             report(kind, fields)
 
         self._operator.hand_over(task, report_own)
+        if place.experiment.parameters.robots:
+            origin = Origin.SIMULATED if is_simulated(place.experiment.parameters.robot) else Origin.MEASURED
+            robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": origin.value}
+            report_own("measure", robot)
         passage.report_to(report_own, [column.name for column in self._experiment.columns.declared])
         self._bind_plugins(task, report_own)
         if not builder.has_failed:

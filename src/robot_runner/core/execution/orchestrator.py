@@ -20,6 +20,7 @@ from robot_runner.core.execution.local_places import places_of
 from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
+    FindingsNoticed,
     Notice,
     Observer,
     PreparationStarted,
@@ -136,7 +137,14 @@ class _Orchestrator:
             has_one_place=has_one_place,
         )
         self._side_by_side = SideBySide(
-            progress, self._places, lambda task: frozenset(claims.of(task.combination)), attempts, patience, self._stop
+            progress,
+            self._places,
+            lambda task: frozenset(claims.of(task.combination)),
+            attempts,
+            patience,
+            self._stop,
+            progress.turns if self._parameters.robots else None,
+            self._find,
         )
 
     def execute(self, findings: Sequence[Finding]) -> ExperimentFinished:
@@ -240,6 +248,10 @@ class _Orchestrator:
             seconds=time.monotonic() - self._started,
             excluded=progress.excluded,
         )
+
+    def _find(self, finding: Finding) -> None:
+        self._progress.find(finding)
+        self._notice(FindingsNoticed((finding,)))
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)

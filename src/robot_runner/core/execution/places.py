@@ -114,6 +114,8 @@ class Place(Protocol):
         is_aside: whether it takes no runs any more, or not now: its worker is gone, or its robot was set aside.
     """
 
+    is_aside: bool
+
     @property
     def name(self) -> str: ...  # noqa: D102 - as above
 
@@ -122,9 +124,6 @@ class Place(Protocol):
 
     @property
     def slot(self) -> int: ...  # noqa: D102 - as above
-
-    @property
-    def is_aside(self) -> bool: ...  # noqa: D102 - as above
 
     def claimed(self, claims: Collection[str], combination: Mapping[str, object]) -> frozenset[str] | None:
         """Return what a run would hold here for itself; None where it cannot be executed here.

@@ -23,6 +23,7 @@ from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.execution.table_on_disk import TableOnDisk
 from robot_runner.core.execution.table_recovery import recover_table, texts_of
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask, seed_of_run
+from robot_runner.core.execution.turns import Turns, turns_of
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, put_earlier_attempt_away
@@ -205,6 +206,10 @@ class ProgressManager:
     def combinations_left(self) -> Iterator[Mapping[str, Any]]:
         """The treatments of each run that is to be executed in this session."""
         return map(self._rows.combination, self._selected)
+
+    def turns(self) -> Turns:
+        """Return which robots have executed what, where several take turns."""
+        return turns_of(self._rows)
 
     def expect_places(self, count: int) -> None:
         """Take into account that so many runs are executed at the same time, where they may."""

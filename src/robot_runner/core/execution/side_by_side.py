@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import ExecutionError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
+    from robot_runner.core.errors import Finding
     from robot_runner.core.execution.attempts import Attempts, Stop
     from robot_runner.core.execution.patience import Patience, Steps
     from robot_runner.core.execution.places import Awaited, Place, Places
     from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.task import PendingRun, RunOutcome, RunTask
+    from robot_runner.core.execution.turns import Turns
 
 __all__ = ["SideBySide"]
 
@@ -51,6 +53,8 @@ class SideBySide:
         attempts: executes a run at a place.
         patience: the poll loop.
         stop: no more runs begin where it has a reason.
+        turns: which robot takes a run, where several do; None where the first free place does.
+        find: takes a finding for the end.
     """
 
     def __init__(
@@ -61,6 +65,8 @@ class SideBySide:
         attempts: Attempts,
         patience: Patience,
         stop: Stop,
+        turns: Callable[[], Turns] | None = None,
+        find: Callable[[Finding], None] = lambda _finding: None,
     ) -> None:
         self._progress = progress
         self._places = places
@@ -68,6 +74,9 @@ class SideBySide:
         self._attempts = attempts
         self._patience = patience
         self._stop = stop
+        self._make_turns = turns
+        self._turns: Turns | None = None
+        self._find = find
         self._busy: list[_Busy] = []
         self._finished: dict[str, PendingRun] = {}
         self._passed_over: deque[PendingRun] = deque()
@@ -84,6 +93,7 @@ class SideBySide:
         """
         self._left = self._progress.pending(self._begun)
         self._may_begin = True
+        self._turns = None if self._make_turns is None else self._make_turns()
         try:
             while True:
                 while self._may_begin and not self._is_ending and (chosen := self._choose()) is not None:
@@ -119,25 +129,58 @@ class SideBySide:
             task = self._progress.task_of(run)
             if any(each.is_warm_up is not task.is_warm_up for each in self._busy):
                 return None  # what warms up is over before anything is measured
-            for place in free:
-                holds = place.claimed(self._claims(task), task.combination)
-                if holds is not None and all(holds.isdisjoint(each.holds) for each in self._busy):
-                    del self._passed_over[place_in_queue]
-                    return run, place, holds
+            suitable = dict(self._suitable(free, task))
+            place = self._place_for(task, list(suitable))
+            if place is not None:
+                del self._passed_over[place_in_queue]
+                return run, place, suitable[place]
             if task.is_warm_up:
                 return None
         return None
 
+    def _suitable(self, free: Sequence[Place], task: RunTask) -> Iterator[tuple[Place, frozenset[str]]]:
+        """Yield the free places where a run can begin now, and what it would hold there."""
+        claims = self._claims(task)
+        for place in free:
+            holds = place.claimed(claims, task.combination)
+            if holds is not None and all(holds.isdisjoint(each.holds) for each in self._busy):
+                yield place, holds
+
+    def _place_for(self, task: RunTask, suitable: Sequence[Place]) -> Place | None:
+        if self._turns is None:
+            return suitable[0] if suitable else None
+        return self._turns.choose(task, suitable, self._count)
+
+    @property
+    def _count(self) -> int:
+        """How many places take runs."""
+        return sum(not place.is_aside for place in self._places.all)
+
     def _begin(self, run: PendingRun, place: Place, holds: frozenset[str], *, is_cleared: bool) -> None:
         finished = self._finished.get(place.name)
         steps = self._attempts.execute(run, place, finished, is_cleared=is_cleared and finished is None)
+        task = self._progress.task_of(run)
+        if self._turns is not None:
+            self._turns.begin(task, place)
         try:
             awaited = next(steps)
-        except StopIteration:
-            self._finished[place.name] = run
+        except StopIteration as end:
+            self._end(run, place, end.value)
             return
-        is_warm_up = self._progress.task_of(run).is_warm_up
-        self._busy.append(_Busy(place, run, holds, is_warm_up, steps, awaited))
+        self._busy.append(_Busy(place, run, holds, task.is_warm_up, steps, awaited))
+
+    def _end(self, run: PendingRun, place: Place, outcome: RunOutcome | None) -> None:
+        """Take down that a run has come to its end at a place, and set a robot aside that fails again and again."""
+        self._may_begin = True
+        self._finished[place.name] = run
+        if self._turns is None:
+            return
+        again, finding = self._turns.end(run, self._progress.task_of(run), place, outcome, self._count)
+        if finding is not None:
+            place.is_aside = True
+            self._passed_over.extendleft(reversed(again))
+            self._progress.note("set_aside", flush=True, place=place.name, problem=finding.problem)
+            self._find(finding)
 
     def _await(self) -> None:
         """Wait until something that a run waits for is over, and go on with that run."""
@@ -146,10 +189,9 @@ class SideBySide:
         for each in [each for each in self._busy if each.awaited in over]:
             try:
                 each.awaited = next(each.steps)
-            except StopIteration:
+            except StopIteration as end:
                 self._busy.remove(each)
-                self._may_begin = True
-                self._finished[each.place.name] = each.run
+                self._end(each.run, each.place, end.value)
                 if self._attempts.is_to_do_elsewhere(each.run):
                     self._passed_over.appendleft(each.run)
 

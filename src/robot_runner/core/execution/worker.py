@@ -57,13 +57,23 @@ def become_interpreter(
     description = {
         "config": str(experiment.config_path),
         # Of a replication, the config that is executed lies in the package, and its results go elsewhere.
-        "set": {**experiment.overrides, "results_output_path": str(experiment.folder.root.parent)},
+        "set": {
+            **experiment.overrides,
+            "results_output_path": str(experiment.folder.root.parent),
+            **_own_robot(experiment),
+        },
         "task": described_task(experiment, task),
         "revisions": describe_revisions(experiment.model.factors),
         "records": report.descriptor,
         "systems": None if systems is None else systems.descriptor,
     }
     os.execv(sys.executable, [sys.executable, "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
+
+
+def _own_robot(experiment: Experiment) -> dict[str, str]:
+    """Return the robot of the run's place, where several take turns."""
+    robot = experiment.parameters.robot
+    return {"robot": robot} if experiment.parameters.robots and robot is not None else {}
 
 
 def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None, report: RecordWriter) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, nearest
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.kinds import (
     BringsDevices,
@@ -46,6 +46,7 @@ __all__ = [
     "open_serial_line",
     "preload_robot",
     "preload_simulation",
+    "robot_namespace",
 ]
 
 #: The name of the embedded robot, which messages offer as a way out; nothing here depends on it.
@@ -159,7 +160,7 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
         resources=context.resources,
         clock=context.clock,
         seed=context.run_seed,
-        namespace=namespace,
+        namespace=robot_namespace(context, namespace),
     )
     return context.resources.open(link_key("robot", namespace), opener)
 
@@ -189,7 +190,11 @@ def open_serial_line(
             fix="Leave the serial port out: it is the robot's own.",
         )
     opener = partial(
-        devices.open_serial_line, name, resources=context.resources, seed=context.run_seed, namespace=namespace
+        devices.open_serial_line,
+        name,
+        resources=context.resources,
+        seed=context.run_seed,
+        namespace=robot_namespace(context, namespace),
     )
     return context.resources.open(link_key("serial", namespace), opener)
 
@@ -227,7 +232,8 @@ def connect_host(
     if host is not None:
         return _named_host(context, host, ssh_config, form)
     devices, name = _own_devices(context)
-    opener = partial(devices.open_host, name, resources=context.resources, seed=context.run_seed, namespace=namespace)
+    within = robot_namespace(context, namespace)
+    opener = partial(devices.open_host, name, resources=context.resources, seed=context.run_seed, namespace=within)
     return context.resources.open(link_key("host", namespace), opener)
 
 
@@ -276,14 +282,30 @@ def _resolved(robot: str) -> tuple[RobotLinkKind, RobotName]:
     if isinstance(kind, FindsRobot):
         if name.address is None:
             return _resolved(kind.found_robot().name)
-    elif kind is not None and (name.address is None or kind.takes_address):
-        return kind, name
+    elif kind is not None:
+        return kind, name if name.address is None or kind.takes_address else _named_on_graph(name)
     near = nearest(robot.partition(":")[0], installed_links())
     raise LinkError(
         f"robot is {robot!r}, which is no link of this version",
         where="robot",
         fix=f"Did you mean {near!r}?" if near else _SIMULATE,
     )
+
+
+def _named_on_graph(name: RobotName) -> RobotName:
+    named = name.on_graph
+    namespace_prefix(named.namespace)  # refuses what cannot be one
+    return named
+
+
+def robot_namespace(context: RobotRunnerContext, namespace: str = "") -> str:
+    """Return the namespace on the graph of what a plugin calls `namespace`: below that of the run's robot, if any.
+
+    Raises:
+        LinkError: there is no such robot.
+    """
+    own = "" if context.robot is None else _resolved(context.robot)[1].namespace
+    return f"{namespace_prefix(own)}{namespace_prefix(namespace)}" if own else namespace
 
 
 def _kind_or_none(robot: str) -> RobotLinkKind | FindsRobot | None:

@@ -259,10 +259,14 @@ _WHERE = "robot"
 class RobotName:
     """What `robot` in a config says: `link`, `link:option=value,option=value`, or an address: `link://host:port`.
 
+    Of a link that reaches a whole graph, what stands in the place of an address names one of its robots by its
+    namespace: `ros2://alice`, or with other options `ros2:domain=7,namespace=/alice`.
+
     Attributes:
         link: the name of the robot link.
         options: what is set on it, as written, in that order.
         address: the whole of an address; None where it is none.
+        namespace: of the robot that is named on a graph; empty where none is.
 
     Example:
         >>> RobotName.parse("simulated:task_power_factor=1.1")
@@ -272,6 +276,12 @@ class RobotName:
     link: str
     options: Mapping[str, str] = field(default_factory=dict)
     address: str | None = None
+    namespace: str = field(default="", repr=False)
+
+    @property
+    def on_graph(self) -> RobotName:
+        """The robot of a graph that stands in the place of an address."""
+        return RobotName(self.link, namespace=(self.address or "").partition("://")[2])
 
     @classmethod
     def parse(cls, text: str) -> RobotName:
@@ -295,4 +305,5 @@ class RobotName:
             if name in options:
                 raise LinkError(f"{text!r} sets {name!r} twice", where=_WHERE, fix="Leave one of them out.")
             options[name] = value
-        return cls(link.strip(), options)
+        namespace = options.pop("namespace", "")
+        return cls(link.strip(), options, namespace=namespace)

@@ -6,6 +6,7 @@ Keys that a shape does not have are let pass, as a later version may write them.
 """
 
 # Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
+import json
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -27,7 +28,7 @@ from typing import (
 
 from robot_runner.core.errors import Finding
 
-__all__ = ["Moment", "Scalar", "checked_json", "faults_of", "shape_findings"]
+__all__ = ["Moment", "Scalar", "faults_of", "parsed_json", "shape_findings"]
 
 #: A moment in UTC or with its offset, as ISO 8601 has it.
 Moment = NewType("Moment", str)
@@ -64,18 +65,35 @@ class _Shape(NamedTuple):
     looks: Mapping[type, _Look | None]
 
 
-def checked_json(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a mapping of JSON (`object_pairs_hook`) that names each of its keys once.
+def parsed_json(text: str) -> Any:
+    """Return the value that JSON has. Half a surrogate pair, which no file can take, becomes text: `\\ud800`.
 
     Raises:
-        ValueError: a key is there twice, so that two readers could read two things.
+        ValueError: it is no JSON, or names a key twice, so that two readers could read two things.
+        RecursionError: it is nested too deeply for any reader.
     """
+    value = _decode(text)
+    return _encodable(value) if "\\ud" in text or "\\uD" in text else value
+
+
+def _encodable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {_encodable(name): _encodable(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return list(map(_encodable, value))
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for place, name in enumerate(names) if name in names[:place])
         raise ValueError(f"the key {twice!r} is there twice")
     return found
+
+
+_decode = json.JSONDecoder(object_pairs_hook=_unique_keys).decode
 
 
 def faults_of(value: Any, shape: Any) -> list[str]:

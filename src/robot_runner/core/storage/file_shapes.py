@@ -151,10 +151,14 @@ class Record(TypedDict):
     """A record of the journal, whatever its kind."""
 
     kind: str
+    at: NotRequired[Moment]
+
+
+class _Dated(Record):
     at: Moment
 
 
-class _OfRun(Record):
+class _OfRun(_Dated):
     run: str
     attempt: int
 
@@ -182,7 +186,7 @@ class _AttemptFinished(_OfRun):
     readers: NotRequired[dict[str, list[str]] | None]
 
 
-class _Event(Record):
+class _Event(_Dated):
     event: str
     run: NotRequired[str]
     attempt: NotRequired[int]
@@ -214,7 +218,7 @@ class _Clock(_OfRun):
     uncertainty: NotRequired[float | None]
 
 
-class _Gate(Record):
+class _Gate(_Dated):
     run: str
     attempt: int
     state: str
@@ -238,12 +242,12 @@ class _Guard(_OfRun):
     problem: str
 
 
-class _Excluded(Record):
+class _Excluded(_Dated):
     run: str
     reason: Scalar
 
 
-class _Included(Record):
+class _Included(_Dated):
     run: str
     reason: NotRequired[Scalar]
 
@@ -257,7 +261,7 @@ class _TableWritten(Record):
     sha256: NotRequired[str | None]
 
 
-class _ExperimentStarted(Record):
+class _ExperimentStarted(_Dated):
     seed: NotRequired[int | None]
     runs: NotRequired[int]
     design: NotRequired[str]
@@ -271,7 +275,7 @@ class _Estimate(TypedDict):
     in_words: str
 
 
-class _Judged(Record):
+class _Judged(_Dated):
     precision: NotRequired[list[_Estimate]]
 
 
@@ -288,7 +292,7 @@ class _Repeated(_Judged):
     base: NotRequired[dict[str, Any]]
 
 
-class _Extended(Record):
+class _Extended(_Dated):
     batch: int
     repetitions: int
     shuffle: bool
@@ -356,6 +360,7 @@ RECORDS: dict[str, Any] = {
     "deviation": _Deviation,
     "event": _Event,
     "excluded": _Excluded,
+    "experiment_finished": _Dated,
     "experiment_started": _ExperimentStarted,
     "extended": _Extended,
     "finding": _Finding,

@@ -22,15 +22,18 @@ from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.authors import Author
+    from robot_runner.replication.cleaning import Replaced
     from robot_runner.replication.packing import Packed
 
 __all__ = ["add_arguments", "execute"]
 
 _MEGABYTE = 1_000_000
+#: More lines of one kind in one file are in package.json.
+_SHOWN_LINES = 5
 
 
 def add_arguments(parser: Parser) -> None:
@@ -59,6 +62,13 @@ def add_arguments(parser: Parser) -> None:
         action="append",
         default=[],
         help="pack files of this name as they are, secrets and all, such as 'runs/*/bag/*'; may be given several times",
+    )
+    parser.add_argument(
+        "--doubtful",
+        choices=("refuse", "keep", "replace"),
+        default="refuse",
+        help="what to do about lines of which it is not sure whether they hold a secret: refuse to pack (if left out) and "
+        "list them, keep them as they are, or replace what looks like a secret",
     )
     parser.add_argument(
         "--no-wheels",
@@ -95,6 +105,7 @@ def execute(arguments: Namespace) -> int:
     packing = Packing(
         raw=tuple(arguments.raw or ("all",)),
         keep=tuple(arguments.keep),
+        doubtful=arguments.doubtful,
         authors=authors,
         licence=licence,
         citation=arguments.citation,
@@ -166,8 +177,12 @@ def _print(console: UserConsole, packed: Packed, signature: Path | None, *, has_
             ("Next", f"look into it before you publish it, and check it: robot-runner verify {name}"),
         ],
     )
-    for line in _replaced(packed):
-        print_folded(console, "  - ", line, style="")
+    for line in _listed(packed.replaced):
+        print_folded(console, "  - ", f"replaced: {line}", style="")
+    for line in _listed(packed.doubtful):
+        print_folded(console, "  - ", f"kept, though in doubt: {line}", style="")
+    for each in packed.not_searched:
+        print_folded(console, "  - ", one_line(f"not searched: {each.name} ({each.why})"), style="")
     for each in packed.left_out:
         print_folded(console, "  - ", one_line(f"left out: {each.name} ({each.why})"), style="")
 
@@ -182,19 +197,24 @@ def _hashes(packed: Packed, *, has_asked: bool) -> str:
     return f"of {known} of {packages} needed: pip demands none{advice}"
 
 
-def _replaced(packed: Packed) -> Iterator[str]:
+def _listed(found: Iterable[Replaced]) -> Iterator[str]:
     """Yield one line for each kind of secret and file; the runs' files, which are many, as one."""
-    grouped: dict[tuple[str, str], list[str]] = {}
-    counts: dict[tuple[str, str], int] = {}
-    for each in packed.replaced:
+    grouped: dict[tuple[str, str], list[Replaced]] = {}
+    for each in found:
         top, _, rest = each.name.partition("/")
         key = (f"{top}/…/{rest.rpartition('/')[2]}" if rest.count("/") else each.name, each.what)
-        grouped.setdefault(key, []).append(each.name)
-        counts[key] = counts.get(key, 0) + each.count
+        grouped.setdefault(key, []).append(each)
     for (name, what), files in grouped.items():
-        where = name if len(files) > 1 else files[0]
+        where = name if len(files) > 1 else _place(files[0])
         in_files = f" in {len(files)} files" if len(files) > 1 else ""
-        yield one_line(f"replaced: {what}, {counted(counts[name, what], 'time')}{in_files} ({where})")
+        yield one_line(f"{what}, {counted(sum(each.count for each in files), 'time')}{in_files} ({where})")
+
+
+def _place(found: Replaced) -> str:
+    """Return the file, with the lines in which something was found at first."""
+    lines = ", ".join(map(str, found.lines[:_SHOWN_LINES]))
+    more = ", ..." if len(found.lines) > _SHOWN_LINES else ""
+    return f"{found.name}, line{'s' if len(found.lines) > 1 else ''} {lines}{more}" if lines else found.name
 
 
 def _as_json(packed: Packed) -> dict[str, Any]:

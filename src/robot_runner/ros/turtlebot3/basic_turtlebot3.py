@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.links.connect import connect_robot
+from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.plugin import System
 from robot_runner.core.treatments import factors_of
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
@@ -128,7 +128,8 @@ class BasicTurtlebot3(System):
         self._robot = self._performance = None
         link = connect_robot(context, namespace=self.namespace)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
-        self._robot = Robot(link, odometer, context.clock, namespace=self.namespace, where=self.name)
+        namespace = robot_namespace(context, self.namespace)
+        self._robot = Robot(link, odometer, context.clock, namespace=namespace, where=self.name)
         odometer.wait(self.connect_timeout_s)
         self._robot.check_commands_subscribed(where=self.name)
         self._robot.tasks.check(self._task_of(context), where=self.name)
@@ -193,9 +194,10 @@ class BasicTurtlebot3(System):
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Stop wheels and tasks, also in a process that has not been connected to the robot before."""
         link = connect_robot(context, namespace=self.namespace)
-        Wheels(link, namespace=self.namespace).command(0.0, 0.0)  # before anything that has to ask the graph first
+        namespace = robot_namespace(context, self.namespace)
+        Wheels(link, namespace=namespace).command(0.0, 0.0)  # before anything that has to ask the graph first
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
-        Robot(link, odometer, context.clock, namespace=self.namespace).close()
+        Robot(link, odometer, context.clock, namespace=namespace).close()
 
     def _check_namespace(self, circumstances: Circumstances) -> Iterator[Finding]:
         own = self.namespace.strip("/")

@@ -1,0 +1,101 @@
+"""Several robots take turns: each run takes a free one, each combination each robot equally often."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner import ConfigError, Robots
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.storage.manifest import read_manifest
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+HEAD = """\
+from pathlib import Path
+from robot_runner import *
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    robot = Robots("simulated://alice", "simulated://bob")
+    broken = ""
+    def populate_run_data(self, context): return {"Energy": context.run_seed}
+    def launch_mission(self, context):
+        import time
+        print(context.robot)
+        time.sleep(0.3 if context.robot.endswith("alice") else 0.05)
+        if context.robot.endswith(self.broken or "nobody"):
+            raise RuntimeError("the wheel is gone")
+"""
+TABLE = """
+    def create_run_table(self):
+        return RunTableModel([Factor("Speed", [1, 2])], repetitions=4, seed=7, data_columns=["Energy"])
+"""
+
+
+def shares(executed: Any) -> Counter[tuple[str, str]]:
+    return Counter((row["Speed"], row["Robot"]) for row in executed.table)
+
+
+def test_each_combination_is_executed_equally_often_on_each_robot_however_fast_it_is(
+    execute: Callable[..., Any],
+) -> None:
+    executed = execute(head=HEAD, table=TABLE)
+    assert set(shares(executed).values()) == {2}
+    assert len(shares(executed)) == 4
+    for row in executed.table:
+        assert executed.log(row["run_id"]) == f"simulated://{row['Robot']}\n"
+    manifest = read_manifest(executed.folder / "manifest.json")
+    assert manifest["robots"] == {"alice": "simulated://alice", "bob": "simulated://bob"}
+    assert {record["place"] for record in executed.journal("attempt_started")} == {"alice", "bob"}
+
+
+def test_an_experiment_that_goes_on_counts_what_each_robot_has_done(execute: Callable[..., Any]) -> None:
+    from robot_runner.core.config.preparation import prepare_or_refuse
+    from robot_runner.core.execution.notices import SilentObserver
+    from robot_runner.core.execution.orchestrator import execute_experiment
+
+    executed = execute("on_failure = FailurePolicy.STOP", head=HEAD, table=TABLE, broken="bob")
+    assert executed.finished.failed_count == 1
+    experiment = prepare_or_refuse(executed.config)
+    execute_experiment(experiment, SilentObserver(), resumption=Resumption(accept_changes=True))
+    assert set(shares(executed).values()) == {2}
+    assert [row["status"] for row in executed.table] == ["Done"] * 8
+
+
+def test_a_robot_that_fails_again_and_again_is_set_aside_and_its_runs_go_to_the_other(
+    execute: Callable[..., Any],
+) -> None:
+    executed = execute(head=HEAD, table=TABLE, broken="bob")
+    assert [row["status"] for row in executed.table] == ["Done"] * 8
+    assert {row["Robot"] for row in executed.table} == {"alice"}
+    (told,) = [str(finding) for finding in executed.finished.findings if finding.where == "robot bob"]
+    assert "3 runs in a row failed on it" in told
+    assert "the wheel is gone" in told
+    assert [record["place"] for record in executed.journal("set_aside")] == ["bob"]
+
+
+def test_the_last_robot_is_never_set_aside(execute: Callable[..., Any]) -> None:
+    executed = execute(head=HEAD.replace('or "nobody"', 'or ""'), table=TABLE)
+    assert executed.finished.failed_count == 8
+    assert len(executed.journal("set_aside")) == 1
+
+
+def test_what_cannot_take_turns_is_refused_with_all_findings(write_config: Callable[..., Path]) -> None:
+    with pytest.raises(ConfigError) as refused:
+        Robots("ros2://alice", "ros2://alice")
+    assert "2 robots would be called 'alice'" in str(refused.value)
+    with pytest.raises(ConfigError, match="fewer than two"):
+        Robots("ros2://alice")
+    mixed = HEAD.replace('"simulated://bob"', '"rosbridge://bob:9090"')
+    findings = prepare(write_config(head=mixed, table=TABLE)).findings
+    assert any("simulated and real robots take turns" in finding.problem for finding in findings)
+    looked_for = HEAD.replace('"simulated://bob"', 'bob="auto"')
+    findings = prepare(write_config(head=looked_for, table=TABLE)).findings
+    assert any("bob would be looked for" in finding.problem for finding in findings)
