@@ -34,8 +34,8 @@ def add_arguments(parser: Parser) -> None:
         "run",
         metavar="RUN",
         nargs="?",
-        help="the run's id, such as r_3; if left out, what the experiment, or a package named in its place, has of what "
-        "ACM's artifact badges ask for",
+        help="the run's id, such as r_3; if left out, what the experiment, or a package named in its place, has of "
+        "what ACM's artifact badges ask for",
     )
     parser.add_argument(
         "names", metavar="NAME", nargs="*", help="measures or columns of the run table; all of them if left out"
