@@ -29,7 +29,7 @@ from robot_runner.core.storage.guarded_files import (
     make_folder,
     open_to_read,
     open_to_write,
-    read_lines,
+    read_blocks,
 )
 from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -352,7 +352,7 @@ def _text(cell: Any) -> str:
 def _has_content(path: Path) -> bool:
     """Return whether there is anything in a file but blanks."""
     try:
-        return any(line.strip() for line in read_lines(path))
+        return any(block.strip() for block in read_blocks(path))
     except MissingFileError:
         return False
 
