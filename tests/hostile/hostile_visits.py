@@ -32,7 +32,7 @@ COMMANDS_OF_FOLDERS: tuple[tuple[str, ...], ...] = (
     ("report", _FOLDER, "--figures", "svg"),
     ("report", _FOLDER, "--figures", "svg", "--format", "json"),
     ("export", _FOLDER, "--to", "../exported"),
-    ("pack", _FOLDER, "--to", "../packed.zip", "--no-wheels"),
+    ("pack", _FOLDER, "--to", "../packed.zip", "--no-wheels", "--no-hashes"),
     ("extend", _CONFIG, "--repetitions", "3", "--dry-run"),
     ("pause", _FOLDER),
     ("continue", _FOLDER),
