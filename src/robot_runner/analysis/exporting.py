@@ -18,6 +18,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from robot_runner.analysis.sample_files import split_unit
+from robot_runner.analysis.spreadsheet_cells import write_for_spreadsheets
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, replace
 from robot_runner.core.storage.system_refusals import storage_error
@@ -56,8 +57,16 @@ class ExportContent:
     unit: Callable[[str], str]
 
 
-def export_results(content: ExportContent, folder: Path | None = None) -> tuple[Path, ...]:
+def export_results(
+    content: ExportContent, folder: Path | None = None, *, for_spreadsheets: bool = False
+) -> tuple[Path, ...]:
     """Write everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
+
+    Args:
+        content: what to write.
+        folder: where to.
+        for_spreadsheets: whether the run table, and the report's tables where there is one, are written into
+            `spreadsheets/`, too, without cells that a spreadsheet would execute.
 
     Returns:
         The files: the run table as CSV with its schema and as Parquet, phases and events, a file for each kind of raw
@@ -84,10 +93,11 @@ def export_results(content: ExportContent, folder: Path | None = None) -> tuple[
         except pa.ArrowInvalid:  # whole numbers in some runs, fractions or missing values in others
             _write_parquet(path, _sample_tables(content, kind, as_floats=True))
         written.append(path)
+    copies = tuple(_copies_for_spreadsheets(content.folder, target)) if for_spreadsheets else ()
     package = target / "datapackage.json"
     text = json.dumps(_package(content, target, written), indent=2, ensure_ascii=False) + "\n"
     replace(package, text)
-    return (*written, package)
+    return (*written, *copies, package)
 
 
 def arrow_table(frame: pd.DataFrame, units: Mapping[str, str]) -> pa.Table:
@@ -125,6 +135,17 @@ def _copied_table(content: ExportContent, target: Path) -> Iterator[Path]:
             with open_to_read(source) as table, open_to_write(target / name) as copied:
                 shutil.copyfileobj(table, copied)
             yield target / name
+
+
+def _copies_for_spreadsheets(folder: Path, target: Path) -> Iterator[Path]:
+    into = target / "spreadsheets"
+    try:
+        into.mkdir(exist_ok=True)
+    except OSError as error:
+        raise storage_error(into, "made", error) from error
+    for source in (folder / "run_table.csv", *sorted((folder / "report" / "tables").glob("*.csv"))):
+        write_for_spreadsheets(source, into / source.name, folder)
+        yield into / source.name
 
 
 def _units(content: ExportContent, frame: pd.DataFrame) -> dict[str, str]:

@@ -91,9 +91,10 @@ def _guessed(start: bytes) -> str | None:
     if half < 4:  # noqa: PLR2004 - too few to judge
         return None
     zeros = start[0::2].count(0) / half, start[1::2].count(0) / half
-    if max(zeros) > 0.7 and min(zeros) < 0.1:  # noqa: PLR2004 - well apart from text and from numbers
-        return "utf-16-be" if zeros[0] > zeros[1] else "utf-16-le"
-    return None
+    encoding = "utf-16-be" if zeros[0] > zeros[1] else "utf-16-le"
+    text = start[: 2 * half].decode(encoding, "replace")
+    is_readable = sum(each.isprintable() or each in "\r\n\t" for each in text) > 0.95 * len(text)
+    return encoding if max(zeros) > 0.7 and is_readable else None  # noqa: PLR2004 - well apart from numbers
 
 
 def recoded(file: BinaryIO, encoding: str) -> Iterator[bytes]:
