@@ -104,6 +104,14 @@ def written_config(
     return path
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _claims_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what experiments claim on this machine apart from those of other processes that execute tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
+
+
 @pytest.fixture
 def write_config(tmp_path: Path) -> Callable[..., Path]:
     """Return what writes a config into the test's own folder, as `written_config` does."""

@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.secret_names import REDACTED
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.replication.code_secrets import found_in_code, secrets_in_code
 from robot_runner.replication.named_secrets import (
     NAME_HINTS,
@@ -68,7 +69,7 @@ def is_binary(path: Path) -> bool:
     """
     if path.suffix.casefold() in _BINARY:
         return True
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         return b"\0" in file.read(_SNIFFED)
 
 
@@ -168,7 +169,7 @@ class Redactor:
         Raises:
             OSError: it cannot be read.
         """
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             yield from self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, grammar_of(path))
 
     def secrets_in(self, path: Path) -> Counter[str]:
@@ -178,7 +179,7 @@ class Redactor:
             OSError: it cannot be read.
         """
         hits = Hits()
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             for _ in self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, Grammar.MARKUP):
                 pass
         return hits.replaced

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import IO, TYPE_CHECKING, BinaryIO, cast
 
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.replication.named_secrets import Grammar
 from robot_runner.replication.redaction import Hits
 
@@ -70,7 +71,7 @@ def wide_encoding(path: Path) -> str | None:
     Raises:
         OSError: the file cannot be read.
     """
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         start = file.read(_SNIFFED)
         encoding = next((name for mark, name in _MARKS if start.startswith(mark)), None) or _guessed(start)
         if encoding is None:
@@ -129,7 +130,7 @@ def search(path: Path, redactor: Redactor) -> Searched:
         OSError: it cannot be read.
     """
     searched = Searched()
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         _Search(redactor, searched).look(file, path.name, 0)
     return searched
 
