@@ -64,6 +64,7 @@ def test_the_run_of_a_worker_that_is_killed_is_lost_with_its_reason_and_executed
     assert cluster.left_on("other") == []
 
 
+@pytest.mark.soak
 def test_runs_end_where_their_orchestrator_was_killed_with_its_gateway(cluster: Cluster, watched: Watched) -> None:
     cluster.worker("one")
     experiment = cluster.experiment(watched.config)

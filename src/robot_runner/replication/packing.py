@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PackageError, StorageError
 from robot_runner.core.secret_names import is_secret_name, secrets_of_environment
+from robot_runner.core.storage.guarded_files import open_to_read, read_text
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
@@ -145,7 +146,7 @@ def file_sha256(path: Path) -> str:
         StorageError: it cannot be read.
     """
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise storage_error(path, "read", error) from error
@@ -184,10 +185,7 @@ def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[
     found = set(secrets_of_environment())
     for folder in (files.config, files.earlier_configs):
         for path in sorted(folder.rglob("*.py")):
-            try:
-                found |= secrets_in_code(path.read_text(encoding="utf-8", errors="replace"))
-            except OSError as error:
-                raise storage_error(path, "read", error) from error
+            found |= secrets_in_code(read_text(path, files.root, errors="replace"))
     for execution in (manifest, *(manifest.get("executions") or ())):
         settings = execution.get("deviations") or {}
         found |= {str(text) for name, text in settings.items() if text and is_secret_name(str(name))}
