@@ -20,7 +20,7 @@ __all__ = ["harmless_cell", "write_for_spreadsheets"]
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 #: What makes a formula where a cell begins: also the wide forms that some spreadsheets take for the plain ones, and
-#: what is skipped in front of them. Where a spreadsheet splits at another sign than the comma, a cell begins there, too.
+#: what is skipped in front of them. Where a spreadsheet splits at another sign than the comma, a cell begins there.
 _BEGINS_FORMULA = re.compile(r"(^|[;,|\t\r\n])(?=[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20])")
 
 
