@@ -58,6 +58,17 @@ def pytest_collection_finish() -> None:
     gc.unfreeze, gc.get_freeze_count = lambda: None, lambda: 1
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print the figures that tests measured: `record_property("figure", "...")`."""
+    reports = [each for outcome in ("passed", "failed") for each in terminalreporter.stats.get(outcome, [])]
+    properties = [pair for each in reports for pair in getattr(each, "user_properties", ()) if each.when == "call"]
+    figures = [text for name, text in properties if name == "figure"]
+    if figures:
+        terminalreporter.section("figures")
+        for text in sorted(figures):
+            terminalreporter.write_line(text)
+
+
 HEAD = """\
 from pathlib import Path
 from robot_runner import *

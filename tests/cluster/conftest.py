@@ -186,11 +186,14 @@ def _folder(tmp_path: Path) -> Path:
 
 
 def apart_from(folder: Path) -> list[str]:
-    """Return what has a command see an empty folder in the place of this one; the test is skipped where that is not allowed."""
+    """Return what has a command see an empty folder in the place of this one; skip the test where that is forbidden."""
     script = 'mount -t tmpfs none "$0" && exec "$@"'
     for kind in ([], ["--user", "--map-root-user"]):
         command = ["unshare", *kind, "--mount", "sh", "-c", script, str(folder)]
-        if shutil.which("unshare") and subprocess.run([*command, "true"], check=False, capture_output=True).returncode == 0:
+        if (
+            shutil.which("unshare")
+            and subprocess.run([*command, "true"], check=False, capture_output=True).returncode == 0
+        ):
             return command
     pytest.skip("this user may have no mounts of their own")
 
@@ -216,7 +219,7 @@ def until(is_so: Callable[[], Any], what: str, seconds: float = PATIENCE) -> Any
 
 
 #: An experiment whose runs wait for a file `go`, and tell by a lock whether one is ever executed twice at a time.
-WATCHED = '''
+WATCHED = """
 import fcntl
 import os
 import time
@@ -253,7 +256,7 @@ class RobotRunnerConfig(ExperimentConfig):
 
     def create_run_table(self):
         return RunTableModel([Factor("X", [1, 2, 3])], data_columns=["Twice"])
-'''
+"""
 
 
 class Watched:

@@ -6,17 +6,12 @@ import shutil
 import signal
 import subprocess
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, apart_from, journal_of, table_of, until
 
 import robot_runner
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-SIMULATED = '''
+SIMULATED = """
 import beside
 from robot_runner import ExperimentConfig, Factor, RunTableModel
 from robot_runner.plugins.profilers import Ina219
@@ -40,7 +35,7 @@ class RobotRunnerConfig(ExperimentConfig):
     def create_run_table(self):
         factor = Factor("Task", ["Computation", "Network"])
         return RunTableModel([factor], repetitions=3, data_columns=["Drawn", "Energy"], seed=4)
-'''
+"""
 BESIDE = "import random\n\n\ndef drawn(context):\n    return random.Random(context.run_seed).random()\n"
 VOLATILE = "_at"
 
@@ -107,29 +102,21 @@ def test_a_shared_folder_is_written_in_place_and_ctrl_c_ends_the_runs(cluster: C
 def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told(
     cluster: Cluster, watched: Watched, tmp_path: Path
 ) -> None:
+    """Nor does one that does not offer what the runs claim."""
+    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["robot:alice"]'))
     other = tmp_path / "other"
     shutil.copytree(Path(robot_runner.__file__).parent, other / "robot_runner")
     changed = other / "robot_runner" / "core" / "words.py"
     changed.write_text(changed.read_text() + "# another checkout\n")
-    cluster.worker("other", PYTHONPATH=str(other))
-    watched.go()
-    experiment = cluster.experiment(watched.config)
-    refused = "worker other: the worker has the same version of Robot Runner with another source"
-    until(lambda: journal_of(watched.folder, "place"), "the worker is refused")
-    cluster.worker("same")
-    answer = _answer(experiment)
-    assert experiment.returncode == 0, answer
-    assert refused in answer
-    assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"same"}
-
-
-def test_a_run_goes_to_a_worker_that_offers_what_it_claims(cluster: Cluster, watched: Watched) -> None:
-    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["robot:alice"]'))
+    cluster.worker("other", "--resources", "robot:alice=1", PYTHONPATH=str(other))
     cluster.worker("without")
     watched.go()
     experiment = cluster.experiment(watched.config)
-    until(lambda: "robot:alice=1" in str(journal_of(watched.folder, "place")), "it is told")
+    refused = "worker other: the worker has the same version of Robot Runner with another source"
+    until(lambda: refused in str(journal_of(watched.folder, "place")), "the worker is refused")
+    until(lambda: "robot:alice=1" in str(journal_of(watched.folder, "place")), "it is told what no worker offers")
     cluster.worker("with", "--resources", "robot:alice=1")
     answer = _answer(experiment)
     assert experiment.returncode == 0, answer
+    assert refused in answer
     assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"with"}

@@ -19,6 +19,7 @@ with warnings.catch_warnings():
     from rocrate_validator.utils.http import HttpRequester
 
 from robot_runner.replication.crate_requirements import crate_faults
+from robot_runner.replication.packing import pack
 
 CONTEXT = json.loads((Path(rocrate.__file__).parent / "data" / "ro-crate.jsonld").read_text(encoding="utf-8"))
 # The library brings the context of RO-Crate 1.3; that of 1.1 has these terms of workflows elsewhere.
@@ -76,6 +77,15 @@ def issues(monkeypatch):
 def test_the_crate_has_all_that_is_required_and_recommended(packed, issues, profile, accepted):
     # Workflow Run Crate includes Process Run Crate and Workflow RO-Crate: issues of all of them are reported.
     assert set(issues(packed.path, profile)) == accepted
+
+
+def test_the_package_of_the_demo_is_valid_and_nobody_has_to_be_asked_for_more(executed_demo, issues, tmp_path):
+    folder = next((executed_demo / "robot-runner-demo").glob("*/manifest.json")).parent
+    packed = pack(folder, tmp_path / "demo.zip")
+    assert set(issues(packed.path, "workflow-run-crate")) == {CONTRADICTION}
+    assert not [each for each in packed.findings if each.where in {"authors", "licence", "citation"}]
+    graph = json.loads(zipfile.ZipFile(packed.path).read("ro-crate-metadata.json"))["@graph"]
+    assert sum(each["@id"].startswith("#run-") for each in graph) == 15
 
 
 def test_each_run_is_an_action_that_executed_the_config_with_its_treatments(unpacked):

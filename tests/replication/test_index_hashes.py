@@ -12,6 +12,7 @@ from tests.replication.small_experiment import home
 from tests.replication.small_index import SmallIndex, pip_settings, tiny_wheel
 
 from robot_runner.core.errors import PackageError
+from robot_runner.replication import index_hashes
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import ask_index, findings_of_hashes
 from robot_runner.replication.packing import Packing, pack
@@ -59,6 +60,24 @@ def test_what_is_not_in_the_index_is_lacking_and_the_others_are_not(index):
     assert answer.lacking == {"c": "pip finds no wheel of that version"}
 
 
+def test_the_lock_knows_exactly_its_versions(tmp_path):
+    digests = ["ab" * 32, "cd" * 32]
+    lines = ["Tiny_one==1.0 ; python_version >= '3.11' \\", f"    --hash=sha256:{digests[1]} \\"]
+    lines += [f"    --hash=sha256:{digests[0]}"]
+    lines += ["    # via other", f"other==2.0 \\\n    --hash=sha256:{'ef' * 32}", "bare==3.0", ""]
+    (tmp_path / "lock.txt").write_text("\n".join(lines), encoding="utf-8")
+    pins = ["tiny-one==1.0", "other==2.1", "bare==3.0"]
+    assert index_hashes.locked_hashes(pins, tmp_path) == {"tiny-one": tuple(digests)}
+
+
+def test_the_lock_of_the_project_saves_asking_the_index(experiment):
+    manifest = json.loads((experiment / "manifest.json").read_text("utf-8"))
+    recorded = record_environment(manifest, experiment / "config")
+    known, lacking = index_hashes.with_known_hashes(recorded)
+    assert len(known.without_hash({})) < len(recorded.without_hash({})) / 4
+    assert lacking == {}
+
+
 def test_nobody_answers_where_there_is_no_index(set_up_pip):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -90,13 +109,16 @@ def test_one_finding_for_each_reason_names_the_packages(tmp_path):
     environment = record_environment({"software": {"packages": packages}}, tmp_path)
     lacking = {"rich": "why", "left-pad": "why", "robot-runner": "why not"}
     found = [each.problem for each in findings_of_hashes(environment.without_hash({}), lacking)]
-    assert found == ["no hash of left-pad, rich: why", "no hash of robot-runner: why not"]
+    assert found == ["no hash of 2 of the packages needed: left-pad, rich: why", "no hash of robot-runner: why not"]
 
 
-def test_the_lock_demands_the_hash_of_every_package_and_is_the_same_each_time(experiment, ada, index, tmp_path):
+def test_the_requirements_demand_the_hash_of_every_package_and_are_the_same_each_time(
+    experiment, ada, index, tmp_path, monkeypatch
+):
     manifest = json.loads((experiment / "manifest.json").read_text("utf-8"))
     for each in record_environment(manifest, experiment / "config").needed:
         index.add(each.name, each.version)
+    monkeypatch.setattr(index_hashes, "locked_hashes", lambda _: {})
     asked = Packing(with_hashes=True)
     with home(ada):
         first, again = (pack(experiment, tmp_path / name, asked) for name in ("a.zip", "b.zip"))

@@ -16,7 +16,7 @@ from tests.processor_wait import ProcessorWait
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Encoding, RobotName
-from robot_runner.ros import rosbridge_types
+from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_types
 from robot_runner.ros.rosbridge_link import findings, open_rosbridge_link
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import RosbridgeServer
@@ -223,3 +223,37 @@ def test_a_callback_may_call_a_service(server):
         server.publish("/chatter", STRING, {"data": "a"})
         until(lambda: answers)
         assert answers == [{"success": True, "message": "on"}]
+
+
+def test_a_frame_that_no_memory_should_hold_ends_the_connection(server, monkeypatch):
+    monkeypatch.setattr(rosbridge_frames, "LARGEST_FRAME", 100_000)
+    with closing(linked(server)) as link:
+        link.subscribe("chatter", STRING, lambda _: None)
+        server.publish("/chatter", STRING, {"data": "a" * 200_000})
+        with pytest.raises(LinkError, match="connection is lost"):
+            link.wait_for("odom", "nav_msgs/Odometry", timeout=60.0)
+
+
+def test_messages_that_callbacks_do_not_take_end_the_connection_and_fill_no_memory(server, monkeypatch):
+    monkeypatch.setattr(rosbridge_session, "_MOST_WAITING_BYTES", 1_000_000)
+    goes_on = threading.Event()
+    with closing(linked(server)) as link:
+        link.subscribe("chatter", STRING, lambda _: goes_on.wait(60))
+        for _ in range(30):
+            server.publish("/chatter", STRING, {"data": "a" * 100_000})
+        with pytest.raises(LinkError, match=r"callbacks are too slow: .* messages of"):
+            link.wait_for("odom", "nav_msgs/Odometry", timeout=60.0)
+        goes_on.set()
+
+
+@pytest.mark.parametrize("host", ["192.168.1.20", "robot.lab", "[2001:db8::1]"])
+def test_an_address_in_a_network_is_warned_of(host):
+    (finding,) = findings(RobotName.parse(f"rosbridge://{host}:9090"))
+    assert not finding.is_error
+    assert "neither encrypted" in finding.problem
+    assert "ssh -L 9090:localhost:9090" in finding.fix
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.2", "[::1]"])
+def test_an_address_of_this_machine_is_not(host):
+    assert findings(RobotName.parse(f"rosbridge://{host}:9090")) == []

@@ -110,3 +110,20 @@ def test_fragments_come_in_any_order(text, order):
 def test_what_is_no_operation_is_refused(frame):
     with pytest.raises(ValueError, match=r".+"):
         FrameReader().read(frame)
+
+
+def test_fragments_that_never_become_whole_hold_no_more_than_a_frame(monkeypatch):
+    monkeypatch.setattr(frames, "LARGEST_FRAME", 1000)
+    reader = FrameReader()
+    for name in range(50):
+        part = {"op": "fragment", "id": str(name), "num": 0, "total": 2, "data": "a" * 300}
+        assert reader.read(json.dumps(part)) is None
+    assert sum(len(text) for parts in reader._parts.values() for text in parts.values()) <= 1000
+
+
+@pytest.mark.parametrize(
+    "frame", ["[" * 100_000, '{"op":"fragment","id":"a","num":0,"total":1,"data":"' + "[" * 100_000 + '"}']
+)
+def test_an_operation_that_is_nested_too_deeply_is_none(frame):
+    with pytest.raises(ValueError, match="nested too deeply"):
+        FrameReader().read(frame)

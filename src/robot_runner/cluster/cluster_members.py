@@ -39,8 +39,8 @@ class Member:
         name: what it was called when it was started, or its address.
         threads: how many runs it executes at a time.
         resources: what it was started with, as in `--resources "robot:alice=1"`.
-        id: of the part that it takes in the experiment; another worker at the same address has another, and so has this one
-            once it was lost.
+        id: of the part that it takes in the experiment; another worker at the same address has another, and so has this
+            one once it was lost.
         host: the name of its machine.
         renewed: when it was asked last to renew its lease, s on the monotonic clock.
     """
@@ -109,7 +109,7 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
     return []
 
 
-def _settle(session: str, is_shared: bool) -> None:  # noqa: FBT001 - Dask hands arguments on by place
+def _settle(session: str, is_shared: bool) -> None:
     on_worker.settle(session, is_shared=is_shared)
 
 

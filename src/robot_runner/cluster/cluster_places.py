@@ -1,6 +1,7 @@
 """The workers of a Dask cluster as places, on the orchestrator's side.
 
-Dask's client has threads, which the orchestrator must not have: a process beside it speaks to the cluster (`gateway.py`).
+Dask's client has threads, which the orchestrator must not have: a process beside it speaks to the cluster
+(`gateway.py`).
 """
 
 from __future__ import annotations
@@ -11,13 +12,12 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.experiment_snapshot import snapshot_of
+from robot_runner.cluster.run_at_worker import RunAtWorker
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.task import RecordReader, RecordWriter
-from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, System
 from robot_runner.core.storage import guarded_files
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.places import Watch
-    from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
+    from robot_runner.core.execution.task import OutcomeBuilder, RunTask
 
 __all__ = ["ClusterPlaces"]
 
@@ -56,12 +56,13 @@ class ClusterPlaces:
         self._address = address
         self._session = os.urandom(8).hex()
         self._places: list[ClusterPlace] = []
-        self._runs: dict[str, _RunAtWorker] = {}
+        self._runs: dict[str, RunAtWorker] = {}
         self._said: list[str] = []
         self._asides: dict[str, str] = {}
         self._lease, self._patience = _LEASE, _PATIENCE
         self._closing = _closing_of(experiment)
         self._alone_since: float | None = time.monotonic()
+        self._is_gone = False
         self._probe = experiment.folder.root / f".probe-{self._session}"
         self._start(self._facts())
 
@@ -113,7 +114,7 @@ class ClusterPlaces:
         """Send a request to the gateway; where it is gone, its end tells."""
         self._writer(kind, dict(fields))
 
-    def begun(self, token: str, run: _RunAtWorker) -> None:
+    def begun(self, token: str, run: RunAtWorker) -> None:
         """Take down that a run is in flight."""
         self._runs[token] = run
 
@@ -231,7 +232,6 @@ class ClusterPlaces:
         os.close(replies)
         self._writer = RecordWriter(request)
         self._reader = RecordReader(self._descriptor)
-        self._is_gone = False
         self.ask("facts", facts)
 
 
@@ -274,114 +274,9 @@ class ClusterPlace:
         self._claims = tuple(claims)  # the last one asked for before `begin` is the run's
         return frozenset(f"host:{self.worker['host']}" if claim == THIS_MACHINE else claim for claim in claims)
 
-    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> _RunAtWorker:
+    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunAtWorker:
         """Order one attempt at a run from the worker."""
-        run = _RunAtWorker(self, self._places, builder, watch)
+        run = RunAtWorker(self, self._places, builder, watch)
         self.is_busy = True
         run.order(task, self._claims)
         return run
-
-
-class _RunAtWorker:
-    """One attempt at a run that a worker executes."""
-
-    def __init__(self, place: ClusterPlace, places: ClusterPlaces, builder: OutcomeBuilder, watch: Watch) -> None:
-        self._place = place
-        self._places = places
-        self._builder = builder
-        self._watch = watch
-        self._token = os.urandom(8).hex()
-        self._ended: dict[str, Any] | None = None
-        self._lost: tuple[str, float] | None = None
-        self._is_asked = self._is_interrupted = False
-
-    def order(self, task: RunTask, claims: Collection[str]) -> None:
-        """Order the attempt."""
-        self._places.begun(self._token, self)
-        worker = self._place.worker
-        order = {
-            "token": self._token,
-            "address": worker["address"],
-            "worker": worker["worker"],
-            "name": worker["name"],
-            "run": task.run_id,
-            "claims": list(claims),
-            "task": described_task(self._place.experiment, task),
-        }
-        self._places.ask("begin", order)
-
-    @property
-    def descriptors(self) -> Collection[int]:
-        """Where the gateway tells something, of this run or another."""
-        return self._places.descriptors
-
-    @property
-    def due(self) -> float | None:
-        """At once where another run's `advance` has taken the end of this one; or the end of a lost one."""
-        if self._ended is not None:
-            return 0.0
-        return None if self._lost is None else self._lost[1]
-
-    def advance(self) -> bool:
-        """Take what the gateway tells; return whether the attempt is over."""
-        self._places.take_replies()
-        if self._lost is not None and time.monotonic() >= self._lost[1]:
-            self._ended = self._ended or {"lost": self._lost[0]}
-        return self._ended is not None
-
-    def stop(self, because: str, *, is_interruption: bool = False) -> None:
-        """Have the worker stop the run."""
-        if not self._is_asked:
-            self._is_asked = True
-            self._is_interrupted = is_interruption
-            if is_interruption:
-                self._watch.noticed_interruption()
-            self._ask("stop", because)
-
-    def kill(self) -> None:
-        """Have the worker kill the run."""
-        self._is_interrupted = True
-        self._ask("kill", "")
-        if self._lost is not None:  # nobody is there who would tell
-            self._lost = self._lost[0], 0.0
-
-    def outcome(self) -> RunOutcome:
-        """Return how the attempt went."""
-        ended = self._ended or {}
-        if (lost := ended.get("lost")) is not None:
-            because = f"the attempt was lost: {lost}"
-            outcome = self._builder.outcome(ended_because=because, interrupted=self._is_interrupted)
-            return replace(outcome, is_lost=not self._is_interrupted)
-        for name in ended["skipped"]:
-            problem = f"{name} is no regular file, and stayed on the worker, where it was removed"
-            self.take([["finding", {"owner": "cluster", "problem": problem, "fix": "Write files, and no links."}]])
-        outcome = self._builder.outcome(ended_because=ended["because"], interrupted=ended["is_interrupted"])
-        return replace(outcome, seconds=ended["seconds"])
-
-    def close(self) -> None:
-        """Let go of it; a run that is still being executed is ended first."""
-        if self._ended is None:
-            self._ask("kill", "")
-            until = time.monotonic() + self._places.longest_end
-            while not self.advance() and time.monotonic() < until:
-                time.sleep(0.01)
-        self._places.over(self._token)
-        self._place.is_busy = False
-
-    def take(self, records: Sequence[Sequence[Any]]) -> None:
-        """Take records of the run."""
-        for kind, fields in records:
-            self._builder.take(kind, fields)
-            self._watch.report(kind, fields)
-
-    def end(self, ended: dict[str, Any]) -> None:
-        """Take how it ended."""
-        self._ended = ended
-
-    def lose(self, because: str, until: float) -> None:
-        """Take for lost what nobody tells of any more, at a moment at which it has ended in any case."""
-        self._lost = because, until
-
-    def _ask(self, kind: str, because: str) -> None:
-        request = {"token": self._token, "because": because, "is_interruption": self._is_interrupted}
-        self._places.ask(kind, request)

@@ -1,13 +1,12 @@
 """An experiment on its way to a worker: the config file and its modules, and what was set from outside.
 
-The worker loads the config as a fresh interpreter does (`RunProcess.SPAWN`): what `before_experiment` and `before_run` set up in
-the memory of the orchestrator is not there.
+The worker loads the config as a fresh interpreter does (`RunProcess.SPAWN`): what `before_experiment` and `before_run`
+set up in the memory of the orchestrator is not there.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.checks import announced_checks
@@ -24,6 +23,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
 

@@ -11,8 +11,8 @@ gateway renews as long as the worker answers; a run whose lease ends is stopped 
 worker that is lost is told to be over only when its lease and the time to close the run have passed: until then nobody
 executes the run a second time. (Gray and Cheriton, Leases, SOSP 1989; each side counts on its own clock.)
 
-**At most once.** A task is bound to one worker, and tells which; Dask does not retry it. A worker refuses what was meant for
-another one, and what it has begun before.
+**At most once.** A task is bound to one worker, and tells which; Dask does not retry it. A worker refuses what was
+meant for another one, and what it has begun before.
 """
 
 from __future__ import annotations
@@ -65,8 +65,7 @@ class _Attempt:
     received: int = 0
     is_over: bool = False
     is_ending: bool = False
-    is_killed: bool = False
-    tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    killed: asyncio.Event = field(default_factory=asyncio.Event)
 
     @property
     def token(self) -> str:
@@ -77,9 +76,9 @@ class Gateway:
     """Speaks to the cluster.
 
     Args:
-        facts: `address`, `session`, `root` of the experiment's folder, `runs` in it, `closing` (how long the end of a run
-            may take once it is asked to stop, s), what workers are told (`worker_facts`), and the settings of `lease`
-            and `patience`, both in s, and `in_place`.
+        facts: `address`, `session`, `root` of the experiment's folder, `runs` in it, `closing` (how long the end of a
+            run may take once it is asked to stop, s), what workers are told (`worker_facts`), and the settings of
+            `lease` and `patience`, both in s, and `in_place`.
         requests: a descriptor from which the orchestrator's requests are read.
         replies: a descriptor that takes what is told to it.
     """
@@ -207,7 +206,8 @@ class Gateway:
             self._go_on(self._tell_lost(attempt, str(error) or type(error).__name__))
 
     async def _stop(self, attempt: _Attempt, kind: str, request: dict[str, Any]) -> None:
-        attempt.is_killed = attempt.is_killed or kind == "kill"
+        if kind == "kill":
+            attempt.killed.set()
         if self._client is not None and not attempt.member.is_lost:
             with contextlib.suppress(*ANSWER):
                 asked = {"kind": kind, **request}
@@ -240,8 +240,10 @@ class Gateway:
     async def _end(self, attempt: _Attempt, ended: dict[str, Any]) -> None:
         """Bring home what an attempt has left, and tell that it is over."""
         if "lost" in ended:
-            self._replies.tell("aside", {"worker": attempt.member.id, "because": ended["lost"]})
-            await self._tell_lost(attempt, ended["lost"], is_certain=not ended.get("has_begun", True))
+            if ended.get("is_unfit"):
+                told = {"worker": attempt.member.id, "because": ended["lost"]}
+                self._replies.tell("aside", told)
+            await self._tell_lost(attempt, ended["lost"], is_certain=ended.get("is_certain", False))
             return
         over = {name: ended[name] for name in ("because", "is_interrupted", "seconds")} | {
             "skipped": ended.get("skipped", [])
@@ -262,9 +264,11 @@ class Gateway:
         async def read(name: str, offset: int, size: int) -> tuple[bytes, str]:
             if client is None:
                 raise OSError("the scheduler is out of reach")
-            return await answer_of(
-                client, attempt.member, lease, on_worker.read_piece, session, attempt.token, name, offset, size
+            ask = on_worker.read_piece
+            piece, digest = await answer_of(
+                client, attempt.member, lease, ask, session, attempt.token, name, offset, size
             )
+            return piece, digest
 
         root = Path(self._facts["root"])
         async with self._transfers:
@@ -289,13 +293,13 @@ class Gateway:
             self._go_on(self._tell_lost(attempt, because))
 
     async def _tell_lost(self, attempt: _Attempt, because: str, *, is_certain: bool = False) -> None:
-        """Tell that an attempt is lost, once its run has ended in any case; at once where it has not begun for certain."""
+        """Tell that an attempt is lost, once its run has ended in any case: at once where that is certain."""
         if attempt.is_over:
             return
         attempt.is_over = attempt.is_ending = True
         end = 0.0 if is_certain else attempt.member.renewed + self._facts["lease"] + self._facts["closing"]
-        while time.monotonic() < end and not attempt.is_killed:
-            await asyncio.sleep(min(0.1, max(0.0, end - time.monotonic())))
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(attempt.killed.wait(), max(0.0, end - time.monotonic()))
         self._forget(attempt)
         self._replies.tell("over", {"token": attempt.token, "lost": because})
 
@@ -331,6 +335,7 @@ class _Replies:
         os.set_blocking(descriptor, False)
         self._descriptor = descriptor
         self._pending = bytearray()
+        self._is_sent = asyncio.Event()
 
     def tell(self, kind: str, fields: dict[str, Any]) -> None:
         """Send one reply, once the pipe takes it."""
@@ -341,9 +346,8 @@ class _Replies:
 
     async def flushed(self) -> None:
         """Wait, but not for ever, until everything is sent."""
-        end = time.monotonic() + _GOODBYE
-        while self._pending and time.monotonic() < end:
-            await asyncio.sleep(0.01)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._is_sent.wait(), _GOODBYE)
 
     def _write(self) -> None:
         loop = asyncio.get_running_loop()
@@ -355,8 +359,10 @@ class _Replies:
             sent = len(self._pending)
         del self._pending[:sent]
         if self._pending:
+            self._is_sent.clear()
             loop.add_writer(self._descriptor, self._write)
         else:
+            self._is_sent.set()
             loop.remove_writer(self._descriptor)
 
 
@@ -377,7 +383,7 @@ def _with_settings(facts: dict[str, Any]) -> dict[str, Any]:
     return facts | {
         "lease": lease,
         "patience": parse_timedelta(dask.config.get("robot-runner.patience", "5m")),
-        "in_place": bool(dask.config.get("robot-runner.in-place", True)),  # noqa: FBT003 - Dask's signature
+        "in_place": bool(dask.config.get("robot-runner.in-place", True)),
         "worker_facts": facts["worker_facts"] | {"lease": lease},
     }
 

@@ -1,8 +1,8 @@
 """What a Dask worker does for an experiment: it joins, executes runs, and hands over what they wrote.
 
-The functions of the first part are called through Dask: `execute` is a task, and occupies a thread of the worker as long
-as the run lasts; the others are answered by the worker's event loop, and return at once. A worker that does not know
-the session that they name has been started anew meanwhile.
+The functions of the first part are called through Dask: `execute` is a task, and occupies a thread of the worker as
+long as the run lasts; the others are answered by the worker's event loop, and return at once. A worker that does not
+know the session that they name has been started anew meanwhile.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from robot_runner.cluster.worker_versions import described_versions
 from robot_runner.core.execution.task import RecordReader, RecordWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from distributed import Worker
 
@@ -50,7 +50,8 @@ def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
     """Begin to take part in an experiment; what is left of a time before is ended.
 
     Args:
-        facts: `session`, the `id` of the part that this worker takes in it, `snapshot`, `probe` with its `path` and `digest`, `runs`, and `lease` in s.
+        facts: `session`, the `id` of the part that this worker takes in it, `snapshot`, `probe` with its `path` and
+            `digest`, `runs`, and `lease` in s.
         dask_worker: given by Dask.
 
     Returns:
@@ -134,7 +135,7 @@ class _Session:
         self.answer, self.answer_digest = self._answered_probe()
 
     def _answered_probe(self) -> tuple[str, str]:
-        """Look for the orchestrator's probe; where it is there, return a file beside it that answers, and its digest."""
+        """Look for the orchestrator's probe; where it is there, answer by a file beside it: its name and digest."""
         probe = Path(self._facts["probe"]["path"])
         try:
             if hashlib.sha256(probe.read_bytes()).hexdigest() != self._facts["probe"]["digest"]:
@@ -274,7 +275,9 @@ class _HostProcess:
                 self.is_alive = False
                 code = self._process.wait()
                 because = f"the process that executed it ended with code {code}"
-                return {"lost": "; ".join(self._refused) or because, "has_begun": not self._refused}
+                if self._refused:
+                    return {"lost": "; ".join(self._refused), "is_certain": True, "is_unfit": True}
+                return {"lost": because}
             outgoing.send_if_due()
 
     def let_go(self) -> None:

@@ -1,8 +1,8 @@
 """Raw data on its way home: piece by piece from a worker into the run's folder.
 
 What a worker says of its files is not trusted: each name has to lead into the run's folder, no link is followed or
-made, and no more is written than was announced and fits on the disk. A piece that does not have its checksum is asked for
-again; a file that does not have its own is an error. Memory is bounded by the size of a piece.
+made, and no more is written than was announced and fits on the disk. A piece that does not have its checksum is asked
+for again; a file that does not have its own is an error. Memory is bounded by the size of a piece.
 """
 
 from __future__ import annotations

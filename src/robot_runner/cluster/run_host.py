@@ -128,7 +128,7 @@ class _Host:
         room = shutil.disk_usage(self._folder).free
         if room < _ROOM:
             lost = f"the worker's disk is full: {room / 1e6:.0f} MB are left"
-            self._tell("ended", {"lost": lost, "has_begun": False})
+            self._tell("ended", {"lost": lost, "is_certain": True, "is_unfit": True})
             return
         self._task = task = replace(task_of(self._experiment, order["task"]), slot=1)  # of this machine
         for plugin in self._experiment.plugins:  # which the orchestrator has done as well
@@ -154,19 +154,21 @@ class _Host:
 
     def _told(self, outcome: RunOutcome) -> dict[str, Any]:
         assert self._builder is not None  # noqa: S101 - a run was begun
+        if self._builder.ended_because == GONE:
+            return {"lost": GONE, "is_certain": True}
         ended = {
             "because": self._builder.ended_because,
             "is_interrupted": self._builder.is_interrupted,
             "seconds": outcome.seconds,
         }
         try:
-            return ended | self._kept(self._task)
+            ended |= self._kept(self._task)
         except OSError as error:
-            return {"lost": f"what the run left on the worker cannot be kept: {error}"}
-        finally:
-            room = shutil.disk_usage(self._folder).free
-            if outcome.failure is not None and room < _NO_ROOM:
-                ended["lost"] = f"the worker's disk is full: {room} bytes are left"
+            ended["lost"] = f"what the run left on the worker cannot be kept: {error}"
+        room = shutil.disk_usage(self._folder).free
+        if outcome.failure is not None and room < _NO_ROOM:
+            ended["lost"] = f"the worker's disk is full: {room} bytes are left"
+        return ended | ({"is_certain": True, "is_unfit": True} if "lost" in ended else {})
 
     def _kept(self, task: RunTask) -> dict[str, Any]:
         """Keep the log of a run, and make all that is to be sent home ready: nothing where it stands there already."""

@@ -16,7 +16,6 @@ from importlib.metadata import PackageNotFoundError, distributions, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import robot_runner
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
@@ -89,7 +88,7 @@ def _packages() -> Iterator[tuple[str, str]]:
 
 
 def _digest_of_source() -> str:
-    root = Path(robot_runner.__file__).parent
+    root = Path(__file__).parents[1]  # all of Robot Runner
     digest = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")

@@ -9,7 +9,7 @@ import re
 import secrets
 import time
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -23,6 +23,7 @@ __all__ = [
     "is_same_setting",
     "is_secret_name",
     "secrets_of_environment",
+    "sentences_without_secrets",
     "shown_assignments",
     "shown_settings",
     "without_environment_secrets",
@@ -161,6 +162,18 @@ def without_environment_secrets(text: str) -> str:
     return text
 
 
+#: Fields of a record in which what a program said may stand.
+_SENTENCES = frozenset({"problem", "traceback", "fix", "failure", "reason", "text", "note", "seen", "said"})
+
+
+def sentences_without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
+    """Return a record's fields with no secret of the environment in a sentence; names and values stay as they are."""
+    if not secrets_of_environment():
+        return fields
+    sentences = {name: fields[name] for name in _SENTENCES & fields.keys() if isinstance(fields[name], str)}
+    return fields | {name: without_environment_secrets(text) for name, text in sentences.items()}
+
+
 def forms_of(secret: str) -> set[str]:
     """Return how a secret may be written: as it is, and as JSON has it, with and without letters beyond ASCII."""
     return {secret, json.dumps(secret)[1:-1], json.dumps(secret, ensure_ascii=False)[1:-1]}
@@ -201,8 +214,10 @@ def shown_settings(settings: Mapping[str, object]) -> dict[str, str]:
         {'robot': 'simulated', 'db_password': 'REDACTED'}
     """
     return {
-        name: REDACTED if is_secret_name(name) and str(text) else _HIDDEN.sub(REDACTED, str(text))
-        for name, text in settings.items()
+        name: REDACTED
+        if is_secret_name(name) and str(text)
+        else without_environment_secrets(_HIDDEN.sub(REDACTED, text))
+        for name, text in ((name, str(value)) for name, value in settings.items())
     }
 
 
@@ -214,7 +229,10 @@ def shown_assignments(assignments: Iterable[str]) -> list[str]:
         ['robot=simulated', 'db_password=...']
     """
     named = (each.partition("=") for each in assignments)
-    return [f"{name}{equals}{'...' if is_secret_name(name) and text else text}" for name, equals, text in named]
+    return [
+        f"{name}{equals}{'...' if is_secret_name(name) and text else without_environment_secrets(text)}"
+        for name, equals, text in named
+    ]
 
 
 @lru_cache(maxsize=64)

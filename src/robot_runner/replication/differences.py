@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import platform
+import shutil
 import sys
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.errors import Finding
 from robot_runner.core.plugin import described_circumstances
 from robot_runner.core.storage.manifest import describe_host
+from robot_runner.core.storage.system_packages import describe_system, described_programs
 from robot_runner.replication.distributions import distributions_in, installed_distributions
 from robot_runner.replication.imported_packages import imported_names, importers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
-    from pathlib import Path
 
     from robot_runner.replication.distributions import InstalledDistribution
 
@@ -75,6 +77,8 @@ def differing_environment(
         ("Robot", environment.get("robot"), robot),
         ("Python", environment.get("python"), platform.python_version()),
         *_host_facts(environment.get("host") or {}),
+        *_release(environment.get("system")),
+        *_programs(environment.get("programs")),
     ]
     differing = [Difference(what, _shown(there), _shown(here)) for what, there, here in facts if there != here]
     differing += _ros(environment.get("ros"), described_circumstances().get("ros"))
@@ -142,6 +146,37 @@ def _host_facts(host: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
     there, ours = host.get("memory_bytes"), here["memory_bytes"]
     if there and ours and abs(there - ours) > _SAME_MEMORY * there:
         yield "Memory", f"{there / _GIBIBYTE:.1f} GiB", f"{ours / _GIBIBYTE:.1f} GiB"
+
+
+def _release(there: object) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the release of the system, where it is known of both machines."""
+    named = there.get("name") if isinstance(there, dict) else None
+    ours = describe_system().get("name")
+    if named and ours:
+        yield "Release", named, ours
+
+
+def _programs(there: object) -> Iterator[tuple[str, Any, Any]]:
+    """Yield the programs that were called, each in its version there and here.
+
+    Where they lay there is a stranger's word: looked at is what has the same name here.
+    """
+    recorded = {
+        Path(str(path)).name: each
+        for path, each in (there.items() if isinstance(there, dict) else ())
+        if isinstance(each, dict)
+    }
+    found = {name: shutil.which(name) for name in recorded}
+    described = described_programs(path for path in found.values() if path)
+    for name, each in recorded.items():
+        here = described.get(found[name] or "", {})
+        if each.get("sha256") != here.get("sha256"):
+            yield f"Program {name}", _version(each), _version(here)
+
+
+def _version(program: Mapping[str, Any]) -> str:
+    digest = str(program.get("sha256") or "")[:12]
+    return str(program.get("version") or (f"SHA-256 {digest}" if digest else "-"))
 
 
 def _ros(there: Mapping[str, Any] | None, here: Mapping[str, Any] | None) -> Iterator[Difference]:

@@ -141,6 +141,9 @@ class RecordedEnvironment:
             "python": software.get("python"),
             "implementation": software.get("implementation"),
             "packages": packages,
+            "system": software.get("system"),
+            "system_packages": software.get("system_packages"),
+            "programs": self.manifest.get("programs"),
             **known,
         }
 

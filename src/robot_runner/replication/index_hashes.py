@@ -1,8 +1,9 @@
-"""The hashes of the files that the package index has of recorded versions, asked of pip.
+"""The hashes of the files of recorded versions: from the lock of Robot Runner where it is at hand, else asked of pip.
 
-Pip knows which index is meant, how to get in, and which file fits; uv reads none of pip's settings. What pip answers is
-read for hashes and names of files; where they come from is neither kept nor shown. Nothing is built: of a package
-without a wheel, nothing is known.
+The lock lies beside the source that Robot Runner was installed from. It has the files of every platform, and no network
+is asked for what stands in it. For all else, pip knows which index is meant, how to get in, and which file fits; uv
+reads none of pip's settings. What pip answers is read for hashes and names of files; where they come from is neither
+kept nor shown. Nothing is built: of a package without a wheel, nothing is known.
 """
 
 from __future__ import annotations
@@ -18,24 +19,29 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 from robot_runner.core.errors import Finding
-from robot_runner.replication.distributions import canonical
+from robot_runner.core.words import listed
+from robot_runner.replication.distributions import canonical, installed_distributions
 from robot_runner.replication.environment import PLATFORMS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.replication.environment import PackageRecord, RecordedEnvironment
 
-__all__ = ["IndexAnswer", "ask_index", "findings_of_hashes", "with_index_hashes"]
+__all__ = ["IndexAnswer", "ask_index", "findings_of_hashes", "locked_hashes", "with_known_hashes"]
 
 _DEADLINE_S = 300.0
 #: Of one connection; pip's own retries would make a network that is not there a matter of minutes.
 _CONNECTION_S = 15
 #: Where so many packages are not found, and none is, there is no index.
-_MOST_MISSES = 5
+_MOST_MISSES = 3
+
+#: A pinned package of a lock, with its hashes on the lines below it, as uv and pip-tools write them.
+_LOCKED = re.compile(r"^([\w.-]+)==([^\s;\\]+)[^\n]*\n((?: +--hash=sha256:[0-9a-f]{64}[ \\]*\n)+)", re.MULTILINE)
+_HASH = re.compile(r"sha256:([0-9a-f]{64})")
 
 _NO_WHEEL = "pip finds no wheel of that version"
 _NO_INDEX = "no package index answers, or it has none of them"
@@ -97,11 +103,49 @@ def ask_index(pins: Sequence[str], python: str, *, deadline_s: float = _DEADLINE
     return IndexAnswer({name: tuple(sorted(each)) for name, each in sorted(hashes.items())}, lacking)
 
 
-def with_index_hashes(environment: RecordedEnvironment) -> tuple[RecordedEnvironment, Mapping[str, str]]:
-    """Return the environment with the hashes that the index gives, and why others are lacking, by canonical name."""
+def locked_hashes(pins: Iterable[str], folder: Path | None = None) -> dict[str, tuple[str, ...]]:
+    """Return the hashes that the lock has of exactly these versions, by canonical name.
+
+    Args:
+        pins: requirements, such as `rich==13.7.1`.
+        folder: of the lock's files; that of the source that Robot Runner was installed from if left out.
+    """
+    wanted = {(canonical(name), release) for name, _, release in (pin.partition("==") for pin in pins)}
+    found: dict[str, tuple[str, ...]] = {}
+    for path in sorted((_lock_folder() if folder is None else folder).glob("*.txt")):
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, ValueError):
+            continue  # what is not known here is asked of the index
+        for name, release, hashes in _LOCKED.findall(text):
+            if (canonical(name), release) in wanted:
+                found[canonical(name)] = tuple(sorted(_HASH.findall(hashes)))
+    return found
+
+
+def _lock_folder() -> Path:
+    ours = installed_distributions().get("robot-runner")
+    source = urlsplit(str(ours.direct_url.get("url", ""))) if ours else urlsplit("")
+    return Path(unquote(source.path), "requirements") if source.scheme == "file" else Path(os.devnull)
+
+
+def with_known_hashes(
+    environment: RecordedEnvironment, asking: Callable[[int], None] | None = None
+) -> tuple[RecordedEnvironment, Mapping[str, str]]:
+    """Return the environment with the hashes that the lock and the index give, and why others are lacking, by name.
+
+    Args:
+        environment: as it was recorded.
+        asking: is told how many packages the index is about to be asked for; None asks the lock alone.
+    """
     pins = [each.requirement for each in environment.without_hash({}) if each.source not in _NOT_ASKED]
-    answer = ask_index(pins, environment.python)
-    return replace(environment, index_hashes=answer.hashes), answer.lacking
+    locked = locked_hashes(pins)
+    unknown = [pin for pin in pins if canonical(pin.partition("==")[0]) not in locked]
+    if asking is None or not unknown:
+        return replace(environment, index_hashes=locked), {}
+    asking(len(unknown))
+    answer = ask_index(unknown, environment.python)
+    return replace(environment, index_hashes={**locked, **answer.hashes}), answer.lacking
 
 
 def findings_of_hashes(unknown: Iterable[PackageRecord], lacking: Mapping[str, str]) -> Iterator[Finding]:
@@ -117,7 +161,8 @@ def findings_of_hashes(unknown: Iterable[PackageRecord], lacking: Mapping[str, s
         names.setdefault(why, []).append(each.name)
     for why, those in sorted(names.items()):
         fix = "Pack again where pip can get it as a wheel; until then no hash is demanded when it is replicated."
-        yield Finding.warning("environment", f"no hash of {', '.join(those)}: {why}", fix)
+        count = f"{len(those)} of the packages needed: " if len(those) > 1 else ""
+        yield Finding.warning("environment", f"no hash of {count}{listed(those)}: {why}", fix)
 
 
 @dataclass(frozen=True, slots=True)

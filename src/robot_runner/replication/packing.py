@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PackageError, StorageError
 from robot_runner.core.secret_names import is_secret_name, secrets_of_environment
-from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.guarded_files import open_to_read, read_text
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
@@ -20,20 +20,20 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.replication.about import About
 from robot_runner.replication.citation_files import missing_text
-from robot_runner.replication.cleaning import Replaced
 from robot_runner.replication.contents import DESCRIPTION, LICENCE, LeftOut, choose_contents
 from robot_runner.replication.crate import Executed, require_rocrate
-from robot_runner.replication.crate_actions import executed_runs
+from robot_runner.replication.crate_actions import executed_runs, undone_count
 from robot_runner.replication.environment import record_environment
-from robot_runner.replication.index_hashes import findings_of_hashes, with_index_hashes
+from robot_runner.replication.index_hashes import findings_of_hashes, with_known_hashes
 from robot_runner.replication.plain_zip import written_beside
 from robot_runner.replication.redaction import Redactor, secrets_in_code
 from robot_runner.replication.sealing import Packing, PackingPlan, Progress, Sealing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from robot_runner.core.storage.run_table_rows import RunTableRows
+    from robot_runner.replication.cleaning import Replaced
 
 __all__ = ["Packed", "Packing", "file_sha256", "pack"]
 
@@ -69,7 +69,13 @@ class Packed:
     findings: tuple[Finding, ...] = field(default=())
 
 
-def pack(folder: Path, target: Path, packing: Packing | None = None, progress: Progress = lambda _, __: None) -> Packed:
+def pack(
+    folder: Path,
+    target: Path,
+    packing: Packing | None = None,
+    progress: Progress = lambda _, __: None,
+    asking: Callable[[int], None] = lambda _: None,
+) -> Packed:
     """Seal an experiment's folder as one file. Doing it twice gives the same bytes.
 
     Args:
@@ -77,6 +83,7 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
         target: the file to write; an earlier package is replaced.
         packing: what is asked for.
         progress: is told how many bytes are packed, of how many.
+        asking: is told of how many packages the package index is about to be asked for hashes.
 
     Raises:
         PackageError: it cannot be packed as it is, or something in it may be a secret.
@@ -90,10 +97,8 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
     rows = _rows(files)
     run_ids = [rows.run_id(place) for place in range(len(rows))]
     about = About.of_manifest(manifest, authors=asked.authors, licence=asked.licence, citation=asked.citation)
-    environment = record_environment(manifest, files.config)
-    lacking: Mapping[str, str] = {}
-    if asked.with_hashes:
-        environment, lacking = with_index_hashes(environment)
+    recorded = record_environment(manifest, files.config)
+    environment, lacking = with_known_hashes(recorded, asking if asked.with_hashes else None)
     columns = read_schema(files.schema)
     runs_folder = f"{files.runs_name}/" if files.runs_name else ""
     plan = PackingPlan(
@@ -107,7 +112,7 @@ def pack(folder: Path, target: Path, packing: Packing | None = None, progress: P
             _known_secrets(files, manifest), home=Path.home(), replaces_doubtful=asked.doubtful == "replace"
         ),
         runs=len(rows),
-        undone=_undone(rows),
+        undone=undone_count(rows),
     )
     with written_beside(target) as archive:
         sealing = Sealing(plan, archive, progress)
@@ -141,7 +146,7 @@ def file_sha256(path: Path) -> str:
         StorageError: it cannot be read.
     """
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise storage_error(path, "read", error) from error
@@ -176,22 +181,15 @@ def _rows(files: ExperimentFolder) -> RunTableRows:
 
 
 def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:
-    """Return the secrets of the environment, of the configs and of what was set by hand, to find them elsewhere, too."""
+    """Return the secrets of the environment, the configs and what was set by hand, to find them elsewhere, too."""
     found = set(secrets_of_environment())
     for folder in (files.config, files.earlier_configs):
         for path in sorted(folder.rglob("*.py")):
-            try:
-                found |= secrets_in_code(path.read_text(encoding="utf-8", errors="replace"))
-            except OSError as error:
-                raise storage_error(path, "read", error) from error
+            found |= secrets_in_code(read_text(path, files.root, errors="replace"))
     for execution in (manifest, *(manifest.get("executions") or ())):
         settings = execution.get("deviations") or {}
         found |= {str(text) for name, text in settings.items() if text and is_secret_name(str(name))}
     return found
-
-
-def _undone(rows: RunTableRows) -> int:
-    return sum(rows.status(place) is not RunStatus.DONE for place in range(len(rows)) if rows.excluded(place) is None)
 
 
 def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
@@ -200,5 +198,5 @@ def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
         yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
     if not files.report.exists():
         yield Finding.warning(where, "there is no report in it", f"Make one first: robot-runner report {where}")
-    if undone := _undone(rows):
+    if undone := undone_count(rows):
         yield Finding.warning(where, f"{undone} of {len(rows)} runs are not done", "Resume the experiment first.")

@@ -51,7 +51,8 @@ class Packing:
         doubtful: what happens with what may be a secret: packing is refused, or it is packed as it is, or replaced.
         authors, licence, citation: take the place of what the config said.
         with_wheels: whether packages that only this machine has go in as wheels.
-        with_hashes: whether the package index that pip is set up for is asked for the hashes of its files.
+        with_hashes: whether the package index that pip is set up for is asked for the hashes that the lock of Robot
+            Runner does not have.
 
     Example:
         >>> Packing(raw=("Ina219",)).licence is None

@@ -184,7 +184,7 @@ def reached_verdict(
     """
     secondary = why_not_primary(columns, manifest)
     is_simulated = str(manifest.get("robot") or "").startswith("simulated")
-    compared = {each["first_name"]: each for each in (comparison or {}).get("measures", ())}
+    compared = {each["first_name"]: each for each in (comparison or {}).get("measures", ()) if _has_numbers(each)}
     units = {column.name: column.unit if column.unit != "1" else "" for column in columns}
     measures = [
         _judged(
@@ -219,6 +219,11 @@ class _Judged:
     def bound(self) -> str:
         unit = "" if self.margin.text.strip().endswith("%") else self.unit
         return f"{self.margin} {unit}".strip()
+
+
+def _has_numbers(found: Mapping[str, Any]) -> bool:
+    """Return whether there is a mean anywhere; of texts, of which there is none, statistics here say nothing."""
+    return any(each["first_mean"] is not None for each in found["differences"])
 
 
 def _judged(judged: _Judged, *, has_comparison: bool, is_simulated: bool, secondary_because: str) -> MeasureConclusion:

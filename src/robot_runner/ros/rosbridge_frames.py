@@ -23,7 +23,17 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.graph_addresses import RosbridgeAddress
 
-__all__ = ["FrameReader", "as_json", "closed_reason", "connect", "from_protocol", "read", "send_errors", "to_protocol"]
+__all__ = [
+    "LARGEST_FRAME",
+    "FrameReader",
+    "as_json",
+    "closed_reason",
+    "connect",
+    "from_protocol",
+    "read",
+    "send_errors",
+    "to_protocol",
+]
 
 #: The elements of a typed array by its tag; 4 more is little endian. Those of octets (64, 68) stay bytes.
 _TYPED = MappingProxyType(
@@ -63,6 +73,10 @@ def _numbers(layout: str, data: bytes) -> list[Any]:
 
 #: An operation in more fragments than this is a broken one, and would only fill the memory.
 _MOST_FRAGMENTS = 100_000
+#: The largest frame, bytes, and the most that fragments may hold together: an image of 4096 x 2160 pixels has 35 MB.
+LARGEST_FRAME = 64 << 20
+#: So many frames wait in the WebSocket before the server has to.
+_MOST_FRAMES = 16
 #: So many operations may be incomplete at a time; of a server that drops fragments, the oldest are forgotten.
 _MOST_UNFINISHED = 100
 
@@ -84,14 +98,18 @@ class FrameReader:
 
     def __init__(self) -> None:
         self._parts: dict[str, dict[int, str]] = {}
+        self._held = 0
 
     def read(self, frame: str | bytes) -> dict[str, Any] | None:
         """Return the operation that the frame is, or completes; None if more fragments are to come.
 
         Raises:
-            ValueError: it is no operation of the protocol.
+            ValueError: it is no operation of the protocol, or more fragments wait than the memory should hold.
         """
-        operation = read(frame) if isinstance(frame, bytes) else json.loads(frame)
+        try:
+            operation = read(frame) if isinstance(frame, bytes) else json.loads(frame)
+        except RecursionError as error:
+            raise ValueError("an operation is nested too deeply") from error
         if not isinstance(operation, dict) or not isinstance(operation.get("op"), str):
             raise ValueError(f"{str(frame)[:80]!r} has no field 'op'")  # noqa: TRY004 - data, not an argument
         return self._whole(operation) if operation["op"] == "fragment" else operation
@@ -104,13 +122,19 @@ class FrameReader:
         if not 0 <= number < total <= _MOST_FRAGMENTS:
             raise ValueError(f"fragment {number} of {total}")
         parts = self._parts.setdefault(name, {})
+        self._held += len(text) - len(parts.get(number, ""))
         parts[number] = text
         if len(parts) < total:
-            while len(self._parts) > _MOST_UNFINISHED:
-                del self._parts[next(iter(self._parts))]
+            while len(self._parts) > _MOST_UNFINISHED or self._held > LARGEST_FRAME:
+                self._forget(next(iter(self._parts)))
             return None
-        del self._parts[name]
+        self._forget(name)
+        if any(index not in parts for index in range(total)):
+            raise ValueError(f"fragments of {name!r:.80} do not agree how many they are")
         return self.read("".join(parts[index] for index in range(total)))
+
+    def _forget(self, name: str) -> None:
+        self._held -= sum(map(len, self._parts.pop(name).values()))
 
 
 _STAMPS = frozenset({"time", "duration"})
@@ -208,7 +232,8 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
                 ping_interval=_PING_INTERVAL,
                 ping_timeout=_PING_TIMEOUT,
                 compression=None,  # it would cost more on the robot than it saves on the network
-                max_size=None,
+                max_size=LARGEST_FRAME,
+                max_queue=_MOST_FRAMES,
                 proxy=None,
             )
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from ipaddress import ip_address
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
@@ -39,7 +40,22 @@ def findings(name: RobotName) -> list[Finding]:
         TypeCatalogue.of(address.generation or 2, None, address.types)
     except LinkError as error:
         return [error.as_finding()]
-    return []
+    return [] if _is_this_machine(address.host) else [_readable_by_others(address)]
+
+
+def _is_this_machine(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:  # a name; it is not looked up, as asking takes time and tells others
+        return host == "localhost" or host.endswith(".localhost")
+
+
+def _readable_by_others(address: RosbridgeAddress) -> Finding:
+    problem = (
+        f"{address.uri} is neither encrypted nor signed: whoever is in the network can read it, and move the robot"
+    )
+    fix = f"Keep the robot in a network of its own, or go through SSH: ssh -L {address.port}:localhost:{address.port}"
+    return Finding.warning("robot", problem, f"{fix} {address.host}, then robot=rosbridge://localhost:{address.port}.")
 
 
 def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLink:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.graph_transport import service_timeout
-from robot_runner.ros.rosbridge_frames import FrameReader, as_json, closed_reason, connect, send_errors
+from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, closed_reason, connect, send_errors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,6 +28,12 @@ ANSWER = 5.0
 #: Called to learn that the server has dealt with all that was sent before: it answers for each service, if only that
 #: there is none, and takes operations in their order.
 _BARRIER = "/rosapi/get_time"
+
+
+#: What may wait until callbacks take it, as messages and bytes; beyond it the connection is given up, and says so: to
+#: drop messages would falsify what is computed from them.
+_MOST_WAITING = 20_000
+_MOST_WAITING_BYTES = 4 * LARGEST_FRAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +80,8 @@ class Session:
         self._waiting: set[threading.Event] = set()
         self._lost: LinkError | None = None
         self._is_closed = False
-        self._todo: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._todo: queue.SimpleQueue[tuple[Callable[[], None], int] | None] = queue.SimpleQueue()
+        self._size, self._waiting_bytes = 0, 0
         self._closing = ExitStack()
         self._connection = connect(address, ANSWER, self._closing, where=self.where)
         self._threads = [
@@ -172,8 +179,20 @@ class Session:
             raise self._lost
 
     def later(self, todo: Callable[[], None]) -> None:
-        """Have something done in the thread that calls back, after what is to be done there already."""
-        self._todo.put(todo)
+        """Have something done in the thread that calls back, after what is to be done there already.
+
+        Called by the thread that receives, for the frame that it has just read; where callbacks take less than comes,
+        the connection is given up before the memory is full.
+        """
+        size = self._size
+        with self._lock:
+            self._waiting_bytes += size
+            waiting = self._waiting_bytes
+        if self._todo.qsize() >= _MOST_WAITING or waiting > _MOST_WAITING_BYTES:
+            count = self._todo.qsize()
+            self._lose(f"callbacks are too slow: {count:,} messages of {waiting >> 20:,} MiB wait for them")
+            return
+        self._todo.put((todo, size))
 
     def fresh_id(self, what: str) -> str:
         """Return a name that no operation of this session has."""
@@ -223,6 +242,7 @@ class Session:
         reader = FrameReader()
         try:
             for frame in self._connection:
+                self._size = len(frame)
                 try:
                     operation = reader.read(frame)
                 except ValueError as error:
@@ -230,6 +250,8 @@ class Session:
                     continue
                 if operation is not None:
                     self._take(operation)
+                if self._lost is not None:
+                    break  # what the server has still to send waits there
         except send_errors() as error:
             self._lose(closed_reason(error))
         finally:
@@ -268,7 +290,10 @@ class Session:
             _logger.warning("%s complains: %s", self.where, text)
 
     def _call_back(self) -> None:
-        while (todo := self._todo.get()) is not None:
+        while (waiting := self._todo.get()) is not None:
+            todo, size = waiting
+            with self._lock:
+                self._waiting_bytes -= size
             if not self._is_closed:
                 todo()
 

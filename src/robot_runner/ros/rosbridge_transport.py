@@ -28,6 +28,9 @@ __all__ = ["RosbridgeTransport"]
 
 _logger = logging.getLogger(__name__)
 
+#: So many calls of services that are offered here are answered at a time, each in a thread.
+_MOST_ANSWERING = 64
+
 #: Bytes as the robot has them; a server that does not know this compression sends JSON.
 _RAW = "cbor-raw"
 _RAW_FIELDS = frozenset({"bytes", "secs", "nsecs"})
@@ -55,6 +58,7 @@ class RosbridgeTransport:
         self._topics: dict[str, _Topic] = {}
         self._publishers: dict[str, _Publisher] = {}
         self._answers: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {}
+        self._answering = threading.BoundedSemaphore(_MOST_ANSWERING)
         self._session = Session(address)
         try:
             self._rosapi = Rosapi(self._session)
@@ -207,6 +211,9 @@ class RosbridgeTransport:
             self._session.later(partial(_hand_on, topic, reception))
 
     def _take_request(self, operation: Mapping[str, Any]) -> None:
+        if not self._answering.acquire(blocking=False):
+            self._send_response(operation, {"values": "too many calls are being answered", "result": False})
+            return
         # In a thread of its own: one that takes long must hold up neither messages nor other services.
         threading.Thread(target=self._respond, args=(operation,), name="rosbridge service", daemon=True).start()
 
@@ -219,6 +226,12 @@ class RosbridgeTransport:
             outcome = {"values": answer(operation.get("args") or {}), "result": True}
         except Exception as fault:  # noqa: BLE001 - the link has logged it; the client is told
             outcome = {"values": str(fault), "result": False}
+        finally:
+            self._answering.release()
+        self._send_response(operation, outcome)
+
+    def _send_response(self, operation: Mapping[str, Any], outcome: Mapping[str, Any]) -> None:
+        service = str(operation.get("service"))
         if self._session.is_usable:
             try:
                 self._session.send({"op": "service_response", "service": service, "id": operation.get("id"), **outcome})

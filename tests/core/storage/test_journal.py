@@ -95,7 +95,7 @@ def test_a_journal_is_read_alike_in_blocks_of_any_size(
     kinds = ["said", "said_late", "other", "said", "third"]
     with Journal(path) as journal:
         for number, kind in enumerate(kinds * 20):
-            journal.append(kind, number=number, text='\n{"kind":"event"}\n' * (number % 3))
+            journal.append(kind, number=number, event="start_run", text='\n{"kind":"event"}\n' * (number % 3))
     assert [record["number"] for record in read_journal(path)] == list(range(100))
     chosen = [record["number"] for record in read_journal(path, kinds={"third", "said"})]
     assert chosen == [number for number in range(100) if number % 5 in {0, 3, 4}]

@@ -84,26 +84,50 @@ def test_a_lock_file_that_everybody_may_write_is_not_relied_upon(tmp_path: Path)
     assert rights(path) == 0o600
 
 
+_STRANGER = """
+import fcntl, os, sys, time
+while os.path.exists(sys.argv[1]):
+    file = os.open(sys.argv[1], os.O_RDONLY)
+    try:
+        fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        time.sleep(0.002)
+    except OSError:
+        pass
+    os.close(file)
+"""
+_TAKER = """
+import os, sys, time
+from pathlib import Path
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.storage.lock import ExperimentLock
+path = Path(sys.argv[1])
+mark, ends, times = path.with_name("inside"), time.monotonic() + 1.5, 0
+while time.monotonic() < ends:
+    try:
+        with ExperimentLock(path):
+            os.close(os.open(mark, os.O_CREAT | os.O_EXCL))
+            mark.unlink()
+            times += 1
+    except ExecutionError:
+        pass
+print(times)
+"""
+
+
 def test_of_many_that_replace_a_lock_at_once_one_at_a_time_holds_it(tmp_path: Path) -> None:
     path = tmp_path / ".lock"
     path.touch(0o644)
-    script = (
-        "import os, sys, time; from pathlib import Path; from robot_runner.core.storage.lock import ExperimentLock\n"
-        "from robot_runner.core.errors import ExecutionError\n"
-        "path = Path(sys.argv[1]); mark = path.with_name('inside'); ends = time.monotonic() + 1.5\n"
-        "while time.monotonic() < ends:\n"
-        "    try:\n"
-        "        with ExperimentLock(path):\n"
-        "            os.close(os.open(mark, os.O_CREAT | os.O_EXCL)); mark.unlink()\n"
-        "            path.chmod(0o666)\n"  # so that the next one has to replace it again
-        "    except ExecutionError:\n"
-        "        pass\n"
-    )
-    command = [sys.executable, "-c", script, str(path)]
-    several = [subprocess.Popen(command, stderr=subprocess.PIPE) for _ in range(3)]
-    for each in several:
-        _, errors = each.communicate(timeout=60)
-        assert (each.returncode, errors) == (0, b"")
+    with subprocess.Popen([sys.executable, "-c", _STRANGER, str(path)]) as stranger:
+        command = [sys.executable, "-c", _TAKER, str(path)]
+        taken = 0
+        several = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(3)]
+        for each in several:
+            out, errors = each.communicate(timeout=60)
+            assert (each.returncode, errors) == (0, b"")
+            taken += int(out)
+        assert taken > 0
+        path.unlink()
+        assert stranger.wait(10) == 0
 
 
 @pytest.mark.parametrize(

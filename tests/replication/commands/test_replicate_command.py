@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
@@ -12,7 +13,13 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from tests.command_line import PROGRAM
+from tests.linked_environment import make_linked_environment
 from tests.replication.small_experiment import own_modules
+
+from robot_runner.replication.distributions import closure, packages_of_extra
+
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(autouse=True)
@@ -24,6 +31,15 @@ def _modules_of_its_own():
 @pytest.fixture
 def package(packed, tmp_path):
     return Path(shutil.copy(packed.path, tmp_path / "small.zip"))
+
+
+@pytest.fixture(scope="module")
+def linked(tmp_path_factory):
+    """An environment that can execute the experiment, and has none of what compares results."""
+    names = closure({"rich", *packages_of_extra("robot-runner", "sim")})
+    folder = tmp_path_factory.mktemp("linked") / "environment"
+    make_linked_environment(folder, names, code=ROOT / "src")
+    return folder
 
 
 @pytest.mark.usefixtures("package")
@@ -115,6 +131,98 @@ class TestReplicate:
         assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
 
 
+def _made_to_differ(package, name, importers):
+    """Have a package say that a distribution was another one, and who of the experiment imports it."""
+    facts = json.dumps(importers)
+    with zipfile.ZipFile(package) as archive:
+        environment = json.loads(archive.read("environment/environment.json"))
+    version = environment["packages"][name]["version"]
+    before = f'"name": "{environment["packages"][name]["name"]}",\n      "version": "{version}"'
+    _rewrite(package, "environment/environment.json", before.encode(), f',\n      "imported_by": {facts}'.encode())
+    _rewrite(package, "environment/environment.json", before.encode()[:-1], b".post9")
+
+
+class TestEnvironments:
+    def test_what_the_experiment_imports_comes_first_and_the_rest_is_counted(self, robot_runner, package):
+        _made_to_differ(package, "rich", [])
+        _made_to_differ(package, "numpy", ["robot simulated"])
+        for name in ("scipy", "pandas", "matplotlib", "jinja2", "pint", "statsmodels"):
+            _made_to_differ(package, name, [])
+        answer = robot_runner("replicate", "small.zip")
+        told = answer.out.partition("This machine differs from the package's:")[2]
+        assert told.splitlines()[2].split()[0] == "numpy"
+        assert "robot simulated" in told.splitlines()[2]
+        assert "and 7 packages that the experiment does not import itself: --all-differences shows them" in told
+        assert "scipy" not in told
+        assert "scipy" in robot_runner("replicate", "small.zip", "--all-differences").out
+
+    def test_who_imports_what_is_known_of_the_simulated_robot(self, package):
+        with zipfile.ZipFile(package) as archive:
+            packages = json.loads(archive.read("environment/environment.json"))["packages"]
+        assert "robot simulated" in packages["mujoco"]["imported_by"]
+        assert "robot simulated" in packages["numpy"]["imported_by"]
+        assert {"Ina219", "config"} <= set(packages["robot-runner"]["imported_by"])
+        assert "imported_by" not in packages["markdown-it-py"]
+
+    def test_the_packages_own_environment_is_offered_where_it_makes_a_difference(self, terminal, package, tmp_path):
+        _made_to_differ(package, "numpy", ["robot simulated"])
+        screen = terminal("replicate", "small.zip", "--plain")
+        screen.wait_for("Execute the code of this package")
+        screen.child.sendline("y")
+        screen.wait_for("Make the package's own environment first, as numpy differs here")
+        assert not (tmp_path / "small_replication").exists()  # nothing is made before somebody has said yes
+        screen.child.sendline("n")
+        assert screen.finish() == 0
+        assert "The results are identical" in screen.raw
+        assert not (tmp_path / "small_replication" / "environment").exists()
+
+    def test_with_yes_it_is_made_and_that_it_cannot_be_is_said(self, robot_runner, package, monkeypatch):
+        _made_to_differ(package, "numpy", ["robot simulated"])
+        monkeypatch.setenv("PIP_NO_INDEX", "1")  # nothing is fetched here
+        answer = robot_runner("replicate", "small.zip", "--yes")
+        assert answer.code == 2
+        assert "The package's own environment is taken, as numpy differs here" in answer.out
+        assert "the environment cannot be made" in answer.err
+        assert "--environment here" in answer.err
+
+    def test_another_environment_executes_and_this_one_compares(self, package, linked, tmp_path):
+        answer = subprocess.run(
+            [PROGRAM, "replicate", "small.zip", "--yes", "--environment", linked, "--json"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=200,
+            check=False,
+        )
+        assert answer.returncode == 0, answer.stderr
+        facts = json.loads(answer.stdout)
+        assert (facts["verdict"], facts["environment"]) == ("identical", str(linked))
+        assert "All 4 runs are done" in answer.stderr
+        manifest = json.loads((Path(facts["replication"]) / "manifest.json").read_text("utf-8"))
+        assert "pandas" not in manifest["software"]["packages"]  # it was executed there, without what compares
+
+    def test_a_stop_request_reaches_what_executes(self, package, linked, tmp_path):
+        words = [PROGRAM, "replicate", "small.zip", "--yes", "--environment", linked, "--plain"]
+        with subprocess.Popen(
+            words, cwd=tmp_path, stdout=subprocess.PIPE, text=True, start_new_session=True
+        ) as process:
+            for line in process.stdout:
+                if "run 1 of 4" in line:
+                    break
+            process.send_signal(signal.SIGTERM)  # to this process alone, as a supervisor does
+            told = process.stdout.read()
+            assert process.wait(60) == 130
+        assert "Interrupted: " in told
+        lines = (tmp_path / "small_replication" / "small" / "journal.jsonl").read_text("utf-8").splitlines()
+        assert json.loads(lines[-1])["interrupted"] is True
+
+    def test_an_environment_without_the_program_is_refused(self, robot_runner, tmp_path):
+        (tmp_path / "empty").mkdir()
+        answer = robot_runner("replicate", "small.zip", "--environment", "empty")
+        assert answer.code == 2
+        assert "Install robot-runner into it" in answer.err
+
+
 def test_it_is_replicated_in_an_empty_folder_and_a_fresh_environment(packed, tmp_path):
     """The program is the one that the package brings, and it knows nothing of where it was packed."""
     folder = tmp_path / "elsewhere"
@@ -144,7 +252,7 @@ def test_it_is_replicated_in_an_empty_folder_and_a_fresh_environment(packed, tmp
 def test_the_whole_demo_is_replicated_identically(program, tmp_path):
     for words in (
         ["demo", "--folder", "demo"],
-        ["pack", "demo/basic_experiment", "--to", "demo.zip"],
+        ["pack", "demo/basic_experiment", "--no-hashes", "--to", "demo.zip"],
         ["replicate", "demo.zip", "--yes"],
     ):
         answer = subprocess.run(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, runtime_checkable
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.early_end import EndingInPlace
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
+from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
 
@@ -209,14 +210,17 @@ class RobotRunnerContext(ExperimentContext):
     @property
     def run_folder(self) -> Path:
         """The run's folder; made when first asked for."""
-        self.run_path.mkdir(parents=True, exist_ok=True)
-        return self.run_path
+        return self._made(self.run_path)
 
     @property
     def raw_data_folder(self) -> Path:
         """The folder that is reserved for the owner's raw data; made when first asked for."""
-        folder = self.run_path / self.owner
-        folder.mkdir(parents=True, exist_ok=True)
+        return self._made(self.run_path / self.owner)
+
+    def _made(self, folder: Path) -> Path:
+        if not self.experiment_folder.exists():  # on a machine that only executes runs
+            make_experiment_folder(self.experiment_folder)
+        make_folder(folder, self.experiment_folder)
         return folder
 
     @property

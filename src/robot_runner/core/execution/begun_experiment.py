@@ -9,6 +9,7 @@ from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.circumstances import manifest_of, restored_manifest, resumed_manifest
 from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
 from robot_runner.core.execution.recovery import config_changes
+from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.safe_write import fsync_folder, storage_error
 
@@ -29,7 +30,9 @@ def made_folder(folder: ExperimentFolder) -> set[str]:
         StorageError: it cannot be made.
     """
     try:
-        folder.runs.mkdir(parents=True, exist_ok=True)
+        make_experiment_folder(folder.root)
+        if folder.runs != folder.root:
+            make_folder(folder.runs, folder.root)
         left_behind = {path.name for path in folder.runs.iterdir()}
         fsync_folder(folder.root)
     except OSError as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
 from robot_runner.core.secret_names import hidden_settings
 from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_state, uncommitted_changes
+from robot_runner.core.storage.guarded_files import MissingFileError, make_folder, read_bytes, replace
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.safe_write import storage_error
@@ -186,14 +186,15 @@ def keep_config_files(experiment: Experiment) -> None:
         StorageError: the copy cannot be written.
     """
     kept = experiment.folder.config
-    files = config_files(experiment)
+    root = experiment.folder.root
+    contents = {target: source.read_bytes() for source, target in config_files(experiment).items()}
     try:
-        if not kept.exists() or not all(_is_same(source, target) for source, target in files.items()):
+        if not kept.exists() or not all(_holds(target, content, root) for target, content in contents.items()):
             if kept.exists():
-                kept.rename(_free(experiment.folder.earlier_configs))
-            for source, target in files.items():
-                target.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(source, target)
+                kept.rename(_free(experiment.folder.earlier_configs, root))
+            for target, content in contents.items():
+                make_folder(target.parent, root)
+                replace(target, content, root)
         _keep_registration(experiment)
     except OSError as error:
         raise storage_error(kept, "written", error) from error
@@ -202,15 +203,18 @@ def keep_config_files(experiment: Experiment) -> None:
 def _keep_registration(experiment: Experiment) -> None:
     """Keep the registration that was there at the first run; it is never replaced."""
     if experiment.registration is not None and not experiment.folder.manifest.exists():
-        shutil.copyfile(experiment.registration.path, experiment.folder.registration)
+        replace(experiment.folder.registration, read_bytes(experiment.registration.path))
 
 
-def _is_same(source: Path, target: Path) -> bool:
-    return target.exists() and source.read_bytes() == target.read_bytes()
+def _holds(target: Path, content: bytes, root: Path) -> bool:
+    try:
+        return read_bytes(target, root) == content
+    except MissingFileError:
+        return False
 
 
-def _free(folder: Path) -> Path:
-    folder.mkdir(exist_ok=True)
+def _free(folder: Path, root: Path) -> Path:
+    make_folder(folder, root)
     return folder / str(1 + sum(1 for _ in folder.iterdir()))
 
 
@@ -241,7 +245,8 @@ def _keep_uncommitted(experiment: Experiment, manifest: dict[str, Any]) -> None:
     repository["diff_sha256"] = digest = hashlib.sha256(changes).hexdigest()
     if len(changes) <= LARGEST_DIFF:
         kept = experiment.folder.uncommitted(digest)
-        kept.write_bytes(changes)
+        make_folder(kept.parent, experiment.folder.root)
+        replace(kept, changes, experiment.folder.root)
         repository["diff"] = kept.relative_to(experiment.folder.root).as_posix()
 
 

@@ -258,7 +258,7 @@ class _History:
         # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
         for record in read_journal(files.journal):
             if self.sessions:
-                self.sessions[-1] = replace(self.sessions[-1], ended_at=record["at"])
+                self.sessions[-1] = replace(self.sessions[-1], ended_at=record.get("at", self.sessions[-1].ended_at))
             self._excluded.take(record)
             take = getattr(self, f"_take_{record['kind']}", None)
             if take is not None:

@@ -16,6 +16,7 @@ from robot_runner.core.design.warm_up import with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
 
 if TYPE_CHECKING:
@@ -195,7 +196,7 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
         finding
         for source, kept in config_files(experiment).items()
         if kept.exists()
-        for finding in _changed_lines(source, kept.read_text("utf-8"), source.read_text("utf-8"), ignored)
+        for finding in _changed_lines(source, read_text(kept, folder.root), source.read_text("utf-8"), ignored)
     ]
     if of_settings:
         findings += _changed_settings(_last_settings(manifest), experiment.overrides)

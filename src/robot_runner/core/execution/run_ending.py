@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInterrupted
 from robot_runner.core.events.unhandled import fails_run
+from robot_runner.core.secret_names import without_environment_secrets
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -112,7 +113,8 @@ class RunEnding:
 
 
 def failure_fields(error: BaseException) -> dict[str, str]:
-    """Return the problem in one line, and the traceback."""
+    """Return the problem in one line, and the traceback, without what the environment keeps secret."""
     text = str(error)
     problem = text if isinstance(error, RobotRunnerError | RunInterrupted) else f"{type(error).__name__}: {text}"
-    return {"problem": problem, "traceback": "".join(traceback.format_exception(error))}
+    trace = "".join(traceback.format_exception(error))
+    return {"problem": without_environment_secrets(problem), "traceback": without_environment_secrets(trace)}

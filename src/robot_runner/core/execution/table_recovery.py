@@ -8,6 +8,7 @@ ended since are added. Any other file is compared with the journal, run by run.
 from __future__ import annotations
 
 import hashlib
+import shutil
 from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -23,6 +24,13 @@ from robot_runner.core.execution.recovery import (
 )
 from robot_runner.core.execution.table_history import FINISHED, TableHistory, run_of
 from robot_runner.core.storage.cells import RunStatus, measure_text
+from robot_runner.core.storage.guarded_files import (
+    MissingFileError,
+    make_folder,
+    open_to_read,
+    open_to_write,
+    read_blocks,
+)
 from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
@@ -275,12 +283,11 @@ class _Recovery:
 
     def _put_aside(self) -> None:
         folder = self._experiment.folder.earlier_tables
-        try:
-            folder.mkdir(exist_ok=True)
-            self._aside = folder / f"{1 + sum(1 for _ in folder.iterdir())}.csv"
-            self._aside.write_bytes(self._path.read_bytes())
-        except OSError as error:
-            raise storage_error(folder, "written", error) from error
+        root = self._experiment.folder.root
+        make_folder(folder, root)
+        self._aside = folder / f"{1 + sum(1 for _ in folder.iterdir())}.csv"
+        with open_to_read(self._path) as table, open_to_write(self._aside, root) as kept:
+            shutil.copyfileobj(table, kept)
 
     def _kept_fix(self) -> str:
         aside = getattr(self, "_aside", None)
@@ -345,12 +352,9 @@ def _text(cell: Any) -> str:
 def _has_content(path: Path) -> bool:
     """Return whether there is anything in a file but blanks."""
     try:
-        with path.open("rb") as file:
-            return any(line.strip() for line in file)
-    except FileNotFoundError:
+        return any(block.strip() for block in read_blocks(path))
+    except MissingFileError:
         return False
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
 
 
 def digest_of(path: Path) -> str:
@@ -360,7 +364,7 @@ def digest_of(path: Path) -> str:
         StorageError: it cannot be read.
     """
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise storage_error(path, "read", error) from error

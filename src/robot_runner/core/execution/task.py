@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.parameters import BadValuePolicy
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, quality_text
+from robot_runner.core.secret_names import sentences_without_secrets
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -189,8 +190,11 @@ class RecordWriter:
         self._lock = threading.Lock()
 
     def __call__(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send one record. An orchestrator that is gone is no reason for the run not to close what it opened."""
-        data = memoryview(f"{_encode([kind, fields])}\n".encode())
+        """Send one record, without what the environment keeps secret.
+
+        An orchestrator that is gone is no reason for the run not to close what it opened.
+        """
+        data = memoryview(f"{_encode([kind, sentences_without_secrets(fields)])}\n".encode())
         with self._lock:
             try:
                 while data:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import json
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -14,13 +13,14 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.source import CONFIG_CLASS, ConfigSource
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RUN_EVENTS
 from robot_runner.core.execution.notices import AttemptFinished, Notice, RunRecord
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.probe import without_values
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.plugin import Plugin
+from robot_runner.core.storage.guarded_files import open_to_read, read_json, read_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -183,7 +183,7 @@ def _trial(experiment: Experiment, plugin: Plugin, witness: _Witness, findings: 
         events=tuple(_events(experiment, plugin, witness.records)),
         refused=tuple(record.fields for record in witness.records if record.kind == "refused"),
         raw_files=tuple(_raw_file(path, folder) for path in _files(folder)),
-        log=log.read_text(encoding="utf-8", errors="replace") if log.exists() else "",
+        log=read_text(log, experiment.folder.root, errors="replace") if log.exists() else "",
         folder=folder,
         quality=_quality(folder / "quality.json"),
         missing=without_values(experiment.columns.declared, outcome.measures) if outcome and is_done else (),
@@ -192,8 +192,8 @@ def _trial(experiment: Experiment, plugin: Plugin, witness: _Witness, findings: 
 
 def _quality(path: Path) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_json(path)
+    except StorageError:
         return None
 
 
@@ -222,7 +222,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _raw_file(path: Path, folder: Path) -> RawFile:
-    with path.open("rb") as file:
+    with open_to_read(path, folder) as file:
         begin = file.read(_SHOWN_BYTES)
     try:
         lines = begin.decode("utf-8").splitlines()[:_SHOWN_LINES]

@@ -15,6 +15,7 @@ from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, u
 from robot_runner.core.links.host_program import Program, last_lines, shell_path, shortened
 from robot_runner.core.links.kept_connection import KeptConnection
 from robot_runner.core.secret_names import without_environment_secrets
+from robot_runner.core.storage.guarded_files import make_folder, open_to_append
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
@@ -184,7 +185,7 @@ class HostCommands:
     @property
     def _folder(self) -> Path:
         folder = self._context.run_folder / self._name
-        folder.mkdir(exist_ok=True)
+        make_folder(folder, self._context.experiment_folder)
         return folder
 
     def _line(self, seconds: float, program: str, *arguments: str) -> list[str]:
@@ -199,8 +200,9 @@ class HostCommands:
         """Append a command and what it wrote to the host's log of the run."""
         how = f"exit status {result.exit_status}" if is_in_time else "it did not end in time, and was ended"
         text = f"$ {result.command}\n{_whole_lines(result.output)}{_whole_lines(result.errors)}"
-        with (self._folder / "commands.log").open("a", encoding="utf-8", errors="backslashreplace") as file:
-            file.write(f"{without_environment_secrets(text)}[{how}, {shown_duration(result.seconds)}]\n")
+        with open_to_append(self._folder / "commands.log", self._context.experiment_folder) as file:
+            said = f"{without_environment_secrets(text)}[{how}, {shown_duration(result.seconds)}]\n"
+            file.write(said.encode("utf-8", "backslashreplace"))
 
     def _refuse_lost(self, ended: Ended, meanwhile: str) -> None:
         if ended.exit_status == _SSH_FAILED and not self.shell.is_alive:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import json
 from array import array
 from bisect import bisect_left, bisect_right
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.storage.guarded_files import open_to_fill
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -69,7 +72,7 @@ def write_samples(path: Path, columns: Sequence[Column]) -> None:
     """
     line = ",".join(column.cell_form for column in columns) + "\n"
     rows = zip(*(column.cells() for column in columns), strict=True)
-    with path.open("w", encoding="ascii", newline="") as file:
+    with io.TextIOWrapper(open_to_fill(path), encoding="ascii", newline="") as file:
         file.write(",".join(column.name for column in columns) + "\n")
         file.writelines(map(line.__mod__, rows))
 
@@ -97,7 +100,8 @@ def write_quality(
         "samples": None if quality is None else asdict(quality),
         **details,
     }
-    path.write_text(json.dumps(facts, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    with open_to_fill(path) as file:
+        file.write(f"{json.dumps(facts, indent=2, allow_nan=False)}\n".encode())
 
 
 #: Percentage of the window that samples must cover for a value to be computed: power and utilisation that change

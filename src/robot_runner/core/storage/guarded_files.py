@@ -15,7 +15,7 @@ What cannot be done is a `StorageError` that names the file, why, and what to do
 from __future__ import annotations
 
 import errno
-import json
+import io
 import os
 import stat
 from contextlib import contextmanager, suppress
@@ -23,7 +23,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.declared_shapes import checked_json
+from robot_runner.core.storage.declared_shapes import parsed_json
 from robot_runner.core.storage.guarded_paths import (
     ONLY_FILES,
     MissingFileError,
@@ -38,16 +38,20 @@ from robot_runner.core.storage.system_refusals import fsync_folder, storage_erro
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from io import BufferedReader
     from pathlib import Path
-    from typing import BinaryIO
+    from typing import BinaryIO, TextIO
 
 __all__ = [
+    "LINE_LIMIT",
     "DamagedFileError",
     "MissingFileError",
     "make_experiment_folder",
     "make_folder",
     "open_descriptor",
+    "open_text",
     "open_to_append",
+    "open_to_fill",
     "open_to_read",
     "open_to_write",
     "read_blocks",
@@ -56,6 +60,7 @@ __all__ = [
     "read_text",
     "remove",
     "replace",
+    "require_file",
 ]
 
 #: JSON takes up to 24 times its length in memory (a list of empty objects): 8 MB become 200 MB.
@@ -79,7 +84,18 @@ class DamagedFileError(StorageError):
     """A file that was opened does not hold what it should: no text, no JSON, too much of it, or nested too deeply."""
 
 
-def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = None) -> BinaryIO:
+def require_file(path: Path, root: Path | None = None) -> None:
+    """Let only a regular file pass that is reached without links, for a library that opens it by its name.
+
+    Raises:
+        MissingFileError: there is none.
+        StorageError: it is no regular file inside the folder.
+    """
+    with refusals(path, root, "read") as (top, (*folders, name)), folder_inside(top, folders) as folder:
+        _require_regular(path, os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode)
+
+
+def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = None) -> BufferedReader:
     """Open a file to read its bytes.
 
     Args:
@@ -91,12 +107,22 @@ def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = No
         MissingFileError: there is none.
         StorageError: it is no regular file inside the folder, larger than the limit, or cannot be read.
     """
-    file = _opened(path, root, os.O_RDONLY, "rb", -1)
+    file = cast("BufferedReader", _opened(path, root, os.O_RDONLY, "rb", -1))
     size = os.fstat(file.fileno()).st_size
     if limit is not None and size > limit:
         file.close()
         raise _too_large(path, f"the file has {_in_words(size)}", limit)
     return file
+
+
+def open_text(path: Path, root: Path | None = None) -> TextIO:
+    """Open a CSV file to read its text (UTF-8, wrong bytes replaced), lines ending as they stand.
+
+    Raises:
+        StorageError: as `open_to_read` says; or it is larger than what is read as text.
+    """
+    file = open_to_read(path, root, limit=TEXT_LIMIT)
+    return io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace", newline="")
 
 
 def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT) -> bytes:
@@ -147,7 +173,7 @@ def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, 
     """
     content = read_bytes(path, root, limit=limit)
     try:
-        value = json.loads(content.decode("utf-8-sig"), object_pairs_hook=checked_json)
+        value = parsed_json(content.decode("utf-8-sig"))
     except RecursionError as error:
         raise _damaged(path, f"its JSON is nested deeper than {depth} levels") from error
     except ValueError as error:
@@ -187,6 +213,17 @@ def open_to_append(path: Path, root: Path | None = None) -> BinaryIO:
         StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be written.
     """
     return _opened(path, root, os.O_WRONLY | os.O_CREAT | os.O_APPEND, "ab", 0)
+
+
+def open_to_fill(path: Path, root: Path | None = None) -> BinaryIO:
+    """Open a file to write it anew from its beginning; its old content is gone. `open_to_write` keeps it until the end.
+
+    Raises:
+        StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be written.
+    """
+    file = _opened(path, root, os.O_WRONLY | os.O_CREAT, "wb", -1)
+    file.truncate()  # only now that it was looked at
+    return file
 
 
 def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR | os.O_CREAT, *, mode: int = 0) -> int:

@@ -12,10 +12,16 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.secret_names import without_environment_secrets
-from robot_runner.core.storage.declared_shapes import checked_json, faults_of
-from robot_runner.core.storage.file_shapes import RECORDS, Record
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, open_to_read, read_blocks
+from robot_runner.core.secret_names import sentences_without_secrets
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
+from robot_runner.core.storage.guarded_files import (
+    LINE_LIMIT,
+    MissingFileError,
+    open_descriptor,
+    open_to_read,
+    read_blocks,
+)
+from robot_runner.core.storage.record_shapes import RECORDS, Record
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
@@ -28,12 +34,9 @@ __all__ = ["Journal", "journal_lines", "last_records", "parsed_record", "read_jo
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
 _BEGINNING = '{"kind":"'
 _RECORD, _END = _BEGINNING.encode(), b"}\n"
-#: Fields in which what a program said may stand.
-_SENTENCES = frozenset({"problem", "traceback", "fix", "reason", "text", "note", "seen", "said"})
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
 
-_decode = json.JSONDecoder(object_pairs_hook=checked_json).decode
 _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
 
 
@@ -77,7 +80,7 @@ class Journal:
         Raises:
             StorageError: it cannot be written (a full disk, say); what stood before is intact.
         """
-        record = {"kind": kind, "at": at or utc_now(), **_without_secrets(fields)}
+        record = {"kind": kind, "at": at or utc_now(), **sentences_without_secrets(fields)}
         try:
             self._write(f"{_encode(record)}\n".encode("utf-8", "backslashreplace"))
             if flush:
@@ -105,6 +108,9 @@ class Journal:
         size = os.fstat(self._descriptor).st_size
         end = size
         while end > 0:
+            if size - end > LINE_LIMIT:
+                problem = f"this is no journal: its last {size - end:,} bytes have no end of a line"
+                raise StorageError(problem, where=str(self._path), fix="Restore the file from a backup.")
             start = max(0, end - 65536)
             newline = os.pread(self._descriptor, end - start, start).rfind(b"\n")
             if newline >= 0:
@@ -113,12 +119,6 @@ class Journal:
             end = start
         if end < size:
             os.ftruncate(self._descriptor, end)
-
-
-def _without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
-    """Return fields whose sentences hold no secret of the environment; names and values stay as they are."""
-    sentences = {name: fields[name] for name in _SENTENCES & fields.keys() if isinstance(fields[name], str)}
-    return fields | {name: without_environment_secrets(text) for name, text in sentences.items()}
 
 
 def read_journal(path: Path, *, kinds: Collection[str] | None = None) -> Iterator[dict[str, Any]]:
@@ -211,7 +211,7 @@ def parsed_record(path: Path, line: bytes) -> dict[str, Any]:
         StorageError: it is no record, or not as records of its kind are.
     """
     try:
-        record: dict[str, Any] = _decode(line.decode())
+        record: dict[str, Any] = parsed_json(line.decode())
     except (ValueError, RecursionError) as error:
         raise _corrupt(path, line, str(error)) from error
     kind = record.get("kind") if isinstance(record, dict) else None

@@ -10,7 +10,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.errors import ExecutionError, StorageError
-from robot_runner.core.storage.declared_shapes import checked_json, faults_of
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.file_shapes import HolderFile, RequestFile
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, remove, replace
 from robot_runner.core.storage.journal import utc_now
@@ -156,7 +156,7 @@ def take_request(control: Path) -> Request | None:
         return None
     forget_command(control)
     try:
-        said = json.loads(text, object_pairs_hook=checked_json)
+        said = parsed_json(text.decode())
         return None if faults_of(said, RequestFile) else Request(Command(said["command"]), said.get("answers", {}))
     except (ValueError, RecursionError):
         return None

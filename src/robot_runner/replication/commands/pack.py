@@ -6,6 +6,7 @@ and home paths are replaced or left out, and listed. Packing twice gives the sam
 
 from __future__ import annotations
 
+from argparse import BooleanOptionalAction
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,15 +22,18 @@ from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.authors import Author
+    from robot_runner.replication.cleaning import Replaced
     from robot_runner.replication.packing import Packed
 
 __all__ = ["add_arguments", "execute"]
 
 _MEGABYTE = 1_000_000
+#: More lines of one kind in one file are in package.json.
+_SHOWN_LINES = 5
 
 
 def add_arguments(parser: Parser) -> None:
@@ -60,21 +64,32 @@ def add_arguments(parser: Parser) -> None:
         help="pack files of this name as they are, secrets and all, such as 'runs/*/bag/*'; may be given several times",
     )
     parser.add_argument(
+        "--doubtful",
+        choices=("refuse", "keep", "replace"),
+        default="refuse",
+        help="what to do about lines of which it is not sure whether they hold a secret: refuse to pack, and list them "
+        "(if left out), keep them as they are, or replace what may be a secret",
+    )
+    parser.add_argument(
         "--no-wheels",
         action="store_true",
         help="leave out the code of packages that were installed from a folder of this machine",
     )
     parser.add_argument(
         "--hashes",
-        action="store_true",
-        help="ask the package index that pip is set up for, for the hashes of the packages needed: others' pip then "
-        "demands them",
+        action=BooleanOptionalAction,
+        default=True,
+        help="ask the package index that pip is set up for, for the hashes of needed packages that the lock of Robot "
+        "Runner does not have: others' pip then demands them (it is asked if left out)",
     )
     parser.add_argument(
         "--base-image",
         metavar="IMAGE",
         help="what the container image is based on, best with its digest (NAME:TAG@sha256:DIGITS), instead of the "
         "official image of the experiment's Python or ROS",
+    )
+    parser.add_argument(
+        "--sign", metavar="KEY", help="sign it with this key of ssh, such as ~/.ssh/id_ed25519, as FILE.sig beside it"
     )
     add_json(parser)
 
@@ -85,10 +100,12 @@ def execute(arguments: Namespace) -> int:
     authors, licence = _authors(arguments.author), _licence(arguments.licence)
     from robot_runner.replication.container import as_base  # noqa: PLC0415 - only where a package is made
     from robot_runner.replication.packing import Packing, pack  # noqa: PLC0415 - takes a while to import
+    from robot_runner.replication.signatures import check_signature, sign, signature_of  # noqa: PLC0415 - as above
 
     packing = Packing(
         raw=tuple(arguments.raw or ("all",)),
         keep=tuple(arguments.keep),
+        doubtful=arguments.doubtful,
         authors=authors,
         licence=licence,
         citation=arguments.citation,
@@ -97,17 +114,34 @@ def execute(arguments: Namespace) -> int:
         base_image=None if arguments.base_image is None else as_base(arguments.base_image),
     )
     target = Path(arguments.to).expanduser() if arguments.to else Path.cwd() / f"{folder.name}.zip"
-    if arguments.hashes:
-        complaints().print("Asking the package index for hashes: a minute or so, five at most.", style="dim")
+    key = _key(arguments.sign)
     with byte_progress("packing") as progress:
-        packed = pack(folder, target, packing, progress)
+        packed = pack(folder, target, packing, progress, _say_asking)
+    signature = sign(target, key) if key else None
     if arguments.json:
-        print_json(_as_json(packed))
+        print_json({**_as_json(packed), "signature": str(signature) if signature else None})
     else:
-        _print(output(), packed, has_asked=arguments.hashes)
+        _print(output(), packed, signature, has_asked=arguments.hashes)
         if packed.findings:
             show_findings(packed.findings)
+    if signature is None and signature_of(target).exists():
+        check_signature(target)  # of an earlier package: of the same bytes it is good still
     return 0
+
+
+def _key(text: str | None) -> Path | None:
+    """Return the key to sign with; it is looked for before anything is packed."""
+    key = Path(text).expanduser() if text else None
+    if key is not None and not key.is_file():
+        fix = "Name a key of ssh; `ssh-keygen -t ed25519` makes one."
+        raise UsageError("there is no such key", where=str(key), fix=fix)
+    return key
+
+
+def _say_asking(count: int) -> None:
+    packages = counted(count, "package")
+    text = f"Asking the package index for the hashes of {packages}: minutes at most; --no-hashes skips it."
+    complaints().print(text, style="dim")
 
 
 def _authors(texts: list[str]) -> tuple[Author, ...]:
@@ -129,7 +163,7 @@ def _licence(text: str | None) -> str | None:
     return text
 
 
-def _print(console: UserConsole, packed: Packed, *, has_asked: bool) -> None:
+def _print(console: UserConsole, packed: Packed, signature: Path | None, *, has_asked: bool) -> None:
     name = shown_path(packed.path.resolve())
     console.print(Text(name, style="bold"))
     print_facts(
@@ -139,11 +173,16 @@ def _print(console: UserConsole, packed: Packed, *, has_asked: bool) -> None:
             ("SHA-256", packed.sha256),
             ("Wheels", ", ".join(packed.wheels)),
             ("Hashes", _hashes(packed, has_asked=has_asked)),
+            ("Signed", shown_path(signature.resolve()) if signature else ""),
             ("Next", f"look into it before you publish it, and check it: robot-runner verify {name}"),
         ],
     )
-    for line in _replaced(packed):
-        print_folded(console, "  - ", line, style="")
+    for line in _listed(packed.replaced):
+        print_folded(console, "  - ", f"replaced: {line}", style="")
+    for line in _listed(packed.doubtful):
+        print_folded(console, "  - ", f"kept, though in doubt: {line}", style="")
+    for each in packed.not_searched:
+        print_folded(console, "  - ", one_line(f"not searched: {each.name} ({each.why})"), style="")
     for each in packed.left_out:
         print_folded(console, "  - ", one_line(f"left out: {each.name} ({each.why})"), style="")
 
@@ -154,23 +193,28 @@ def _hashes(packed: Packed, *, has_asked: bool) -> str:
     if not packed.without_hash:
         return f"of all {packages} needed: pip demands them" if packed.package_count else ""
     known = packed.package_count - len(packed.without_hash)
-    advice = "" if has_asked else "; --hashes asks the package index for the others"
+    advice = "" if has_asked else "; without --no-hashes the package index is asked for the others"
     return f"of {known} of {packages} needed: pip demands none{advice}"
 
 
-def _replaced(packed: Packed) -> Iterator[str]:
+def _listed(found: Iterable[Replaced]) -> Iterator[str]:
     """Yield one line for each kind of secret and file; the runs' files, which are many, as one."""
-    grouped: dict[tuple[str, str], list[str]] = {}
-    counts: dict[tuple[str, str], int] = {}
-    for each in packed.replaced:
+    grouped: dict[tuple[str, str], list[Replaced]] = {}
+    for each in found:
         top, _, rest = each.name.partition("/")
         key = (f"{top}/…/{rest.rpartition('/')[2]}" if rest.count("/") else each.name, each.what)
-        grouped.setdefault(key, []).append(each.name)
-        counts[key] = counts.get(key, 0) + each.count
+        grouped.setdefault(key, []).append(each)
     for (name, what), files in grouped.items():
-        where = name if len(files) > 1 else files[0]
+        where = name if len(files) > 1 else _place(files[0])
         in_files = f" in {len(files)} files" if len(files) > 1 else ""
-        yield one_line(f"replaced: {what}, {counted(counts[name, what], 'time')}{in_files} ({where})")
+        yield one_line(f"{what}, {counted(sum(each.count for each in files), 'time')}{in_files} ({where})")
+
+
+def _place(found: Replaced) -> str:
+    """Return the file, with the lines in which something was found at first."""
+    lines = ", ".join(map(str, found.lines[:_SHOWN_LINES]))
+    more = ", ..." if len(found.lines) > _SHOWN_LINES else ""
+    return f"{found.name}, line{'s' if len(found.lines) > 1 else ''} {lines}{more}" if lines else found.name
 
 
 def _as_json(packed: Packed) -> dict[str, Any]:

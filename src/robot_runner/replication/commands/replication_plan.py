@@ -70,13 +70,14 @@ def wants_own_environment(differing: Sequence[Difference], *, is_agreed: bool) -
         differing: what differs.
         is_agreed: whether everything was agreed to beforehand; otherwise who sits at the terminal is asked.
     """
-    names = listed(one_line(each.what) for each in ranked(differing)[0] if each.is_package)
+    names = [one_line(each.what) for each in ranked(differing)[0] if each.is_package]
     if not names:
         return False
+    because = f"as {listed(names)} {'differs' if len(names) == 1 else 'differ'} here"
     if is_agreed:
-        output().print(f"The package's own environment is taken, as {names} differ here (--environment here: not).")
+        output().print(f"The package's own environment is taken, {because} (--environment here: not).")
         return True
-    return agrees(f"Make the package's own environment first, as {names} differ here? [Y/n]", otherwise=True)
+    return agrees(f"Make the package's own environment first, {because}? [Y/n]", otherwise=True)
 
 
 def print_plan(

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
+    from robot_runner.replication.signatures import Signer
     from robot_runner.replication.verification import Verification
 
 __all__ = ["add_arguments", "execute"]
@@ -35,23 +36,32 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--sha256", metavar="DIGITS", help="what its authors say that its SHA-256 is: only this tells who made it"
     )
+    parser.add_argument(
+        "--signed-by",
+        metavar="FILE",
+        help="refuse it unless one of these signed it: public keys, one a line, or allowed signers (ssh-keygen)",
+    )
     add_json(parser)
 
 
 def execute(arguments: Namespace) -> int:
     """Verify the package, and say what is wrong with it."""
     path = Path(arguments.package).expanduser()
-    digest = _sha256(path, arguments.sha256)
+    digest = _sha256(path, arguments.sha256) if arguments.sha256 else None
     from robot_runner.replication.opening import open_package  # noqa: PLC0415 - for a quick --help
     from robot_runner.replication.verification import verify_package  # noqa: PLC0415 - as above
 
     with open_package(path) as package, byte_progress("verifying") as progress:
         verification = verify_package(package, progress)
+    digest = digest or _sha256(path, None)  # last: what is no package is not read to its end
+    signer = _signer(path, arguments.signed_by)
     if arguments.json:
         print_json(
             {
                 "package": str(path),
                 "sha256": digest,
+                "signed_with": signer.key if signer else None,
+                "signed_by": signer.name if signer else None,
                 "is_intact": verification.is_intact,
                 "experiment": verification.experiment,
                 "file_count": verification.file_count,
@@ -61,7 +71,7 @@ def execute(arguments: Namespace) -> int:
             }
         )
     elif verification.is_intact:
-        _print(verification, digest)
+        _print(verification, digest, signer)
     else:
         show_findings(verification.findings)
     return 0 if verification.is_intact else REFUSED
@@ -85,7 +95,29 @@ def _sha256(path: Path, expected: str | None) -> str | None:
     return digest
 
 
-def _print(verification: Verification, digest: str | None) -> None:
+def _signer(path: Path, trusted: str | None) -> Signer | None:
+    """Return who signed the package; None where nobody did and nobody had to."""
+    from robot_runner.replication.signatures import check_signature, signature_of  # noqa: PLC0415 - as above
+
+    if not path.is_file():
+        if trusted:
+            fix = "Name the zip file; its signature lies beside it."
+            raise UsageError("a folder has no signature", where="--signed-by", fix=fix)
+        return None
+    if trusted is None and not signature_of(path).exists():
+        return None
+    return check_signature(path, Path(trusted).expanduser() if trusted else None)
+
+
+def _signature(signer: Signer | None) -> str:
+    if signer is None:
+        return ""
+    if signer.name:
+        return one_line(f"by {signer.name}, with the key {signer.key}")
+    return f"with the key {signer.key}; whose it is, only --signed-by tells"
+
+
+def _print(verification: Verification, digest: str | None, signer: Signer | None) -> None:
     console = output()
     console.print(Text(one_line(verification.experiment), style="bold").append("  intact", style="green"))
     absent = [str(each.get("name")) for each in verification.description.get("left_out", ())]
@@ -95,6 +127,7 @@ def _print(verification: Verification, digest: str | None) -> None:
             ("Holds", f"{counted(verification.file_count, 'file')}, {verification.size / _MEGABYTE:,.1f} MB unpacked"),
             ("Made by", one_line(str(verification.description.get("made_by", "")))),
             ("SHA-256", digest or ""),
+            ("Signed", _signature(signer)),
             ("Left out", one_line(", ".join(absent))),
             ("Next", f"execute it again: robot-runner replicate {verification.where}"),
         ],

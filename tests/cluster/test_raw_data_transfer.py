@@ -1,0 +1,127 @@
+"""Raw data on its way home: whatever a worker says of its files, nothing is written outside of the run's folder."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import json
+import tracemalloc
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.cluster.raw_data_transfer import PIECE, TransferError, bring_home
+from robot_runner.core.errors import StorageError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class Worker:
+    """What a worker hands over: its files, and what it announces of them."""
+
+    def __init__(self, files: dict[str, bytes]) -> None:
+        self.files = files
+        listed = [[name, len(content), hashlib.sha256(content).hexdigest()] for name, content in files.items()]
+        self.list = "".join(json.dumps(each) + "\n" for each in listed).encode()
+        self.asked = 0
+
+    @property
+    def ended(self) -> dict[str, Any]:
+        return {"files": len(self.files), "bytes": sum(map(len, self.files.values())), "list": len(self.list)}
+
+    async def read(self, name: str, offset: int, size: int) -> tuple[bytes, str]:
+        self.asked += 1
+        piece = (self.files[name] if name else self.list)[offset : offset + size]
+        return piece, hashlib.sha256(piece).hexdigest()
+
+
+def _brought(worker: Worker, root: Path) -> Path:
+    run = root / "runs" / "r_1"
+    run.parent.mkdir(exist_ok=True)
+    asyncio.run(bring_home(worker.read, worker.ended, run, root))
+    return run
+
+
+def test_files_come_home_in_pieces_with_their_folders(tmp_path: Path) -> None:
+    content = bytes(range(256)) * (PIECE // 128 + 7)
+    worker = Worker({"log.txt": b"said", "Ina219/deep/raw.bin": content, "empty": b"", "Odd näme\n.txt": b"x"})
+    run = _brought(worker, tmp_path)
+    found = {path.relative_to(run).as_posix(): path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    assert found == worker.files
+    assert worker.asked == 1 + 1 + 3 + 0 + 1
+
+
+def test_memory_is_bounded_by_the_size_of_a_piece(tmp_path: Path) -> None:
+    worker = Worker({"raw.bin": bytes(20 * PIECE)})
+    tracemalloc.start()
+    try:
+        _brought(worker, tmp_path)
+        assert tracemalloc.get_traced_memory()[1] < 4 * PIECE
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    "name", ["../r_2/raw", "/etc/passwd", "a/../../b", "", ".", "a//b", "a/./b", "x\0y", "d/" * 99 + "f"]
+)
+def test_a_name_that_leads_elsewhere_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
+    worker = Worker({name: b"planted"})
+    with pytest.raises(TransferError, match="does not lead into the run's folder"):
+        _brought(worker, tmp_path)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_no_link_is_followed(tmp_path: Path) -> None:
+    outside = tmp_path / "outside"
+    root = tmp_path / "experiment"
+    for folder in (outside, root / "runs" / "r_1"):
+        folder.mkdir(parents=True)
+    (root / "runs" / "r_1" / "Ina219").symlink_to(outside)
+    with pytest.raises(StorageError, match="symbolic link"):
+        _brought(Worker({"Ina219/raw": b"planted"}), root)
+    assert list(outside.iterdir()) == []
+
+
+def test_a_file_is_written_once(tmp_path: Path) -> None:
+    worker = Worker({"raw": b"first"})
+    worker.list *= 2
+    doubled = {**worker.ended, "files": 2, "bytes": 10, "list": len(worker.list)}
+    run = tmp_path / "runs" / "r_1"
+    run.parent.mkdir()
+    with pytest.raises(StorageError):
+        asyncio.run(bring_home(worker.read, doubled, run, tmp_path))
+    assert (run / "raw").read_bytes() == b"first"
+
+
+def test_a_piece_that_was_changed_on_its_way_is_asked_for_again(tmp_path: Path) -> None:
+    class Noisy(Worker):
+        async def read(self, name: str, offset: int, size: int) -> tuple[bytes, str]:
+            piece, digest = await super().read(name, offset, size)
+            return (b"!" + piece[1:] if name and self.asked == 2 else piece), digest
+
+    worker = Noisy({"raw": b"as it was"})
+    assert (_brought(worker, tmp_path) / "raw").read_bytes() == b"as it was"
+    assert worker.asked == 3
+
+
+def test_a_file_that_is_not_what_was_announced_is_an_error(tmp_path: Path) -> None:
+    worker = Worker({"raw": b"as it was"})
+    worker.files = {"raw": b"as it is!"}
+    with pytest.raises(TransferError, match="another SHA-256"):
+        _brought(worker, tmp_path)
+
+
+@pytest.mark.parametrize("line", ['["raw", -1, ""]', '["raw", true, ""]', '["raw", 1]', "7", "{}", "no JSON"])
+def test_an_odd_list_is_an_error(line: str, tmp_path: Path) -> None:
+    worker = Worker({"raw": b"1"})
+    worker.list = line.encode()
+    with pytest.raises(TransferError):
+        _brought(worker, tmp_path)
+
+
+def test_more_than_fits_is_refused_before_anything_is_asked_for(tmp_path: Path) -> None:
+    worker = Worker({})
+    with pytest.raises(StorageError, match="are free here"):
+        asyncio.run(bring_home(worker.read, {"files": 1, "bytes": 10**18, "list": 9}, tmp_path / "run", tmp_path))
+    assert worker.asked == 0

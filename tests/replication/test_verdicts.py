@@ -1,0 +1,252 @@
+"""A replication ends in a verdict on each primary measure, one sentence, and an exit code that says the same."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.command_line import PROGRAM
+from tests.replication.small_experiment import own_modules
+
+from robot_runner.analysis.libraries import MissingLibraryError
+from robot_runner.cli.main import main
+from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
+from robot_runner.replication.commands import replication_verdict
+from robot_runner.replication.needed_runs import needed_runs, runs_for_difference, runs_for_equivalence
+from robot_runner.replication.run_by_run import Sameness
+from robot_runner.replication.verdicts import (
+    Conclusion,
+    margins_of,
+    reached_verdict,
+    why_not_primary,
+)
+
+CONFIG = """\
+import os
+import random
+from pathlib import Path
+
+from robot_runner import AnalysisPlan, ExperimentConfig, Factor, Hypothesis, RunTableModel
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "noisy"
+    results_output_path = Path("results")
+    {plan}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video", "Network"])], repetitions={repetitions}, seed=7,
+                             data_columns=["Energy", "Count", "Label"])
+
+    def populate_run_data(self, context):
+        noise = random.Random(f"{{os.environ['WHO']}} {{context.run_number}}").gauss(0, 1)
+        return {{"Energy": 100 + float(os.environ.get("SHIFT", 0)) + noise, "Count": context.run_number,
+                "Label": os.environ["WHO"]}}
+"""
+PLAN = 'analysis = AnalysisPlan(measures=["Energy"], hypotheses=[Hypothesis("They cost alike.", measure="Energy", '
+PLAN += 'factors="Task", within={within})])'
+
+
+@pytest.fixture(autouse=True)
+def _modules_of_its_own():
+    with own_modules():
+        yield
+
+
+@pytest.fixture
+def replicated(robot_runner, tmp_path, monkeypatch):
+    """Return what executes an experiment whose values are noise, replicates it, and returns the answer."""
+
+    def replicate(*words, plan="", repetitions=6, shift="0"):
+        config = tmp_path / "noisy.py"
+        config.write_text(CONFIG.format(plan=plan, repetitions=repetitions), encoding="utf-8")
+        monkeypatch.setenv("WHO", "ada")
+        assert robot_runner("run", "noisy.py").code == 0
+        monkeypatch.setenv("WHO", "grace")
+        monkeypatch.setenv("SHIFT", shift)
+        return robot_runner("replicate", "results/noisy", "--yes", "--to", "again", *words)
+
+    return replicate
+
+
+ONLY_ENERGY = 'analysis = AnalysisPlan(measures=["Energy"])'
+
+
+def _last(answer):
+    return answer.out.rstrip("\n").rpartition("\n")[2]
+
+
+def test_noise_within_the_default_bound_is_equivalent_and_the_default_is_said_to_be_one(replicated, tmp_path):
+    answer = replicated(plan=ONLY_ENERGY)
+    assert answer.code == 0, answer.out + answer.err
+    assert (
+        "Energy is equivalent within 5 % (the default, as neither --bound nor the plan says what matters)" in answer.out
+    )
+    assert _last(answer) == "The results are equivalent: no difference reaches the bound of 5 %."
+    assert "Label could not be decided: it differs in 12 of 12 runs, and its values are no numbers" in answer.out
+    assert "It does not count: the plan does not name it as primary." in answer.out
+    facts = json.loads((tmp_path / "again" / "verdict.json").read_text("utf-8"))
+    assert (facts["verdict"], facts["exit_code"], facts["environment"]) == ("equivalent", 0, "here")
+    assert [each["name"] for each in facts["measures"]] == ["Energy", "Count", "Label"]
+    again = main(["replicate", "results/noisy", "--yes", "--to", "again", "--bound", "0.001", "--json"])
+    assert again == 4
+
+
+def test_what_chance_does_not_explain_is_different_and_json_says_the_same(replicated):
+    answer = replicated("--json", "--bound", "Energy=3", plan=ONLY_ENERGY, shift="50")
+    assert answer.code == 3, answer.err
+    facts = answer.json
+    assert (facts["verdict"], facts["exit_code"]) == ("different", 3)
+    energy = facts["measures"][0]
+    assert (energy["conclusion"], energy["bound"], energy["bound_source"]) == ("different", "3", "as --bound says")
+    assert facts["sentence"] == "The results are different: Energy."
+    assert "All 12 runs are done" in answer.err
+
+
+def test_too_few_runs_are_undecided_by_the_margin_of_the_plan_and_it_is_said_what_would_do(replicated):
+    answer = replicated(plan=PLAN.format(within=0.5), repetitions=3)
+    assert answer.code == 4, answer.out
+    assert "within 0.5 (the margin of equivalence in the plan of the original)" in answer.out
+    assert "there are 3 runs a combination, and about " in answer.out
+    assert "of each experiment would be needed" in answer.out
+    assert _last(answer) == "Whether the results agree could not be decided: Energy."
+
+
+def test_without_the_libraries_the_comparison_gets_an_environment_of_its_own(replicated, monkeypatch, tmp_path):
+    made = []
+
+    def absent():
+        raise MissingLibraryError("pandas is not installed", where="here", fix="")
+
+    def make(folder):
+        made.append(folder)
+        return Path(PROGRAM)
+
+    monkeypatch.setattr(replication_verdict, "require_libraries", absent)
+    monkeypatch.setattr(replication_verdict, "make_comparison_environment", make)
+    answer = replicated(plan=ONLY_ENERGY)
+    assert answer.code == 0, answer.out + answer.err
+    assert made == [tmp_path / "again" / "comparison_environment"] * 2  # before anything moves, and to compare
+    assert "Energy is equivalent within 5 %" in answer.out
+    assert (tmp_path / "again" / "comparison.html").is_file()
+    assert json.loads((tmp_path / "again" / "comparison.json").read_text("utf-8"))["measures"]
+
+
+def test_nothing_compared_is_never_a_success(replicated, monkeypatch):
+    def absent():
+        raise MissingLibraryError("pandas is not installed", where="here", fix="")
+
+    def fail(folder):
+        raise PackageError("the environment cannot be made", where=str(folder), fix="Mend it.")
+
+    monkeypatch.setattr(replication_verdict, "require_libraries", absent)
+    monkeypatch.setattr(replication_verdict.Comparing, "prepare", lambda *_, **__: None)
+    monkeypatch.setattr(replication_verdict, "make_comparison_environment", fail)
+    answer = replicated(plan=ONLY_ENERGY)
+    assert answer.code == 4
+    assert "the environment cannot be made" in answer.err
+    assert "install the extra `analysis`, and repeat the command: no run is executed again" in answer.out
+    assert _last(answer) == "Whether the results agree could not be decided: Energy."
+
+
+def test_an_environment_that_cannot_be_made_is_found_before_a_robot_moves(replicated, monkeypatch, tmp_path):
+    def absent():
+        raise MissingLibraryError("pandas is not installed", where="here", fix="")
+
+    def fail(folder):
+        raise PackageError("the environment cannot be made", where=str(folder), fix="Mend it.")
+
+    monkeypatch.setattr(replication_verdict, "require_libraries", absent)
+    monkeypatch.setattr(replication_verdict, "make_comparison_environment", fail)
+    assert replicated().code == 2
+    assert not (tmp_path / "again" / "noisy").exists()
+
+
+def test_a_bound_for_a_measure_that_is_not_there_is_refused_before_anything_is_executed(replicated, tmp_path):
+    answer = replicated("--bound", "Enrgy=3")
+    assert answer.code == 2
+    assert "'Energy'" in answer.err
+    assert not (tmp_path / "again" / "noisy").exists()
+
+
+def test_runs_without_a_verdict_on_request(replicated, tmp_path):
+    answer = replicated("--without-verdict")
+    assert answer.code == 0
+    assert "The results" not in answer.out
+    assert not (tmp_path / "again" / "verdict.json").exists()
+
+
+def _measure(name, unit="J", origin="simulated"):
+    return ColumnDescription(name=name, role=ColumnRole.MEASURE, unit=unit, origin=origin)
+
+
+def test_how_long_the_machine_took_is_not_primary_on_a_simulated_robot():
+    columns = [
+        _measure("Energy"),
+        _measure("Took", "ms", "measured"),
+        _measure("Mission", "s"),
+        _measure("Took.quality"),
+    ]
+    simulated, real = {"robot": "simulated:battery=0.5"}, {"robot": "ros2"}
+    assert {name for name, because in why_not_primary(columns, simulated).items() if because} == {"Took"}
+    assert not any(why_not_primary(columns, real).values())
+    assert not any(why_not_primary([columns[1]], simulated).values())  # there is nothing else
+    planned = {**simulated, "analysis": {"measures": ["Took"]}}
+    assert [name for name, because in why_not_primary(columns, planned).items() if not because] == ["Took"]
+
+
+def test_the_margin_is_what_is_given_then_what_is_planned_then_the_default():
+    contrast = {"measure": "Energy", "within": 10, "contrast": {"a": 2, "b": -2}}
+    plan = {"analysis": {"hypotheses": [{"measure": "Energy", "within": 8}, contrast, {"measure": "CPU"}]}}
+    margins = margins_of(["Energy", "CPU", "Memory"], plan, ["Memory=3"])
+    assert {name: margin.text for name, margin in margins.items()} == {"Energy": "5", "CPU": "5%", "Memory": "3"}
+    assert "plan" in margins["Energy"].source
+    assert {margin.text for margin in margins_of(["Energy", "CPU"], plan, ["2%"]).values()} == {"2%"}
+
+
+@pytest.mark.parametrize(("second", "conclusion"), [(101.0, Conclusion.EQUIVALENT), (150.0, Conclusion.DIFFERENT)])
+def test_simulated_values_without_any_spread_need_no_statistics(second, conclusion):
+    manifest = {"robot": "simulated"}
+    nothing = {"first_n": 3, "second_n": 3, "first_sd": 0.0, "second_sd": 0.0, "interval": None, "treatments": {}}
+    nothing["first_mean"] = 100.0
+    difference = {**nothing, "difference": second - 100, "relative": second - 100, "bound": 5.0}
+    difference |= {"verdict": "undecided", "not_computed": "All values are equal."}
+    comparison = {"measures": [{"first_name": "Energy", "differences": [difference]}]}
+    margins = margins_of(["Energy"], manifest, [])
+    verdict = reached_verdict([_measure("Energy")], manifest, {"Energy": Sameness(3, 0)}, margins, comparison)
+    assert verdict.conclusion is conclusion
+    real = reached_verdict([_measure("Energy")], {"robot": "ros2"}, {"Energy": Sameness(3, 0)}, margins, comparison)
+    assert real.conclusion is Conclusion.UNDECIDED
+
+
+def test_no_run_in_common_is_undecided():
+    margins = margins_of(["Energy"], {}, [])
+    for same in ({}, {"Energy": Sameness(0, 0)}):
+        verdict = reached_verdict([_measure("Energy")], {}, same, margins, None)
+        assert (verdict.conclusion.exit_code, "could not be compared" in verdict.sentence) == (4, True)
+
+
+def test_the_runs_that_are_said_to_be_needed_decide_in_a_simulation():
+    """The formulas' own truth: about four in five simulated replications of that size are found equivalent."""
+    import numpy as np
+    from scipy import stats
+
+    runs = runs_for_equivalence(2.0, 0.0, 1.0, 0.05)
+    generator = np.random.default_rng(5)
+    one, other = (generator.normal(0, 1, (4000, runs)) for _ in range(2))
+    lower = stats.ttest_ind(other + 1, one, axis=1, equal_var=False, alternative="greater").pvalue
+    upper = stats.ttest_ind(other - 1, one, axis=1, equal_var=False, alternative="less").pvalue
+    assert np.mean(np.maximum(lower, upper) < 0.05) == pytest.approx(0.8, abs=0.04)
+    runs = runs_for_difference(2.0, 1.0, 0.05)
+    one, other = generator.normal(0, 1, (4000, runs)), generator.normal(1, 1, (4000, runs))
+    assert np.mean(stats.ttest_ind(other, one, axis=1, equal_var=False).pvalue < 0.05) == pytest.approx(0.8, abs=0.04)
+
+
+def test_what_more_runs_cannot_decide_is_said():
+    base = {"verdict": "undecided", "first_n": 4, "second_n": 4, "second_sd": 1.0, "bound": 1.0}
+    assert "2 of each experiment are the fewest" in needed_runs([{**base, "first_n": 1, "first_sd": None}], 0.05)
+    assert "no number of runs would do" in needed_runs(
+        [{**base, "first_sd": 1.0, "difference": 0.0, "bound": None}], 0.05
+    )
