@@ -82,9 +82,7 @@ def _remove(box: Path) -> None:
     shutil.rmtree(box)
 
 
-def _call_all(
-    name: str, commands: tuple[tuple[str, ...], ...], server: CallServer, box: Path, tally: Tally
-) -> None:
+def _call_all(name: str, commands: tuple[tuple[str, ...], ...], server: CallServer, box: Path, tally: Tally) -> None:
     before = snapshot(box / "outside"), _beside(box)
     tally.subjects += 1
     for words in commands:
@@ -103,6 +101,8 @@ def _beside(box: Path) -> set[str]:
 
 
 def _is_foreign(path: Path) -> bool:
-    return path.name not in {"results", "small.py", "small.registration.json", "hostile"} or (
-        path.name == "results" and {each.name for each in path.iterdir()} != {"small"}
-    ) or stat.S_ISLNK(path.lstat().st_mode)
+    return (
+        path.name not in {"results", "small.py", "small.registration.json", "hostile"}
+        or (path.name == "results" and {each.name for each in path.iterdir()} != {"small"})
+        or stat.S_ISLNK(path.lstat().st_mode)
+    )

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, PackageError
+from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.replication.contents import DESCRIPTION, SUMS, fault_of_name
 
@@ -123,10 +124,7 @@ def _write(package: OpenPackage, folder: Path, progress: Progress) -> None:
 def _refuse_other(package: OpenPackage, target: Path) -> None:
     """Both have the checksums of all their files: the same checksums, the same package."""
     sums = target / SUMS
-    try:
-        is_same = sums.is_file() and sums.read_bytes() == b"".join(package.blocks(SUMS))
-    except OSError as error:
-        raise storage_error(sums, "read", error) from error
+    is_same = sums.is_file() and read_bytes(sums) == b"".join(package.blocks(SUMS))
     if not is_same:
         fix = "Name another folder with --to."
         raise PackageError("another package is unpacked here", where=str(target), fix=fix)
@@ -156,7 +154,7 @@ def _unpacked(root: Path) -> OpenPackage:
 
 def _blocks_of_file(root: Path, name: str) -> Iterator[bytes]:
     try:
-        with (root / name).open("rb") as file:
+        with open_to_read(root / name, root) as file:
             while block := file.read(_BLOCK):
                 yield block
     except OSError as error:

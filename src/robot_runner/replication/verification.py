@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.replication.opening import OpenPackage
     from robot_runner.replication.sealing import Progress
 
-__all__ = ["Verification", "refuse_faults", "verify_package"]
+__all__ = ["Verification", "read_text_of", "refuse_faults", "verify_package"]
 
 #: Of what is read whole: descriptions and checksums.
 _LARGEST_TEXT = 64 << 20
@@ -145,6 +145,18 @@ def _description(package: OpenPackage) -> Mapping[str, Any]:
         )
         raise PackageError(problem, where=where, fix="Update robot-runner.")
     return found
+
+
+def read_text_of(package: OpenPackage, name: str) -> str:
+    """Return the text of a file of a package.
+
+    Raises:
+        PackageError: the package has no such file, or one larger than any such text.
+    """
+    if name not in package.sizes:
+        fix = "Pack it again with this version, or get the package again."
+        raise PackageError("the package has no such file", where=f"{package.where}, {name}", fix=fix)
+    return _text(package, name)
 
 
 def _text(package: OpenPackage, name: str) -> str:

@@ -190,7 +190,10 @@ class RecordWriter:
         self._lock = threading.Lock()
 
     def __call__(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send one record, without what the environment keeps secret. An orchestrator that is gone is no reason for the run not to close what it opened."""
+        """Send one record, without what the environment keeps secret.
+
+        An orchestrator that is gone is no reason for the run not to close what it opened.
+        """
         data = memoryview(f"{_encode([kind, sentences_without_secrets(fields)])}\n".encode())
         with self._lock:
             try:

@@ -67,8 +67,8 @@ def add_arguments(parser: Parser) -> None:
         "--doubtful",
         choices=("refuse", "keep", "replace"),
         default="refuse",
-        help="what to do about lines of which it is not sure whether they hold a secret: refuse to pack (if left out) and "
-        "list them, keep them as they are, or replace what looks like a secret",
+        help="what to do about lines of which it is not sure whether they hold a secret: refuse to pack, and list them "
+        "(if left out), keep them as they are, or replace what may be a secret",
     )
     parser.add_argument(
         "--no-wheels",

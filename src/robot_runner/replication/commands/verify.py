@@ -47,12 +47,13 @@ def add_arguments(parser: Parser) -> None:
 def execute(arguments: Namespace) -> int:
     """Verify the package, and say what is wrong with it."""
     path = Path(arguments.package).expanduser()
-    digest = _sha256(path, arguments.sha256)
+    digest = _sha256(path, arguments.sha256) if arguments.sha256 else None
     from robot_runner.replication.opening import open_package  # noqa: PLC0415 - for a quick --help
     from robot_runner.replication.verification import verify_package  # noqa: PLC0415 - as above
 
     with open_package(path) as package, byte_progress("verifying") as progress:
         verification = verify_package(package, progress)
+    digest = digest or _sha256(path, None)  # last: what is no package is not read to its end
     signer = _signer(path, arguments.signed_by)
     if arguments.json:
         print_json(
