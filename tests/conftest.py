@@ -58,6 +58,17 @@ def pytest_collection_finish() -> None:
     gc.unfreeze, gc.get_freeze_count = lambda: None, lambda: 1
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print the figures that tests measured: `record_property("figure", "...")`."""
+    reports = [each for outcome in ("passed", "failed") for each in terminalreporter.stats.get(outcome, [])]
+    properties = [pair for each in reports for pair in getattr(each, "user_properties", ()) if each.when == "call"]
+    figures = [text for name, text in properties if name == "figure"]
+    if figures:
+        terminalreporter.section("figures")
+        for text in sorted(figures):
+            terminalreporter.write_line(text)
+
+
 HEAD = """\
 from pathlib import Path
 from robot_runner import *
@@ -91,6 +102,14 @@ def written_config(
     path = folder / name
     path.write_text("\n\n".join(part for part in parts if part.strip()) + "\n", encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _claims_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep what experiments claim on this machine apart from those of other processes that execute tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
 
 
 @pytest.fixture

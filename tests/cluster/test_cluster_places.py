@@ -102,29 +102,21 @@ def test_a_shared_folder_is_written_in_place_and_ctrl_c_ends_the_runs(cluster: C
 def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told(
     cluster: Cluster, watched: Watched, tmp_path: Path
 ) -> None:
+    """Nor does one that does not offer what the runs claim."""
+    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["robot:alice"]'))
     other = tmp_path / "other"
     shutil.copytree(Path(robot_runner.__file__).parent, other / "robot_runner")
     changed = other / "robot_runner" / "core" / "words.py"
     changed.write_text(changed.read_text() + "# another checkout\n")
-    cluster.worker("other", PYTHONPATH=str(other))
-    watched.go()
-    experiment = cluster.experiment(watched.config)
-    refused = "worker other: the worker has the same version of Robot Runner with another source"
-    until(lambda: journal_of(watched.folder, "place"), "the worker is refused")
-    cluster.worker("same")
-    answer = _answer(experiment)
-    assert experiment.returncode == 0, answer
-    assert refused in answer
-    assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"same"}
-
-
-def test_a_run_goes_to_a_worker_that_offers_what_it_claims(cluster: Cluster, watched: Watched) -> None:
-    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["robot:alice"]'))
+    cluster.worker("other", "--resources", "robot:alice=1", PYTHONPATH=str(other))
     cluster.worker("without")
     watched.go()
     experiment = cluster.experiment(watched.config)
-    until(lambda: "robot:alice=1" in str(journal_of(watched.folder, "place")), "it is told")
+    refused = "worker other: the worker has the same version of Robot Runner with another source"
+    until(lambda: refused in str(journal_of(watched.folder, "place")), "the worker is refused")
+    until(lambda: "robot:alice=1" in str(journal_of(watched.folder, "place")), "it is told what no worker offers")
     cluster.worker("with", "--resources", "robot:alice=1")
     answer = _answer(experiment)
     assert experiment.returncode == 0, answer
+    assert refused in answer
     assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"with"}

@@ -15,11 +15,19 @@ from robot_runner.core.secret_names import (
     without_environment_secrets,
 )
 
+_OF_SECRETS = (
+    "pw pass ssh_pass auth wifi_password apiKey PLUG_PW api_tokens wep_key0 client-key-data aws_secret_access_key psk "
+    "PrivateKey AccountKey _authToken wifi_pin2 WACHTWOORD X-Api-Key ansible_ssh_pass secrets password2"
+)
+_OF_OTHER_THINGS = (
+    "author keyboard key compass bypass passed first_pass max_tokens tokens eos_token tokenizer password_file led_pin "
+    "password_env token_count key_name pass_rate auth_method id-token SSH_AUTH_SOCKET_PATH encoder_pin"
+)
+
 
 @pytest.mark.parametrize(
     "name",
-    "pw pass ssh_pass auth wifi_password apiKey PLUG_PW api_tokens wep_key0 client-key-data aws_secret_access_key psk "
-    "PrivateKey AccountKey _authToken wifi_pin2 WACHTWOORD X-Api-Key ansible_ssh_pass secrets password2".split(),  # noqa: SIM905
+    _OF_SECRETS.split(),
 )
 def test_a_secret_is_kept_under_this_name(name):
     assert is_secret_name(name)
@@ -27,8 +35,7 @@ def test_a_secret_is_kept_under_this_name(name):
 
 @pytest.mark.parametrize(
     "name",
-    "author keyboard key compass bypass passed first_pass max_tokens tokens eos_token tokenizer password_file led_pin "
-    "password_env token_count key_name pass_rate auth_method id-token SSH_AUTH_SOCKET_PATH encoder_pin".split(),  # noqa: SIM905
+    _OF_OTHER_THINGS.split(),
 )
 def test_this_name_tells_of_something_else(name):
     assert not is_secret_name(name)
@@ -53,7 +60,7 @@ def test_a_secret_setting_is_known_again_and_not_kept():
 def test_values_of_variables_with_such_names_are_hidden(monkeypatch):
     monkeypatch.setenv("LAB_TOKEN", 'open "sesame"')
     monkeypatch.setenv("DEPLOY_KEY", "-----BEGIN-----\nMIIEpAIBAAKCAQEA7\n-----END-----")
-    for name, harmless in {"XX_PASS": "true", "SSH_AUTH_SOCK": "/tmp/a b", "OLDPWD": "/x y", "PW": "12345"}.items():
+    for name, harmless in {"XX_PASS": "true", "SSH_AUTH_SOCK": "/run/a.1", "OLDPWD": "/x y", "PW": "12345"}.items():
         monkeypatch.setenv(name, harmless)
     found = secrets_of_environment()
     assert 'open "sesame"' in found

@@ -201,7 +201,9 @@ def _journals(lines: list[str]) -> Iterator[Hostile]:
     for kind, more in _ODD_RECORDS.items():
         yield Hostile(f"{kind} record", _journal_of([*lines, more]))
     for kind, change in {"escapes": lambda each: ESCAPES + each, "long": lambda each: each * 9000}.items():
-        changed = [json.dumps({**in_every_text(each, change), "kind": each["kind"], "at": each["at"]}) for each in records]
+        changed = [
+            json.dumps({**in_every_text(each, change), "kind": each["kind"], "at": each["at"]}) for each in records
+        ]
         yield Hostile(f"{kind} in all records", _journal_of([line.replace(": ", ":", 1) for line in changed]))
     yield Hostile("long line of the journal", _journal_of([*lines, '{"kind":"' + "a" * (600 << 20)]))
     yield Hostile("all records twice", _journal_of([*lines, *lines]))
@@ -317,7 +319,13 @@ def _escapes_everywhere(folder: Path, _outside: Path) -> None:
     def changed(each: Any) -> Any:
         if isinstance(each, dict):
             return {_name(key): value if key in keep else changed(value) for key, value in each.items()}
-        return [changed(one) for one in each] if isinstance(each, list) else f"{each}{odd}" if isinstance(each, str) else each
+        return (
+            [changed(one) for one in each]
+            if isinstance(each, list)
+            else f"{each}{odd}"
+            if isinstance(each, str)
+            else each
+        )
 
     def _name(key: str) -> str:
         return f"{key}{odd}" if key in {"Task", "Energy", "CPU", "Phases"} else key
@@ -348,7 +356,9 @@ def _escapes_everywhere(folder: Path, _outside: Path) -> None:
 def _odd_run_folders(folder: Path, _outside: Path) -> None:
     for number, name in enumerate(("r_1\x1b[2J", "\u202er_1", "r_9\n", "-rf", "R_1", "~", "*")):
         (folder / "runs" / name / "Ina219").mkdir(parents=True)
-        (folder / "runs" / name / "Ina219" / f"samples{number}\x1b.csv").write_text("t,power_W\n0,1\n", encoding="utf-8")
+        (folder / "runs" / name / "Ina219" / f"samples{number}\x1b.csv").write_text(
+            "t,power_W\n0,1\n", encoding="utf-8"
+        )
         (folder / "runs" / "r_1" / "Ina219" / f"{number}\x9b2J.csv").write_text("t,a\n0,1\n", encoding="utf-8")
 
 

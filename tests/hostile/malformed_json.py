@@ -9,15 +9,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 #: What commands a terminal: C0, C1, a title, colours, a link, the clipboard, the direction of writing, lines above.
-ESCAPES = (
-    "\x1b]0;owned\x07\x1b[2J\x1b[31m\x9b5A\x1b]8;;http://evil\x1b\\x\x1b]52;c;aGk=\x07\u202egnp.\u2066\u200f\r\x08\x00[b]x"
-)
+ESCAPES = "\x1b]0;owned\x07\x1b[2J\x1b[31m\x9b5A\x1b]8;;http://evil\x1b\\x\x1b]52;c;aGk=\x07\u202egnp.\u2066\u200f\r\x08\x00[b]x"
 LONE = "\ud800"
 DEEP = 100_000
 
 
 class Verbatim(str):
     """JSON as it is to be written, whatever it says."""
+
+    __slots__ = ()
 
 
 def written(value: Any) -> str:
@@ -86,7 +86,11 @@ def damaged(text: str) -> Iterator[tuple[str, bytes]]:
 def keys_of(document: Any, depth: int = 3) -> Iterator[tuple[Any, ...]]:
     """Yield the way to each value of a document, down to a depth; of a list, to its first item only."""
     items = (
-        document.items() if isinstance(document, dict) else enumerate(document[:1]) if isinstance(document, list) else ()
+        document.items()
+        if isinstance(document, dict)
+        else enumerate(document[:1])
+        if isinstance(document, list)
+        else ()
     )
     for key, value in items:
         yield (key,)

@@ -159,7 +159,7 @@ def test_the_environment_names_versions_and_fingerprints(packed):
     assert rich["is_needed"]
     assert len(rich["fingerprint"]) == 64
     lines = _text(packed.path, "environment/requirements.txt").splitlines()
-    assert f"rich=={rich['version']}" in lines
+    assert any(line.startswith(f"rich=={rich['version']} ") and "--hash=sha256:" in line for line in lines)
     assert not [line for line in lines if line.startswith("pytest")]
     assert environment["host"]["memory_bytes"] > 0
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,8 +18,10 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from robot_runner.analysis.sample_files import split_unit
+from robot_runner.analysis.spreadsheet_cells import write_for_spreadsheets
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, replace
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
 if TYPE_CHECKING:
@@ -55,8 +57,16 @@ class ExportContent:
     unit: Callable[[str], str]
 
 
-def export_results(content: ExportContent, folder: Path | None = None) -> tuple[Path, ...]:
+def export_results(
+    content: ExportContent, folder: Path | None = None, *, for_spreadsheets: bool = False
+) -> tuple[Path, ...]:
     """Write everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
+
+    Args:
+        content: what to write.
+        folder: where to.
+        for_spreadsheets: whether the run table, and the report's tables where there is one, are written into
+            `spreadsheets/`, too, without cells that a spreadsheet would execute.
 
     Returns:
         The files: the run table as CSV with its schema and as Parquet, phases and events, a file for each kind of raw
@@ -67,9 +77,11 @@ def export_results(content: ExportContent, folder: Path | None = None) -> tuple[
     """
     target = content.folder / "export" if folder is None else folder.expanduser()
     try:
-        (target / "samples").mkdir(parents=True, exist_ok=True)
+        if folder is not None:
+            target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(target, "made", error) from error
+    make_folder(target / "samples", content.folder if folder is None else target)
     written = list(_copied_table(content, target))
     for name, frame in content.tables.items():
         _write_parquet(target / name, [arrow_table(frame, _units(content, frame))])
@@ -81,10 +93,11 @@ def export_results(content: ExportContent, folder: Path | None = None) -> tuple[
         except pa.ArrowInvalid:  # whole numbers in some runs, fractions or missing values in others
             _write_parquet(path, _sample_tables(content, kind, as_floats=True))
         written.append(path)
+    copies = tuple(_copies_for_spreadsheets(content.folder, target)) if for_spreadsheets else ()
     package = target / "datapackage.json"
     text = json.dumps(_package(content, target, written), indent=2, ensure_ascii=False) + "\n"
-    write_beside_and_rename(package, lambda file: file.write(text))
-    return (*written, package)
+    replace(package, text)
+    return (*written, *copies, package)
 
 
 def arrow_table(frame: pd.DataFrame, units: Mapping[str, str]) -> pa.Table:
@@ -119,9 +132,20 @@ def _copied_table(content: ExportContent, target: Path) -> Iterator[Path]:
     for name in ("run_table.csv", "run_table.schema.json"):
         source = content.folder / name
         if source.exists():
-            with _renamed(target / name) as beside:
-                shutil.copyfile(source, beside)
+            with open_to_read(source) as table, open_to_write(target / name) as copied:
+                shutil.copyfileobj(table, copied)
             yield target / name
+
+
+def _copies_for_spreadsheets(folder: Path, target: Path) -> Iterator[Path]:
+    into = target / "spreadsheets"
+    try:
+        into.mkdir(exist_ok=True)
+    except OSError as error:
+        raise storage_error(into, "made", error) from error
+    for source in (folder / "run_table.csv", *sorted((folder / "report" / "tables").glob("*.csv"))):
+        write_for_spreadsheets(source, into / source.name, folder)
+        yield into / source.name
 
 
 def _units(content: ExportContent, frame: pd.DataFrame) -> dict[str, str]:
@@ -138,29 +162,16 @@ def _sample_tables(content: ExportContent, kind: SampleFile, *, as_floats: bool 
 
 
 def _write_parquet(path: Path, tables: Iterator[pa.Table] | Sequence[pa.Table]) -> None:
-    with _renamed(path) as beside:
+    with open_to_write(path) as file:
         writer: parquet.ParquetWriter | None = None
         try:
             for table in tables:
                 if writer is None:
-                    writer = parquet.ParquetWriter(beside, table.schema, compression="zstd")
+                    writer = parquet.ParquetWriter(file, table.schema, compression="zstd")
                 writer.write_table(table.cast(writer.schema) if table.schema != writer.schema else table)
         finally:
             if writer is not None:
                 writer.close()
-
-
-@contextmanager
-def _renamed(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path` to write to, then rename it over `path`."""
-    beside = path.with_name(f".{path.name}.tmp")
-    try:
-        yield beside
-        beside.replace(path)
-    except OSError as error:
-        raise storage_error(path, "written", error) from error
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _package(content: ExportContent, target: Path, files: Sequence[Path]) -> dict[str, Any]:
@@ -170,8 +181,8 @@ def _package(content: ExportContent, target: Path, files: Sequence[Path]) -> dic
 
 def _resource(target: Path, path: Path) -> dict[str, Any]:
     relative = path.relative_to(target).as_posix()
-    content = path.read_bytes()
-    size, sha256 = len(content), hashlib.sha256(content).hexdigest()
+    with open_to_read(path) as file:
+        size, sha256 = os.fstat(file.fileno()).st_size, hashlib.file_digest(file, "sha256").hexdigest()
     if path.suffix == ".csv":
         has_schema = (target / "run_table.schema.json").exists()
         return table_resource(relative, size, sha256, schema="run_table.schema.json" if has_schema else None)

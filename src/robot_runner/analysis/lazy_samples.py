@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -76,9 +76,10 @@ class LazySamples:
             missing = [name for name in self.request.columns if name not in types]
             if not missing:
                 break
-            for field in self._opened(run_id, {}).schema:
-                if field.name in missing and not pa.types.is_null(field.type):
-                    types[field.name] = _widened(field.type)
+            with sample_source(self.request, run_id) as source:
+                for field in self._opened(run_id, source, {}).schema:
+                    if field.name in missing and not pa.types.is_null(field.type):
+                        types[field.name] = _widened(field.type)
         return {name: types.get(name, pa.float64()) for name in (self.request.file.time, *self.request.columns)}
 
     def _schema(self, types: Mapping[str, pa.DataType]) -> pa.Schema:
@@ -135,17 +136,18 @@ class LazySamples:
     def _raw_batches(self, run_id: str, types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
         path = self.request.file.paths[run_id]
         try:
-            yield from self._opened(run_id, types)
+            with sample_source(self.request, run_id) as source:
+                yield from self._opened(run_id, source, types)
         except pa.ArrowInvalid as error:
             raise _not_alike(path, error) from error
         except OSError as error:
             raise storage_error(path, "read", error) from error
 
-    def _opened(self, run_id: str, types: Mapping[str, pa.DataType]) -> arrow_csv.CSVStreamingReader:
+    def _opened(self, run_id: str, source: Any, types: Mapping[str, pa.DataType]) -> arrow_csv.CSVStreamingReader:
         path = self.request.file.paths[run_id]
         try:
             return arrow_csv.open_csv(
-                sample_source(self.request, run_id),
+                source,
                 read_options=arrow_csv.ReadOptions(block_size=_BLOCK),
                 parse_options=arrow_csv.ParseOptions(invalid_row_handler=lambda _: "skip"),
                 convert_options=arrow_csv.ConvertOptions(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,8 +25,9 @@ from robot_runner.analysis.sample_files import (
 )
 from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.guarded_files import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -238,7 +238,7 @@ class _Source:
 
     def take(self, run_id: str, times: NDArray[np.float64], uncertainties: Mapping[str, float]) -> None:
         self._periods.append(median_period(times))
-        noted = _noted_uncertainty(self.kind.paths[run_id].parent / "quality.json")
+        noted = _noted_uncertainty(self.kind.paths[run_id].with_name("quality.json"))
         told = (uncertainties.get(self.kind.plugin), noted)
         self._uncertainties += [each for each in told if each is not None]
 
@@ -260,7 +260,7 @@ class _Source:
 def _noted_uncertainty(path: Path) -> float | None:
     """Return how far the times of a meter with a clock of its own may be wrong, s, as its plugin noted it."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))["samples"]["clock_uncertainty"]
-    except (OSError, ValueError, KeyError, TypeError):
+        found = read_json(path)["samples"]["clock_uncertainty"]
+    except (StorageError, KeyError, TypeError):
         return None
     return float(found) if isinstance(found, int | float) and math.isfinite(found) else None

@@ -288,11 +288,13 @@ class Results(ExperimentFacts):
         chosen = self._raw.with_treatments(self._chosen(runs), treatments or {})
         return self._raw.aligned(columns, chosen, period, resampling)
 
-    def export(self, folder: Path | str | None = None) -> tuple[Path, ...]:
+    def export(self, folder: Path | str | None = None, *, for_spreadsheets: bool = False) -> tuple[Path, ...]:
         """Write the run table and all raw samples as Parquet, and a data package that describes everything.
 
         Args:
             folder: where the files go, `datapackage.json` among them; None is `export/` in the experiment's folder.
+            for_spreadsheets: whether the tables are written into `spreadsheets/`, too, with no cell that a spreadsheet
+                would execute.
 
         Returns:
             The files that were written.
@@ -308,7 +310,8 @@ class Results(ExperimentFacts):
         }
         raw = self._raw
         content = ExportContent(self.name, self.folder, tables, raw.sample_files, raw.samples_of, self.unit)
-        return export_results(content, None if folder is None else Path(folder))
+        target = None if folder is None else Path(folder)
+        return export_results(content, target, for_spreadsheets=for_spreadsheets)
 
     @property
     def _files(self) -> ExperimentFolder:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
-from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.core.storage.guarded_files import LINE_LIMIT, open_text, open_to_read, read_json, require_file
 from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -44,6 +44,8 @@ PHASES = "phases.csv"
 
 #: Whose files are those that are in no plugin's folder.
 _CONFIG = "config"
+
+_MEND = "Mend it, or move it away."
 
 #: Headings of the column of times, s on the run's clock; the first one that a file has counts.
 _TIME_HEADINGS = ("time_s", "t_s", "timestamp_s", "time", "t")
@@ -107,16 +109,18 @@ def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[st
     """Return the CSV files below the folders of runs: by plugin and file name, then by run.
 
     Raises:
-        StorageError: a folder cannot be read.
+        StorageError: a folder cannot be read, or a file is none: a link, a named pipe.
     """
     found: dict[tuple[str, str], dict[str, Path]] = {}
     for run_id in run_ids:
         try:
             run = folder.run(run_id)
             # A config writes into the run's own folder, as those of the earlier tools do.
-            for path in sorted(filter(Path.is_file, run.glob("*.csv"))):
+            for path in sorted(path for path in run.glob("*.csv") if not path.is_dir()):
+                require_file(path, folder.root)
                 found.setdefault((_CONFIG, path.name), {})[run_id] = path
             for path in sorted(run.glob("*/*.csv")):
+                require_file(path, folder.root)
                 found.setdefault((path.parent.name, path.name), {})[run_id] = path
         except OSError as error:
             raise storage_error(folder.run(run_id), "read", error) from error
@@ -173,9 +177,9 @@ def told_windows(file: SampleFile, run_ids: Iterable[str]) -> dict[str, tuple[fl
     told = {}
     for run_id in run_ids:
         try:
-            noted = json.loads((file.paths[run_id].parent / "quality.json").read_text(encoding="utf-8"))
+            noted = read_json(file.paths[run_id].with_name("quality.json"))
             start, end = (float(noted["window"][edge]) for edge in ("start", "end"))
-        except (OSError, ValueError, KeyError, TypeError):
+        except (StorageError, ValueError, KeyError, TypeError):
             continue
         if math.isfinite(start) and math.isfinite(end):
             told[run_id] = (start, end)
@@ -188,11 +192,12 @@ def headings_of(path: Path) -> tuple[str, ...]:
     Raises:
         StorageError: it cannot be read.
     """
+    with open_to_read(path) as file:
+        line = file.readline(LINE_LIMIT).decode("utf-8-sig", "replace")
     try:
-        with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-            return tuple(next(csv.reader([file.readline()]), ()))
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
+        return tuple(next(csv.reader([line]), ()))
+    except csv.Error as error:
+        raise AnalysisError(f"the file's first line is no CSV: {error}", where=str(path), fix=_MEND) from error
 
 
 def _time_of(headings: Sequence[str]) -> str | None:
@@ -284,7 +289,7 @@ def phase_spans(phases: pd.DataFrame) -> dict[str, PhaseSpans]:
 def _rows(path: Path) -> list[dict[str, str]]:
     """Return the rows of one file as text; a small file is read faster so than by pandas."""
     try:
-        with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        with open_text(path) as file:
             rows = csv.DictReader(file)
             headings = rows.fieldnames or _NEEDED
             missing = [name for name in _NEEDED if name not in headings]
@@ -293,8 +298,8 @@ def _rows(path: Path) -> list[dict[str, str]]:
                 raise AnalysisError(f"the file has no column {missing[0]!r}", where=str(path), fix=fix)
             # The last row of a run that is being executed may be cut off.
             return [row for row in rows if None not in row and None not in row.values()]
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
+    except csv.Error as error:
+        raise AnalysisError(f"the file is no CSV: {error}", where=str(path), fix=_MEND) from error
 
 
 def _type(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from robot_runner.core.errors import AnalysisError, did_you_mean
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
@@ -207,12 +209,17 @@ def checked_columns(request: SampleRequest) -> None:
 
 
 def sample_source(request: SampleRequest, run_id: str) -> Any:
-    """Return what Arrow reads the file of a run from; of a run that is not done, its whole lines."""
-    path = request.file.paths[run_id]
+    """Return what Arrow reads the file of a run from, to be closed; of a run that is not done, its whole lines.
+
+    Raises:
+        StorageError: it is no regular file, or cannot be read.
+    """
+    file = open_to_read(request.file.paths[run_id])
     if run_id not in request.unfinished:
-        return path
-    content = path.read_bytes()
-    return pa.BufferReader(content[: content.rfind(b"\n") + 1])
+        return file
+    with file:
+        content = file.read()
+    return io.BytesIO(content[: content.rfind(b"\n") + 1])
 
 
 def _gather(reader: _Reader) -> tuple[NDArray[np.int64], dict[str, Any]]:
@@ -311,17 +318,18 @@ class _Reader:
             return "skip"
 
         self.skipped.pop(run_id, None)
-        return arrow_csv.read_csv(
-            sample_source(self._request, run_id),
-            read_options=arrow_csv.ReadOptions(use_threads=False),
-            parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
-            convert_options=arrow_csv.ConvertOptions(
-                include_columns=self.wanted,
-                include_missing_columns=True,
-                column_types=dict(types),
-                strings_can_be_null=True,
-            ),
-        )
+        with sample_source(self._request, run_id) as source:
+            return arrow_csv.read_csv(
+                source,
+                read_options=arrow_csv.ReadOptions(use_threads=False),
+                parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
+                convert_options=arrow_csv.ConvertOptions(
+                    include_columns=self.wanted,
+                    include_missing_columns=True,
+                    column_types=dict(types),
+                    strings_can_be_null=True,
+                ),
+            )
 
 
 def _labels(request: SampleRequest, lengths: NDArray[np.int64]) -> dict[str, Any]:

@@ -42,11 +42,11 @@ class HarmlessStream:
 
 def unguarded(stream: Any) -> TextIO:
     """Return the stream itself, without what makes text harmless."""
-    return stream.unguarded if isinstance(stream, HarmlessStream) else stream  # type: ignore[no-any-return]
+    return stream.unguarded if isinstance(stream, HarmlessStream) else stream
 
 
 def guard_streams() -> tuple[Any, Any]:
     """Have everything that this process prints made harmless; returns stdout and stderr as they were."""
     earlier = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (each and HarmlessStream(each) for each in earlier)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = (each and HarmlessStream(each) for each in earlier)
     return earlier

@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.words import counted
-from robot_runner.replication.contents import CRATE, DATA_PACKAGE, LICENCE, README, REQUIREMENTS, SUMS, ZENODO
+from robot_runner.replication.contents import (
+    CRATE,
+    DATA_PACKAGE,
+    LICENCE,
+    README,
+    REQUIREMENTS,
+    SUMS,
+    ZENODO,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -123,7 +131,7 @@ def _functional(facts: BadgeFacts) -> Iterator[BadgeLine]:
     fact = f"{facts.runs - facts.undone} of {counted(facts.runs, 'run')} are done."
     yield _line(_FUNCTIONAL, "Complete: all runs", facts.runs and not facts.undone, fact, fact)
     left_out = f"Left out: {', '.join(facts.left_out)}."
-    yield _line(_FUNCTIONAL, "Complete: raw data", not facts.left_out, "Nothing was left out.", left_out)
+    yield _line(_FUNCTIONAL, "Complete: nothing is left out", not facts.left_out, "Nothing was left out.", left_out)
     yield from _exercisable(facts)
     fact = f"{SUMS} has the SHA-256 of each file; robot-runner verify checks them."
     yield _line(_FUNCTIONAL, "Verified: it is whole", SUMS in facts.names, fact, f"No {SUMS}: {_PACK_IT}.")

@@ -6,6 +6,8 @@ import ast
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from robot_runner.core.storage.guarded_files import read_text
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
@@ -95,7 +97,7 @@ class ConfigLines:
 
 def _sources(root: Path) -> Iterator[_Source]:
     for path in sorted((root / "config").rglob("*.py")):
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = read_text(path, root, errors="replace")
         try:
             tree = ast.parse(text)
         except (SyntaxError, ValueError):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_schema import ColumnDescription
 
-__all__ = ["ExecutedRun", "RunActions", "action_outcome", "executed_runs", "iso_stamp"]
+__all__ = ["ExecutedRun", "RunActions", "action_outcome", "executed_runs", "iso_stamp", "undone_count"]
 
 _FORMAL_PARAMETER = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE"
 
@@ -62,6 +62,11 @@ def executed_runs(rows: RunTableRows, columns: Sequence[ColumnDescription]) -> t
             )
         )
     return tuple(found)
+
+
+def undone_count(rows: RunTableRows) -> int:
+    """Return how many runs are not done, of those that nobody left out."""
+    return sum(rows.status(place) is not RunStatus.DONE for place in range(len(rows)) if rows.excluded(place) is None)
 
 
 def iso_stamp(stamp: str | None) -> str | None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.entry_points import entry_points
+from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.replication.distributions import canonical
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def imported_names(folder: Path) -> set[str]:
     """
     found: set[str] = set()
     for path in sorted(folder.rglob("*.py")):
-        found.update(name.partition(".")[0] for name in _imports(path.read_bytes(), ""))
+        found.update(name.partition(".")[0] for name in _imports(read_bytes(path), ""))
     return found
 
 

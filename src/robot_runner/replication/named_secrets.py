@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from enum import Enum
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from robot_runner.core.secret_names import is_placeholder, is_secret_name
@@ -12,7 +13,7 @@ from robot_runner.replication.secret_kinds import Found
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["NAME_HINTS", "Grammar", "named_secrets"]
+__all__ = ["NAME_HINTS", "Grammar", "named_secrets", "secret_columns", "secrets_in_columns"]
 
 
 class Grammar(Enum):
@@ -20,6 +21,7 @@ class Grammar(Enum):
 
     TEXT = "text"
     DATA = "data"
+    TABLE = "table"
     CODE = "code"
     MARKUP = "markup"
 
@@ -29,11 +31,11 @@ NAME_HINTS = (
     *(b"pass", b"pwd", b"pw", b"psk", b"secret", b"token", b"key", b"credential", b"auth", b"kennwort", b"wachtwoord"),
     *(b"contrase", b"senha", b"mdp", b"pin"),
 )
-_HINT = re.compile(b"|".join(NAME_HINTS))
+_HINT = re.compile(rb"(?:" + b"|".join(NAME_HINTS) + rb")[\w.-]{0,64}", re.ASCII)
 _LONGEST_NAME = 64
 _LONGEST_LINE = 400
-_NAME_BEFORE = re.compile(rb"[\w.-]*\Z", re.ASCII)
-_NAME_AFTER = re.compile(rb"[\w.-]{0,64}", re.ASCII)
+#: Of the text before it, read backwards: forwards, each word of it would be tried.
+_NAME_BEFORE = re.compile(rb"[\w.-]*", re.ASCII)
 
 _QUOTE = rb"\\?[\"']"
 _TEXT = rb"(?P<quote>[rbfuRBFU]{0,2}(?P<mark>\\?[\"']))(?P<quoted>(?:\\[^\n]|(?!(?P=mark))[^\\\n])*)(?P=mark)"
@@ -82,7 +84,7 @@ _NO_WORD = re.compile(
     rb"|for|from|to|of|on|as|at|if|it|one|what|same|different|needed|asked|ask|stored|used|optional|required|missing"
     rb"|ok|okay|public|short|long|weak|strong|\w+ed|\w+ing|\w+able|nicht|kein|das|der|die|ein|eine)[.!?:)]*"
 )
-_LONG, _SHORTEST_RANDOM, _SHORTEST_TOKEN_NUMBER = 256, 16, 16
+_LONGEST_SECRET, _SHORTEST_TOKEN_NUMBER = 1 << 16, 16
 _WHAT = "password"
 _LOGIN_WORDS = re.compile(r"(?i)pass|pw|psk|pin|kennwort|wachtwoord|contrase|senha|mdp")
 
@@ -94,20 +96,57 @@ def named_secrets(block: bytes, grammar: Grammar) -> Iterator[Found]:
         block: the text.
         grammar: what it is written in.
     """
-    done = 0
     for hint in _HINT.finditer(block.lower()):
-        if hint.start() < done:
-            continue
-        before = _NAME_BEFORE.search(block[max(0, hint.start() - _LONGEST_NAME) : hint.start()])
-        start = hint.start() - len(before[0] if before else b"")
-        after = _NAME_AFTER.match(block, hint.end())
-        end = after.end() if after else hint.end()
-        done = end
+        first, end = hint.span()
+        before = _NAME_BEFORE.match(block[first - min(first, _LONGEST_NAME) : first][::-1])
+        start = first - (before.end() if before else 0)
         written = block[start:end].rstrip(b".-")
-        name = written.lstrip(b".-")
-        start += len(written) - len(name)
-        if end - start <= _LONGEST_NAME and is_secret_name(name.decode("ascii", "replace")):
-            yield from _after(block, (start, start + len(name)), name.decode("ascii", "replace"), grammar)
+        if name := _secret_name(written):
+            begin = start + len(written) - len(name)
+            yield from _after(block, (begin, begin + len(name)), name, grammar)
+
+
+@lru_cache(maxsize=4096)
+def _secret_name(written: bytes) -> str:
+    """Return a name without what stands before it, as in `--password`; nothing where it is not that of a secret."""
+    name = written.lstrip(b".-").decode("ascii", "replace")
+    return name if len(name) <= _LONGEST_NAME and is_secret_name(name) else ""
+
+
+_CELL = re.compile(rb"\"(?:[^\"]|\"\")*\"|[^,;\t\r\n]*")
+
+
+def secret_columns(heading: bytes) -> frozenset[int]:
+    """Return the places, from 0, of those columns of a table whose headings say that they hold secrets."""
+    names = re.split(rb"[,;\t]", heading)
+    return frozenset(place for place, each in enumerate(names) if is_secret_name(each.decode("utf-8", "replace")))
+
+
+def secrets_in_columns(block: bytes, columns: frozenset[int], *, has_heading: bool) -> Iterator[Found]:
+    """Yield the cells of these columns that are neither empty nor numbers: somebody has to judge."""
+    start = block.find(b"\n") + 1 if has_heading else 0
+    while start < len(block):
+        end = block.find(b"\n", start)
+        end = len(block) if end < 0 else end
+        place = start
+        for number in range(max(columns) + 1):
+            cell = _CELL.match(block, place, end)
+            if cell is None:
+                break
+            if number in columns and not is_placeholder(cell[0].decode("utf-8", "replace")) and not _is_number(cell[0]):
+                yield Found(*cell.span(), f"what may be a {_WHAT} in a column", cell.start(), is_sure=False)
+            place = cell.end() + 1
+            if place > end:
+                break
+        start = end + 1
+
+
+def _is_number(cell: bytes) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) -> Iterator[Found]:
@@ -125,7 +164,7 @@ def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) ->
         yield from _judged(match, "bare", name, start)
     elif match := _NUMERIC.match(block, end):
         yield from _judged_number(match, name, start, grammar)
-    elif grammar in {Grammar.TEXT, Grammar.DATA}:
+    elif grammar in {Grammar.TEXT, Grammar.DATA, Grammar.TABLE}:
         yield from _loosely(block, place, name, before)
 
 
@@ -197,7 +236,7 @@ def _judged_number(match: re.Match[bytes], name: str, begin: int, grammar: Gramm
 
 def _is_secret(value: bytes, name: str) -> bool:
     text = value.decode("utf-8", "replace")
-    if is_placeholder(text) or len(text) > _LONG * 256:
+    if is_placeholder(text) or len(text) > _LONGEST_SECRET or _VERSION.fullmatch(text):
         return False
     if text.replace(".", "").replace("-", "").isdigit():
         return bool(_LOGIN_WORDS.search(name)) and len(text) >= 4  # noqa: PLR2004 - a PIN's
@@ -206,6 +245,8 @@ def _is_secret(value: bytes, name: str) -> bool:
     return not is_path and not is_prose and not text.startswith(("http://", "https://")) and len(text) > 2  # noqa: PLR2004
 
 
+#: What a list of packages has: Debian's are called passwd and base-passwd.
+_VERSION = re.compile(r"(?:\d+:)?\d+(?:\.\d+)+[\w.+:~-]*")
 _CALL = re.compile(rb"[A-Za-z_][\w.]*[(\[]|[A-Za-z_]\w*\.[A-Za-z_]\w*(?:\.\w+)*\Z|(?:self|os|args|cls)\b|\(|\[|\{|&|\*")
 
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import stat
 import struct
 import zipfile
 import zlib
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, PackageError
+from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.replication.contents import DESCRIPTION, SUMS, fault_of_name
 
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 __all__ = ["OpenPackage", "open_package", "unpack"]
 
 _BLOCK = 1 << 20
+#: The directory of some 100,000 files.
+_LARGEST_READ = 12 << 20
 #: Deflate cannot do better than about 1000 to 1, and data that was measured never comes near this.
 _MOST_TIMES_SMALLER = 200
 _SMALL = 64 << 20
@@ -68,15 +72,39 @@ def open_package(path: Path) -> Iterator[OpenPackage]:
         return
     if not path.exists():
         raise PackageError("there is no such file or folder", where=str(path), fix="Correct the path.")
+    if not path.is_file():  # a named pipe would be waited for, and a device never ends
+        raise PackageError("this is neither a regular file nor a folder", where=str(path), fix="Name a package.")
+    with ExitStack() as opened:
+        yield _zipped(path, _archive(path, opened))
+
+
+def _archive(path: Path, opened: ExitStack) -> zipfile.ZipFile:
     try:
-        archive = zipfile.ZipFile(path)
-    except zipfile.BadZipFile as error:
+        return opened.enter_context(zipfile.ZipFile(opened.enter_context(_BoundedReads(path))))
+    # The others are what the library raises where its directory has odd names, places or numbers.
+    except (zipfile.BadZipFile, ValueError, OverflowError, EOFError, struct.error) as error:
         problem = f"the file is no zip file, or its end is missing: {error}"
         raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN) from error
     except (OSError, NotImplementedError) as error:
         raise storage_error(path, "read", error if isinstance(error, OSError) else OSError(str(error))) from error
-    with archive:
-        yield _zipped(path, archive)
+
+
+class _BoundedReads(io.FileIO):
+    """A file of which no more is read at once than a package needs.
+
+    The directory of a zip file is read whole, and takes up to twenty times its size in memory.
+    """
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return so many bytes at most.
+
+        Raises:
+            zipfile.BadZipFile: so many are asked for as no package needs.
+        """
+        wanted = os.fstat(self.fileno()).st_size - self.tell() if size is None or size < 0 else size
+        if wanted > _LARGEST_READ:
+            raise zipfile.BadZipFile(f"its directory has more than {_LARGEST_READ:,} bytes")
+        return super().read(size)
 
 
 def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __: None) -> None:
@@ -123,10 +151,7 @@ def _write(package: OpenPackage, folder: Path, progress: Progress) -> None:
 def _refuse_other(package: OpenPackage, target: Path) -> None:
     """Both have the checksums of all their files: the same checksums, the same package."""
     sums = target / SUMS
-    try:
-        is_same = sums.is_file() and sums.read_bytes() == b"".join(package.blocks(SUMS))
-    except OSError as error:
-        raise storage_error(sums, "read", error) from error
+    is_same = sums.is_file() and read_bytes(sums) == b"".join(package.blocks(SUMS))
     if not is_same:
         fix = "Name another folder with --to."
         raise PackageError("another package is unpacked here", where=str(target), fix=fix)
@@ -156,7 +181,7 @@ def _unpacked(root: Path) -> OpenPackage:
 
 def _blocks_of_file(root: Path, name: str) -> Iterator[bytes]:
     try:
-        with (root / name).open("rb") as file:
+        with open_to_read(root / name, root) as file:
             while block := file.read(_BLOCK):
                 yield block
     except OSError as error:

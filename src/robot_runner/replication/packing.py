@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PackageError, StorageError
 from robot_runner.core.secret_names import is_secret_name, secrets_of_environment
-from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.guarded_files import open_to_read, read_text
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
@@ -22,7 +22,7 @@ from robot_runner.replication.about import About
 from robot_runner.replication.citation_files import missing_text
 from robot_runner.replication.contents import DESCRIPTION, LICENCE, LeftOut, choose_contents
 from robot_runner.replication.crate import Executed, require_rocrate
-from robot_runner.replication.crate_actions import executed_runs
+from robot_runner.replication.crate_actions import executed_runs, undone_count
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_known_hashes
 from robot_runner.replication.plain_zip import written_beside
@@ -112,7 +112,7 @@ def pack(
             _known_secrets(files, manifest), home=Path.home(), replaces_doubtful=asked.doubtful == "replace"
         ),
         runs=len(rows),
-        undone=_undone(rows),
+        undone=undone_count(rows),
     )
     with written_beside(target) as archive:
         sealing = Sealing(plan, archive, progress)
@@ -146,7 +146,7 @@ def file_sha256(path: Path) -> str:
         StorageError: it cannot be read.
     """
     try:
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise storage_error(path, "read", error) from error
@@ -185,18 +185,11 @@ def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[
     found = set(secrets_of_environment())
     for folder in (files.config, files.earlier_configs):
         for path in sorted(folder.rglob("*.py")):
-            try:
-                found |= secrets_in_code(path.read_text(encoding="utf-8", errors="replace"))
-            except OSError as error:
-                raise storage_error(path, "read", error) from error
+            found |= secrets_in_code(read_text(path, files.root, errors="replace"))
     for execution in (manifest, *(manifest.get("executions") or ())):
         settings = execution.get("deviations") or {}
         found |= {str(text) for name, text in settings.items() if text and is_secret_name(str(name))}
     return found
-
-
-def _undone(rows: RunTableRows) -> int:
-    return sum(rows.status(place) is not RunStatus.DONE for place in range(len(rows)) if rows.excluded(place) is None)
 
 
 def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
@@ -205,5 +198,5 @@ def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
         yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
     if not files.report.exists():
         yield Finding.warning(where, "there is no report in it", f"Make one first: robot-runner report {where}")
-    if undone := _undone(rows):
+    if undone := undone_count(rows):
         yield Finding.warning(where, f"{undone} of {len(rows)} runs are not done", "Resume the experiment first.")

@@ -9,15 +9,22 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.secret_names import REDACTED
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.replication.code_secrets import found_in_code, secrets_in_code
-from robot_runner.replication.named_secrets import NAME_HINTS, Grammar, named_secrets
+from robot_runner.replication.named_secrets import (
+    NAME_HINTS,
+    Grammar,
+    named_secrets,
+    secret_columns,
+    secrets_in_columns,
+)
 from robot_runner.replication.secret_kinds import HOME_PATH, Found, Kind, kinds, literal, reduced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
-__all__ = ["REDACTED", "Hits", "Redactor", "forbidden_name", "grammar_of", "is_binary", "secrets_in_code"]
+__all__ = ["HOME_PATH", "REDACTED", "Hits", "Redactor", "forbidden_name", "grammar_of", "is_binary", "secrets_in_code"]
 
 _FORBIDDEN = re.compile(
     r"(?i)\.env(\..*)?|id_(rsa|dsa|ecdsa|ed25519)(_sk)?|known_hosts(\.old)?|authorized_keys"
@@ -42,7 +49,8 @@ _SNIFFED = 8192
 _BINARY_TEXT = ".bag .bz2 .db3 .gz .mcap .npz .parquet .pdf .png .tar .tgz .whl .woff2 .xz .zip .zst"
 _BINARY = frozenset(_BINARY_TEXT.split())
 _GRAMMARS = {
-    **dict.fromkeys((".csv", ".json", ".jsonl", ".ipynb"), Grammar.DATA),
+    **dict.fromkeys((".json", ".jsonl", ".ipynb"), Grammar.DATA),
+    **dict.fromkeys((".csv", ".tsv"), Grammar.TABLE),
     **dict.fromkeys((".html", ".svg"), Grammar.MARKUP),
     **dict.fromkeys((".py", ".pyi"), Grammar.CODE),
 }
@@ -61,7 +69,7 @@ def is_binary(path: Path) -> bool:
     """
     if path.suffix.casefold() in _BINARY:
         return True
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         return b"\0" in file.read(_SNIFFED)
 
 
@@ -161,7 +169,7 @@ class Redactor:
         Raises:
             OSError: it cannot be read.
         """
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             yield from self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, grammar_of(path))
 
     def secrets_in(self, path: Path) -> Counter[str]:
@@ -171,7 +179,7 @@ class Redactor:
             OSError: it cannot be read.
         """
         hits = Hits()
-        with path.open("rb") as file:
+        with open_to_read(path) as file:
             for _ in self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, Grammar.MARKUP):
                 pass
         return hits.replaced
@@ -183,12 +191,16 @@ class Redactor:
 
     def cleaned(self, chunks: Iterable[bytes], hits: Hits, grammar: Grammar) -> Iterator[bytes]:
         """Yield a text that comes in chunks of UTF-8 in blocks of another size, secrets replaced."""
-        kept, line, is_whole = b"", 1, True
+        kept, line, is_whole, columns = b"", 1, True, frozenset[int]()
         for chunk, is_last in _with_last(chunks):
             kept += chunk
             if not is_last and is_whole and len(kept) < _WHOLE:
                 continue
             found = self.find(kept, grammar, is_file=is_whole and is_last)
+            if is_whole and grammar is Grammar.TABLE and self.has_general:
+                columns = secret_columns(kept[: kept.find(b"\n")])
+            if columns:
+                found = _without_overlap([*found, *secrets_in_columns(kept, columns, has_heading=is_whole)])
             cut = len(kept) if is_last else _cut_of(kept, found)
             yield self._replaced(kept[:cut], [each for each in found if each.end <= cut], hits, line)
             line += kept.count(b"\n", 0, cut)

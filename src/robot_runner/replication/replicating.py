@@ -14,6 +14,7 @@ from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
+from robot_runner.core.storage.guarded_files import make_experiment_folder, open_to_read
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -240,10 +241,8 @@ def _identity(files: ExperimentFolder) -> tuple[str, str]:
     """Return the file that tells which original it is, and its SHA-256."""
     sums = files.root / SUMS
     identity = sums if sums.is_file() else files.manifest
-    try:
-        return identity.name, hashlib.sha256(identity.read_bytes()).hexdigest()
-    except OSError as error:
-        raise storage_error(identity, "read", error) from error
+    with open_to_read(identity) as file:
+        return identity.name, hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _refuse_other(experiment: Experiment, facts: Mapping[str, Any], deviations: Mapping[str, str]) -> None:
@@ -293,7 +292,7 @@ def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment
     model = grown_model(experiment.model, files)
     if not model.batches:
         return experiment
-    _make(experiment.folder.root)
+    make_experiment_folder(experiment.folder.root)
     with Journal(experiment.folder.journal) as journal:
         if not experiment.model.batches:  # else an earlier try has come this far
             for fields in records_of(model.batches):
@@ -301,19 +300,12 @@ def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment
     return replace(experiment, model=model)
 
 
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise storage_error(folder, "made", error) from error
-
-
 def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
     """Write the original's runs as if by hand, all of them to be executed, those that were excluded there as well."""
     for place in range(len(rows)):
         rows.clear(rows.run_id(place))
     rows = rows.without_exclusions()
-    _make(experiment.folder.root)
+    make_experiment_folder(experiment.folder.root)
     write_run_table(experiment.folder.run_table, rows)
 
 

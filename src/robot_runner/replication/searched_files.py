@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import IO, TYPE_CHECKING, BinaryIO, cast
 
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.replication.named_secrets import Grammar
 from robot_runner.replication.redaction import Hits
 
@@ -70,7 +71,7 @@ def wide_encoding(path: Path) -> str | None:
     Raises:
         OSError: the file cannot be read.
     """
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         start = file.read(_SNIFFED)
         encoding = next((name for mark, name in _MARKS if start.startswith(mark)), None) or _guessed(start)
         if encoding is None:
@@ -90,9 +91,10 @@ def _guessed(start: bytes) -> str | None:
     if half < 4:  # noqa: PLR2004 - too few to judge
         return None
     zeros = start[0::2].count(0) / half, start[1::2].count(0) / half
-    if max(zeros) > 0.7 and min(zeros) < 0.1:  # noqa: PLR2004 - well apart from text and from numbers
-        return "utf-16-be" if zeros[0] > zeros[1] else "utf-16-le"
-    return None
+    encoding = "utf-16-be" if zeros[0] > zeros[1] else "utf-16-le"
+    text = start[: 2 * half].decode(encoding, "replace")
+    is_readable = sum(each.isprintable() or each in "\r\n\t" for each in text) > 0.95 * len(text)
+    return encoding if max(zeros) > 0.7 and is_readable else None  # noqa: PLR2004 - well apart from numbers
 
 
 def recoded(file: BinaryIO, encoding: str) -> Iterator[bytes]:
@@ -128,7 +130,7 @@ def search(path: Path, redactor: Redactor) -> Searched:
         OSError: it cannot be read.
     """
     searched = Searched()
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         _Search(redactor, searched).look(file, path.name, 0)
     return searched
 

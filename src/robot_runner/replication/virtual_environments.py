@@ -22,13 +22,25 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import TextIO
 
-__all__ = ["compare_with", "execute_with", "make_comparison_environment", "make_environment", "program_in"]
+__all__ = [
+    "compare_with",
+    "execute_with",
+    "is_complete",
+    "make_comparison_environment",
+    "make_environment",
+    "program_in",
+]
 
 _OUR_NAME = "robot-runner"
 _DEADLINE_S = 3600.0
 _SHOWN_LINES = 8
 _NO_TALK = ("--no-input", "--disable-pip-version-check")
 _COMPLETE = "complete"
+
+
+def is_complete(folder: Path) -> bool:
+    """Return whether a virtual environment was made, to its end."""
+    return (folder / _COMPLETE).exists()
 
 
 def program_in(folder: Path) -> Path:
@@ -78,7 +90,7 @@ def make_comparison_environment(folder: Path) -> Path:
         PackageError: it cannot be made; shows the last lines that pip wrote.
         StorageError: the folder cannot be written.
     """
-    if not (folder / _COMPLETE).exists():
+    if not is_complete(folder):
         ours = installed_distributions()[_OUR_NAME]
         wheel = folder.parent / wheel_name(ours)
         try:
@@ -122,18 +134,18 @@ def compare_with(program: Path, original: Path, replication: Path, bounds: Seque
 
 def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
     """Make a virtual environment and have pip install what is asked; one that is complete is left as it is."""
-    done, log = folder / _COMPLETE, folder.with_name(f"{folder.name}.log")
+    log = folder.with_name(f"{folder.name}.log")
     # Pip works on other environments, too: to put one into each would take the longest of all.
     has_pip = find_spec("pip") is not None
     inside = str(folder / "bin" / "python")
     pip = [sys.executable, "-m", "pip", "--python", inside] if has_pip else [inside, "-m", "pip"]
     try:
-        if not done.exists():
+        if not is_complete(folder):
             folder.parent.mkdir(parents=True, exist_ok=True)
             log.unlink(missing_ok=True)
             _call([python, "-m", "venv", "--clear", *["--without-pip"] * has_pip, str(folder)], log, fix)
             _call([*pip, "install", *_NO_TALK, *asked], log, fix)
-            done.touch()
+            (folder / _COMPLETE).touch()
     except OSError as error:
         raise storage_error(folder, "made", error) from error
 

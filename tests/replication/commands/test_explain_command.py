@@ -30,3 +30,26 @@ def test_what_is_not_there_is_named_with_the_nearest(robot_runner, experiment):
     answer = robot_runner("explain", experiment, "r_9")
     assert answer.code == 2
     assert "'r_9'" in answer.err
+
+
+def test_without_a_run_it_tells_what_acm_asks_for_from_facts(robot_runner, experiment, packed, unpacked):
+    answer = robot_runner("explain", experiment)
+    assert answer.code == 0, answer.err
+    assert "+ Terms of use (met). CC-BY-4.0." in answer.out
+    assert "- Verified: it is whole (not met). No SHA256SUMS: robot-runner pack makes it." in answer.out
+    assert "4 of 4 runs are done" in answer.out
+    of_package = robot_runner("explain", packed.path, "--json").json
+    assert of_package == robot_runner("explain", unpacked, "--json").json
+    assert of_package["name"] == "small"
+    lines = {(each["badge"], each["what"]): (each["state"], each["fact"]) for each in of_package["badges"]}
+    text = (unpacked / "BADGES.md").read_text(encoding="utf-8")
+    assert text.count("| met |") == sum(state == "met" for state, _ in lines.values()) > 8
+    functional = "Artifacts Evaluated: Functional"
+    assert lines[functional, "Verified: it is whole"][0] == "met"
+    assert "of them by the hash of their files" in lines[functional, "Exercisable: the software is pinned"][1]
+    # What only people can say is never met by itself.
+    of_others = [state for (badge, _), (state, _) in lines.items() if badge.startswith("Results")]
+    assert of_others == ["for the reviewers to say"] * 2
+    (unpacked / "BADGES.md").unlink()
+    refused = robot_runner("explain", unpacked)
+    assert (refused.code, "no such file" in refused.err) == (2, True)

@@ -26,6 +26,12 @@ def add_arguments(parser: Parser) -> None:
     add_target(parser)
     add_set(parser)
     parser.add_argument("--to", metavar="FOLDER", help="where to; export/ in the experiment's folder if left out")
+    parser.add_argument(
+        "--spreadsheets",
+        action="store_true",
+        help="write the run table and the report's tables into spreadsheets/, too, as CSV without cells that a "
+        "spreadsheet would execute",
+    )
     add_json(parser)
 
 
@@ -35,11 +41,15 @@ def execute(arguments: Namespace) -> int:
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - takes a second to import
 
     results = load_results(folder_of_target(arguments.target, arguments.set).root)
-    files = results.export(Path(arguments.to) if arguments.to else None)
+    target = Path(arguments.to) if arguments.to else None
+    files = results.export(target, for_spreadsheets=arguments.spreadsheets)
     if arguments.json:
         print_json({"files": list(map(str, files))})
         return 0
     console = output()
     console.print(results.name, style="bold")
-    print_facts(console, [("Data package", shown_path(files[-1])), ("Files", f"{len(files)} in {files[-1].parent}")])
+    facts = [("Data package", shown_path(files[-1])), ("Files", f"{len(files)} in {files[-1].parent}")]
+    if arguments.spreadsheets:
+        facts.append(("Spreadsheets", shown_path(files[-1].parent / "spreadsheets")))
+    print_facts(console, facts)
     return 0

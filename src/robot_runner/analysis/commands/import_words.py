@@ -54,9 +54,14 @@ def _status_counts(found: Understanding) -> dict[str, int]:
 def _column_lines(found: Understanding) -> Iterator[str]:
     """Yield a row for each column of the table: its role, unit, how sure that is and why, and its first cells."""
     rows = [
-        [guess.column, guess.role.value, _unit(found, guess.column), guess.confidence.value]
-        + list(found.table.column(guess.column)[:_SHOWN_ROWS])
-        + [guess.reason + "; unit not known" * (guess.column in found.units and found.units[guess.column] is None)]
+        [
+            guess.column,
+            guess.role.value,
+            _unit(found, guess.column),
+            guess.confidence.value,
+            *found.table.column(guess.column)[:_SHOWN_ROWS],
+            guess.reason + "; unit not known" * (guess.column in found.units and found.units[guess.column] is None),
+        ]
         for guess in found.roles.guesses
     ]
     # What is not sure is shown, however many columns there are.

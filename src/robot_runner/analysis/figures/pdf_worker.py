@@ -8,14 +8,14 @@ import pickle
 import subprocess
 import sys
 import tempfile
-from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self, cast
 
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
-from robot_runner.core.errors import AnalysisError
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.errors import AnalysisError, StorageError
+from robot_runner.core.storage.guarded_files import replace
 
 if TYPE_CHECKING:
+    from pathlib import Path
     from types import TracebackType
 
     from matplotlib.figure import Figure
@@ -64,9 +64,9 @@ class PdfWorker:
                 self._process.kill()
                 self._process.communicate()
 
-    def write(self, figure: Figure, path: Path) -> None:
-        """Have a figure written; the figure may be used further, or not."""
-        data = pickle.dumps((figure, str(path)))
+    def write(self, figure: Figure, path: Path, root: Path) -> None:
+        """Have a figure written below `root`; the figure may be used further, or not."""
+        data = pickle.dumps((figure, path, root))
         try:
             self._input.write(len(data).to_bytes(8, "big") + data)
         except BrokenPipeError:
@@ -80,8 +80,7 @@ class PdfWorker:
             problem = f"figures were not written as PDF within {_DEADLINE:g} s"
             raise AnalysisError(problem, where="figures", fix=fix) from error
         if self._process.returncode == _COULD_NOT_WRITE:
-            facts = json.loads(answer)
-            raise storage_error(Path(facts["path"]), "written", OSError(facts["errno"], facts["reason"]))
+            raise StorageError(**json.loads(answer))
         if self._process.returncode != 0:
             self._complaint.seek(0)
             last = self._complaint.read().decode("utf-8", "replace").strip().splitlines()[-1:]
@@ -93,11 +92,11 @@ def main() -> int:
     gc.freeze()  # fonts make many short-lived objects, and what was imported stays anyway
     while head := sys.stdin.buffer.read(8):
         # What comes in was pickled by the process that started this one.
-        figure, path = pickle.loads(sys.stdin.buffer.read(int.from_bytes(head, "big")))  # noqa: S301
+        figure, path, root = pickle.loads(sys.stdin.buffer.read(int.from_bytes(head, "big")))  # noqa: S301
         try:
-            Path(path).write_bytes(figure_bytes(figure, FigureFormat.PDF))
-        except OSError as error:
-            sys.stdout.write(json.dumps({"path": path, "errno": error.errno, "reason": error.strerror}))
+            replace(path, figure_bytes(figure, FigureFormat.PDF), root)
+        except StorageError as error:
+            sys.stdout.write(json.dumps({"problem": error.problem, "where": error.where, "fix": error.fix}))
             return _COULD_NOT_WRITE
     return 0
 

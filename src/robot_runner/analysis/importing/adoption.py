@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import secrets
 import shutil
-import tempfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -20,11 +19,13 @@ from robot_runner.analysis.importing.sample_times import TimeKind
 from robot_runner.analysis.importing.trace_checks import TraceSpan, trace_warnings
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import quoted
+from robot_runner.core.storage.guarded_files import make_experiment_folder
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.safe_write import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
     from robot_runner.analysis.importing.understanding import Understanding
@@ -66,14 +67,10 @@ def adopt(understanding: Understanding, target: Path, *, progress: Callable[[int
     if understanding.root.resolve() in (target.resolve(), *target.resolve().parents):
         problem = "the new folder would be inside of the results, which are not to be changed"
         raise StorageError(problem, where=str(target), fix="Choose a folder outside of them: --to FOLDER.")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        beside = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-    except OSError as error:
-        raise storage_error(target, "made", error) from error
+    beside = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
+    make_experiment_folder(beside)
     try:
         adopted = _write(understanding, ExperimentFolder(beside), target, progress)
-        beside.chmod(0o755)
         beside.replace(target)
     except OSError as error:
         raise storage_error(target, "written", error) from error

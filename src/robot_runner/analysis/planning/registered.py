@@ -13,6 +13,7 @@ from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.executed_runs import executed_order, moved_in_words, moved_runs
+from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.registration import Registration, differences, read_registration
 from robot_runner.core.words import counted
@@ -129,10 +130,10 @@ def _of_combinations(design: Mapping[str, Any], results: Results) -> Iterator[st
 
 
 def _of_config(config: Mapping[str, Any], results: Results) -> Iterator[str]:
-    kept = ExperimentFolder.found_at(results.folder).config
+    files = ExperimentFolder.found_at(results.folder)
     for name, digest in {str(config.get("file")): config.get("sha256"), **(config.get("modules") or {})}.items():
-        path = kept / name
-        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        path = files.config / name
+        if path.is_file() and hashlib.sha256(read_bytes(path, files.root)).hexdigest() != digest:
             yield f"the file {name} was changed after the registration"
     settings = config.get("settings") or {}
     for execution in results.manifest.get("executions") or ():

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.notebook import notebook
 from robot_runner.analysis.recomputing.r_script import r_script
-from robot_runner.analysis.report.writing import made_by
+from robot_runner.analysis.report.writing import made_by, report_folder
 from robot_runner.analysis.results import Results, load_results
-from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.guarded_files import make_folder, replace
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -57,19 +56,12 @@ def write_recomputations(
         AnalysisError: there is no such measure.
     """
     results = experiment if isinstance(experiment, Results) else load_results(experiment)
-    folder = ExperimentFolder(results.folder).report if output is None else output
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise storage_error(folder, "made", error) from error
+    root, folder = report_folder(results.folder, output)
+    make_folder(folder, root)
     made = made_by("Report", datetime.now(UTC))
     study = facts_of_study(results, folder, measures=measures, alpha=alpha, plan=plan, made=made)
     written = []
     for kind in kinds:
         written.append(folder / kind.value)
-        _write(folder / kind.value, _CODE[kind](study))
+        replace(folder / kind.value, _CODE[kind](study), root)
     return tuple(written)
-
-
-def _write(path: Path, text: str) -> None:
-    write_beside_and_rename(path, lambda file: file.write(text))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.recomputing.study_facts import FactorColumn, TableSource
 from robot_runner.analysis.statistics.design import PLACE
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
+from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import delimiter_of, match_headings
 from robot_runner.core.storage.safe_write import storage_error
@@ -43,8 +44,8 @@ class Cells:
 
     def __init__(self, path: Path, results: Results) -> None:
         try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, ValueError) as error:
+            text = read_bytes(path).decode()  # as it stands: R and pandas meet the byte order mark, too
+        except ValueError as error:
             raise storage_error(path, "read", OSError(str(error))) from error
         layout = TableLayout.of_schema(tuple(results.columns.values()))
         lines = [line for line in text.splitlines(keepends=True) if line.strip()]
@@ -83,7 +84,7 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
     is_ordered = is_stamped or places == list(range(1, len(places) + 1))
     return TableSource(
         path=os.path.relpath(path.resolve(), folder.resolve()).replace(os.sep, "/"),
-        checksum=hashlib.md5(path.read_bytes(), usedforsecurity=False).hexdigest(),
+        checksum=hashlib.md5(read_bytes(path), usedforsecurity=False).hexdigest(),
         delimiter=cells.delimiter,
         renamed=cells.renamed,
         done=chosen or (),

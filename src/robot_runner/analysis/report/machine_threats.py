@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Tone
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import read_json
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated
 
@@ -37,8 +38,8 @@ def read_machines(material: Material) -> dict[str, dict[str, Mapping[str, Any]]]
     for run_id in material.done[RUN_ID]:
         for path in (path for name in watches for path in sorted((folder.run(run_id) / name).glob("*.json"))):
             try:
-                facts = json.loads(path.read_text(encoding="utf-8"))
-            except (OSError, ValueError):
+                facts = read_json(path, folder.root)
+            except StorageError:
                 continue
             if isinstance(facts, dict):
                 found.setdefault(str(facts.get("host")), {})[str(run_id)] = facts

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,9 +13,11 @@ from robot_runner.analysis.report.blocks import Badge, Tone
 from robot_runner.analysis.statistics.known_precision import known_precisions
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.errors import StorageError
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
+from robot_runner.core.storage.guarded_files import read_json
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
@@ -87,8 +88,8 @@ def read_qualities(folder: ExperimentFolder, run_ids: Iterable[str]) -> tuple[Ru
     for run_id in run_ids:
         for path in sorted(folder.run(run_id).glob(f"*/{_FILE}")):
             try:
-                facts = json.loads(path.read_text(encoding="utf-8"))
-            except (OSError, ValueError):
+                facts = read_json(path, folder.root)
+            except StorageError:
                 continue
             if isinstance(facts, dict):
                 found.append(_quality(run_id, path.parent.name, facts))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.figures.stills import RunStills, draw_stills
 from robot_runner.analysis.report.blocks import Beside, FigureBlock, Gallery, Part
 from robot_runner.analysis.report.means_table import means_table
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import read_json, require_file
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted
 
@@ -33,7 +34,7 @@ def stills_part(material: Material) -> Iterator[Part]:
     cameras: dict[str, list[RunStills]] = {}
     for run_id in map(str, material.done[RUN_ID]):
         for path in sorted(folder.run(run_id).glob(f"*/{_FILE}")):
-            stills = _stills(path)
+            stills = _stills(path, folder.root)
             if stills:
                 name = f"{run_id}, {material.labels[run_id]}"
                 cameras.setdefault(path.parent.name, []).append(RunStills(name, stills))
@@ -56,13 +57,22 @@ def _figure(camera: str, runs: Sequence[RunStills]) -> FigureBlock:
     )
 
 
-def _stills(path: Path) -> tuple[tuple[str, Path], ...]:
+def _stills(path: Path, root: Path) -> tuple[tuple[str, Path], ...]:
     """Return what each still shows, and its file; what is no such note, or leads elsewhere, is passed over."""
     try:
-        listed = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        listed = read_json(path, root)
+    except StorageError:
         return ()
     notes = [note for note in listed if isinstance(note, dict)] if isinstance(listed, list) else []
     found = ((str(note.get("label")), path.parent / str(note.get("file"))) for note in notes)
-    inside = [(label, file) for label, file in found if file.parent == path.parent and not file.is_symlink()]
-    return tuple((label, file) for label, file in inside if file.is_file())[:_MOST_STILLS]
+    return tuple((label, file) for label, file in found if file.parent == path.parent and _is_file(file, root))[
+        :_MOST_STILLS
+    ]
+
+
+def _is_file(path: Path, root: Path) -> bool:
+    try:
+        require_file(path, root)
+    except StorageError:
+        return False
+    return True

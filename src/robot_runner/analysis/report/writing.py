@@ -17,6 +17,7 @@ from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_of, markdown_of
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.core.storage.guarded_files import make_folder, replace
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
 
@@ -24,12 +25,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from matplotlib.figure import Figure
-
     from robot_runner.analysis.report.blocks import Document
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-__all__ = ["ReportFormat", "WrittenReport", "made_by", "write_page", "write_parts", "write_report"]
+__all__ = ["ReportFormat", "WrittenReport", "made_by", "report_folder", "write_page", "write_parts", "write_report"]
 
 
 #: With more, figures as PDF are not left to a process of its own.
@@ -92,11 +91,44 @@ def write_report(
         helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1 and len(results.runs) <= _MOST_RUNS
         worker = closing.enter_context(PdfWorker()) if helps else None
         material = Material(results, analyse(results, measures=measures, alpha=alpha, plan=plan))
-        folder = ExperimentFolder(results.folder).report if output is None else output
+        place = _Place(*report_folder(results.folder, output))
         made = made_by("Report", datetime.now(UTC))
         if draws:
-            return _write_document(report_document(material, made=made), kind, folder, figures, worker)
-        return WrittenReport(_write(folder / "report.json", json_of_report(material, made=made)))
+            return _write_document(report_document(material, made=made), kind, place, figures, worker)
+        return WrittenReport(place.write("report.json", json_of_report(material, made=made).encode()))
+
+
+def report_folder(experiment: Path, output: Path | None) -> tuple[Path, Path]:
+    """Return the folder in which no links are followed, and the one that a report is written into.
+
+    Args:
+        experiment: its folder.
+        output: where the user wants the report, which is made; None for `report/` in the experiment's folder.
+
+    Raises:
+        StorageError: the folder cannot be made.
+    """
+    if output is not None:
+        try:
+            output.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise storage_error(output, "made", error) from error
+        return output, output
+    return experiment, ExperimentFolder(experiment).report
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where the files of a document are written: below `folder`, and over no link below `root`."""
+
+    root: Path
+    folder: Path
+
+    def write(self, name: str, content: bytes) -> Path:
+        path = self.folder / name
+        make_folder(path.parent, self.root)
+        replace(path, content, self.root)
+        return path
 
 
 def write_page(document: Document, path: Path) -> None:
@@ -116,14 +148,14 @@ def write_parts(document: Document, folder: Path) -> tuple[Path, ...]:
     Raises:
         StorageError: a file cannot be written.
     """
-    names = SafeNames()
+    names, place = SafeNames(), _Place(*report_folder(folder, folder))
     figures = [
-        _write_bytes(folder / "figures" / f"{names(block.name)}.{kind.value}", figure_bytes(figure, kind))
+        place.write(f"figures/{names(block.name)}.{kind.value}", figure_bytes(figure, kind))
         for block in document.figures
         for figure in (block.draw(),)
         for kind in FigureFormat
     ]
-    return (*figures, *_write_tables(document, folder / "tables"))
+    return (*figures, *_write_tables(document, place))
 
 
 def made_by(what: str, moment: datetime) -> str:
@@ -134,7 +166,7 @@ def made_by(what: str, moment: datetime) -> str:
 def _write_document(
     document: Document,
     kind: ReportFormat,
-    folder: Path,
+    place: _Place,
     formats: Sequence[FigureFormat],
     worker: PdfWorker | None,
 ) -> WrittenReport:
@@ -147,51 +179,27 @@ def _write_document(
         figure = block.draw()
         drawings[block.name] = figure_bytes(figure, FigureFormat.SVG)
         for each in kinds:
-            path = folder / "figures" / f"{names(block.name)}.{each.value}"
-            figures.append(_write_figure(path, figure, each, drawings[block.name], worker))
-    tables = _write_tables(document, folder / "tables")
+            name = f"figures/{names(block.name)}.{each.value}"
+            if each is FigureFormat.PDF and worker is not None:
+                make_folder(place.folder / "figures", place.root)
+                worker.write(figure, place.folder / name, place.root)
+                figures.append(place.folder / name)
+            else:
+                is_drawn = each is FigureFormat.SVG
+                figures.append(place.write(name, drawings[block.name] if is_drawn else figure_bytes(figure, each)))
+    tables = _write_tables(document, place)
     if kind is ReportFormat.MARKDOWN:
         text = markdown_of(document, lambda name: f"figures/{names(name)}.svg")
     else:
         text = html_of(document, drawings)
-    return WrittenReport(_write(folder / f"report.{kind.value}", text), tables, tuple(figures))
+    return WrittenReport(place.write(f"report.{kind.value}", text.encode()), tables, tuple(figures))
 
 
-def _write_figure(path: Path, figure: Figure, kind: FigureFormat, svg: bytes, worker: PdfWorker | None) -> Path:
-    if kind is FigureFormat.PDF and worker is not None:
-        _make(path.parent)
-        worker.write(figure, path)
-        return path
-    return _write_bytes(path, svg if kind is FigureFormat.SVG else figure_bytes(figure, kind))
-
-
-def _write_tables(document: Document, folder: Path) -> tuple[Path, ...]:
+def _write_tables(document: Document, place: _Place) -> tuple[Path, ...]:
     names = SafeNames()
     formats = {"csv": csv_of, "tex": latex_of}
     return tuple(
-        _write_bytes(folder / f"{names(table.name)}.{ending}", render(table).encode("utf-8"))
+        place.write(f"tables/{names(table.name)}.{ending}", render(table).encode("utf-8"))
         for table in document.tables
         for ending, render in formats.items()
     )
-
-
-def _write(path: Path, text: str) -> Path:
-    _make(path.parent)
-    write_beside_and_rename(path, lambda file: file.write(text))
-    return path
-
-
-def _write_bytes(path: Path, data: bytes) -> Path:
-    _make(path.parent)
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise storage_error(path, "written", error) from error
-    return path
-
-
-def _make(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise storage_error(folder, "made", error) from error

@@ -16,7 +16,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RUN_EVENTS
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import THIS_MACHINE
+from robot_runner.core.plugin import THIS_MACHINE, Plugin
 from robot_runner.core.treatments import built_with, factors_of, values_of
 from robot_runner.core.words import counted, enumerated
 
@@ -26,12 +26,13 @@ if TYPE_CHECKING:
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.manager import EventManager
-    from robot_runner.core.plugin import Plugin
 
-__all__ = ["Claims", "check_workers", "usable_cores", "worker_count"]
+__all__ = ["Claims", "check_workers", "held_claims", "usable_cores", "worker_count"]
 
 #: Of a design with more runs than this, the first ones tell what all of them claim.
 _LOOKED_AT = 200
+#: What tells one ROS graph from another that is reached by the same name.
+_GRAPHS = ("ROS_DOMAIN_ID", "ROS_MASTER_URI")
 
 
 def usable_cores() -> int:
@@ -58,6 +59,7 @@ class Claims:
     """
 
     def __init__(self, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager) -> None:
+        self._parameters = parameters
         self._robot = parameters.robot
         self._plugins = plugins
         self._of_config = tuple(_of_config(parameters, events))
@@ -78,6 +80,31 @@ class Claims:
             claims = self.of(combination)
             common = claims if common is None else {name: who for name, who in common.items() if name in claims}
         return common or {}
+
+    def against_others(self, combinations: Iterable[Mapping[str, Any]]) -> frozenset[str]:
+        """Return what these runs claim against other experiments: what plugins and the config say, and real robots.
+
+        Who does not say keeps runs of this experiment apart, and no other experiment out. Of a cluster, claims are
+        about machines that are not this one, but for the robot.
+        """
+        found = {claim for combination in combinations for claim in self._declared(combination)}
+        here = found | {f"host:{host.address}" for host in self._parameters.hosts.values() if not host.is_local}
+        here.update(self._parameters.claims or ())
+        return frozenset(self._robots()) | (frozenset() if self._parameters.cluster is not None else frozenset(here))
+
+    def _declared(self, combination: Mapping[str, Any]) -> Iterator[str]:
+        for plugin in self._plugins:
+            measures_computer = getattr(plugin, "measured_computer", None) is not None
+            if measures_computer or type(plugin).claims is not Plugin.claims:
+                yield from self._of_plugin(plugin, combination)
+
+    def _robots(self) -> Iterator[str]:
+        """Yield the real robots, each with the graph that it is on and the namespaces that plugins name there."""
+        graph = "".join(f" {name}={os.environ[name]}" for name in _GRAPHS if os.environ.get(name))
+        namespaces = sorted({str(getattr(plugin, "namespace", "")).strip("/") for plugin in self._plugins} - {""})
+        for link in self._parameters.robots.values() or filter(None, (self._parameters.robot,)):
+            if not is_simulated(link):
+                yield from (f"robot:{link}{f'/{name}' if name else ''}{graph}" for name in namespaces or [""])
 
     @property
     def _vary(self) -> bool:
@@ -113,6 +140,11 @@ def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
 
 def _has_callbacks(events: EventManager) -> bool:
     return any(each.owner == CONFIG_OWNER for event in RUN_EVENTS for each in events.subscribers(event))
+
+
+def held_claims(claims: Claims, model: RunTableModel) -> frozenset[str]:
+    """Return what an experiment of this design claims against others; of a large one, what its first runs do."""
+    return claims.against_others(run.combination for run in islice(model.plan(), _LOOKED_AT))
 
 
 def check_workers(

@@ -9,7 +9,7 @@ from contextlib import closing, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from robot_runner.core.config.claims import Claims
+from robot_runner.core.config.claims import Claims, held_claims
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import OPERATOR_OWNER
@@ -34,6 +34,7 @@ from robot_runner.core.execution.probe import Probe, probe_profilers, probed_pro
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.side_by_side import SideBySide
+from robot_runner.core.storage.claim_locks import HeldClaims
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -84,11 +85,15 @@ def execute_experiment(
 
     is_probed = resumption.probe and experiment.parameters.probe
     probed = [profiler.name for profiler in probed_profilers(experiment)] if is_probed else []
+    claims = Claims(experiment.parameters, experiment.plugins, experiment.events)
+    held = held_claims(claims, experiment.model)
     with (
         Interruption() as interruption,
+        HeldClaims(held, experiment.parameters.experiment_name, experiment.folder.root) as holding,
         ProgressManager(experiment, resumption, probe if probed else None, prepare) as progress,
     ):
-        return _Orchestrator(experiment, progress, interruption, observer).execute(findings)
+        told = (*findings, *holding.findings)
+        return _Orchestrator(experiment, progress, interruption, observer, claims).execute(told)
 
 
 def _findings_of(error: BaseException) -> Sequence[Finding]:
@@ -111,6 +116,7 @@ class _Orchestrator:
         progress: ProgressManager,
         interruption: Interruption,
         observer: Observer,
+        claims: Claims,
     ) -> None:
         self._experiment = experiment
         self._parameters = experiment.parameters
@@ -122,7 +128,6 @@ class _Orchestrator:
         self._notifications = Notifications(experiment, progress.note)
         self._started = time.monotonic()
         self._stop = Stop()
-        claims = Claims(self._parameters, experiment.plugins, experiment.events)
         self._places = places_of(experiment, claims, progress.combinations_left)
         has_one_place = len(self._places.all) == 1
         progress.expect_places(max(1, len(self._places.all)))

@@ -79,6 +79,12 @@ class RunTask:
     slot: int = 1
 
     @property
+    def whereabouts(self) -> dict[str, Any]:
+        """What the journal has of where it is executed: nothing where there is one place only."""
+        named: dict[str, Any] = {"place": self.place} if self.place else {}
+        return named if self.slot == 1 else {**named, "slot": self.slot}
+
+    @property
     def is_warm_up(self) -> bool:
         """Whether it only warms up, so that it is not analysed."""
         return self.repetition == 0
@@ -190,7 +196,10 @@ class RecordWriter:
         self._lock = threading.Lock()
 
     def __call__(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send one record, without what the environment keeps secret. An orchestrator that is gone is no reason for the run not to close what it opened."""
+        """Send one record, without what the environment keeps secret.
+
+        An orchestrator that is gone is no reason for the run not to close what it opened.
+        """
         data = memoryview(f"{_encode([kind, sentences_without_secrets(fields)])}\n".encode())
         with self._lock:
             try:

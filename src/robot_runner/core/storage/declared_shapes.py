@@ -14,7 +14,6 @@ from datetime import datetime
 from functools import cache
 from types import NoneType, UnionType
 from typing import (
-    Annotated,
     Any,
     NamedTuple,
     NewType,
@@ -66,7 +65,7 @@ class _Shape(NamedTuple):
 
 
 def parsed_json(text: str) -> Any:
-    """Return the value that JSON has. Half a surrogate pair, which no file can take, becomes text: `\\ud800`.
+    r"""Return the value that JSON has. Half a surrogate pair, which no file can take, becomes text: `\ud800`.
 
     Raises:
         ValueError: it is no JSON, or names a key twice, so that two readers could read two things.
@@ -118,7 +117,8 @@ def shape_findings(where: str, what: str, value: Any, shape: Any, fix: str) -> l
     Args:
         where: the file.
         what: what it should be, as in `manifest`.
-        value, shape: as `faults_of` takes them.
+        value: as `json` read it.
+        shape: as `faults_of` takes it.
         fix: what to do about it.
     """
     return [Finding.error(where, f"the file is no {what}: {fault}", fix) for fault in faults_of(value, shape)]
@@ -145,25 +145,18 @@ def _shown(value: Any) -> str:
 @cache
 def _compiled(shape: Any) -> _Shape:
     """Return what is looked at, made once from a declaration."""
-    if shape is Any:
-        return _Shape("anything", {bool: None, int: _count_in_reach, float: None, str: None, NoneType: None} | _NESTED)
-    if shape is Moment:
-        return _Shape("a moment such as 2026-01-31T12:00:00Z", {str: _moment})
+    if shape in _NAMED:
+        return _NAMED[shape]
     if is_typeddict(shape):
         return _Shape(_WORDS[dict], {dict: _fields_of(shape)})
     origin, arguments = get_origin(shape), get_args(shape)
-    if origin is Annotated:
-        return _compiled(arguments[0])
     if origin in {Union, UnionType}:
         several = [_compiled(each) for each in arguments]
-        return _Shape(
-            " or ".join(each.words for each in several), {k: v for each in several for k, v in each.looks.items()}
-        )
+        looks = {kind: look for each in several for kind, look in each.looks.items()}
+        return _Shape(" or ".join(each.words for each in several), looks)
     if origin is dict:
         return _Shape(_WORDS[dict], {dict: _values_of(_compiled(arguments[1]))})
-    if origin is list:
-        return _Shape(_WORDS[list], {list: _items_of(_compiled(arguments[0]))})
-    return _Shape(_WORDS[shape or NoneType], _PLAIN[shape or NoneType])
+    return _Shape(_WORDS[list], {list: _items_of(_compiled(arguments[0]))})
 
 
 def _fields_of(shape: Any) -> _Look:
@@ -238,12 +231,12 @@ def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
 
 
 _NESTED: dict[type, _Look | None] = {dict: _not_too_deep, list: _not_too_deep}
-_PLAIN: dict[Any, dict[type, _Look | None]] = {
-    str: {str: None},
-    bool: {bool: None},
-    NoneType: {NoneType: None},
-    int: {int: _count_in_reach},
-    float: {float: _finite, int: _count_in_reach},
-    dict: {dict: _not_too_deep},
-    list: {list: _not_too_deep},
+_NAMED: dict[Any, _Shape] = {
+    Any: _Shape("anything", {bool: None, int: _count_in_reach, float: None, str: None, NoneType: None, **_NESTED}),
+    Moment: _Shape("a moment such as 2026-01-31T12:00:00Z", {str: _moment}),
+    str: _Shape(_WORDS[str], {str: None}),
+    bool: _Shape(_WORDS[bool], {bool: None}),
+    NoneType: _Shape(_WORDS[NoneType], {NoneType: None}),
+    int: _Shape(_WORDS[int], {int: _count_in_reach}),
+    float: _Shape(_WORDS[float], {float: _finite, int: _count_in_reach}),
 }

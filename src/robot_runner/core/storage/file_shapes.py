@@ -8,7 +8,7 @@ from typing import Any, NotRequired, TypedDict
 
 from robot_runner.core.storage.declared_shapes import Moment, Scalar
 
-__all__ = ["RECORDS", "HolderFile", "Manifest", "Record", "RegistrationFile", "RequestFile", "SampleQuality", "Schema"]
+__all__ = ["HolderFile", "Manifest", "RegistrationFile", "Repository", "RequestFile", "SampleQuality", "Schema"]
 
 
 # manifest.json
@@ -37,7 +37,9 @@ class _Design(TypedDict):
     is_reordered: NotRequired[bool]
 
 
-class _Repository(TypedDict):
+class Repository(TypedDict):
+    """What is recorded of a repository at an execution."""
+
     commit: NotRequired[str | None]
     branch: NotRequired[str | None]
     origin: NotRequired[str | None]
@@ -50,7 +52,7 @@ class _Execution(TypedDict):
     finished_at: NotRequired[Moment]
     deviations: NotRequired[dict[str, Scalar]]
     selection: NotRequired[dict[str, list[str]]]
-    repository: NotRequired[_Repository | None]
+    repository: NotRequired[Repository | None]
 
 
 _Plugin = TypedDict(
@@ -113,7 +115,7 @@ class Manifest(TypedDict):
     software: NotRequired[_Software]
     executions: NotRequired[list[_Execution]]
     clocks: NotRequired[dict[str, dict[str, Any]]]
-    revisions: NotRequired[dict[str, dict[str, _Repository]]]
+    revisions: NotRequired[dict[str, dict[str, Repository]]]
     table_deviations: NotRequired[list[_TableDeviation]]
 
 
@@ -142,242 +144,6 @@ SchemaField = TypedDict(
         "robot_runner:doubts": NotRequired[dict[str, list[str]] | None],
     },
 )
-
-
-# journal.jsonl, a record a line
-
-
-class Record(TypedDict):
-    """A record of the journal, whatever its kind."""
-
-    kind: str
-    at: NotRequired[Moment]
-
-
-class _Dated(Record):
-    at: Moment
-
-
-class _OfRun(_Dated):
-    run: str
-    attempt: int
-
-
-class _AttemptStarted(_OfRun):
-    combination: NotRequired[dict[str, str] | None]
-    repetition: NotRequired[int | None]
-
-
-class _Measure(TypedDict):
-    value: Scalar
-    owner: str
-    origin: str | None
-    doubts: NotRequired[list[str]]
-
-
-class _AttemptFinished(_OfRun):
-    status: str
-    seconds: float | None
-    failure: str | None
-    measures: dict[str, _Measure]
-    stamps: dict[str, str | None]
-    is_last: NotRequired[bool]
-    is_amended: NotRequired[bool]
-    readers: NotRequired[dict[str, list[str]] | None]
-
-
-class _Event(_Dated):
-    event: str
-    run: NotRequired[str]
-    attempt: NotRequired[int]
-    clock: NotRequired[float | None]
-
-
-class _Finding(Record):
-    run: NotRequired[str | None]
-    attempt: NotRequired[int | None]
-    owner: str
-    problem: str
-    fix: str
-
-
-class _Window(_OfRun):
-    start: float
-    end: float
-
-
-class _Offset(TypedDict):
-    wall_offset: NotRequired[float | None]
-
-
-class _Clock(_OfRun):
-    owner: NotRequired[str]
-    host: NotRequired[str]
-    before: NotRequired[_Offset | None]
-    after: NotRequired[_Offset | None]
-    uncertainty: NotRequired[float | None]
-
-
-class _Gate(_Dated):
-    run: str
-    attempt: int
-    state: str
-    condition: str
-    seen: str | None
-    seconds: float
-
-
-class _Waited(Record):
-    run: NotRequired[str]  # a host that was started anew is awaited between two runs
-    attempt: NotRequired[int]
-    owner: NotRequired[str]
-    condition: str
-    seen: str | None
-    seconds: float
-    holds: bool
-
-
-class _Guard(_OfRun):
-    action: str
-    problem: str
-
-
-class _Excluded(_Dated):
-    run: str
-    reason: Scalar
-
-
-class _Included(_Dated):
-    run: str
-    reason: NotRequired[Scalar]
-
-
-_Deviation = TypedDict(
-    "_Deviation", {"kind": str, "at": Moment, "run": str, "column": str, "was": Scalar, "is": Scalar}
-)
-
-
-class _TableWritten(Record):
-    sha256: NotRequired[str | None]
-
-
-class _ExperimentStarted(_Dated):
-    seed: NotRequired[int | None]
-    runs: NotRequired[int]
-    design: NotRequired[str]
-    factors: NotRequired[dict[str, list[str]]]
-    repetitions: NotRequired[int]
-    repository: NotRequired[_Repository | None]
-    selection: NotRequired[dict[str, list[str]]]
-
-
-class _Estimate(TypedDict):
-    in_words: str
-
-
-class _Judged(_Dated):
-    precision: NotRequired[list[_Estimate]]
-
-
-class _PlannedRun(TypedDict):
-    run: str
-    combination: dict[str, Any]
-    repetition: int
-    block: NotRequired[int | None]
-
-
-class _Repeated(_Judged):
-    repetition: int
-    runs: list[_PlannedRun]
-    base: NotRequired[dict[str, Any]]
-
-
-class _Extended(_Dated):
-    batch: int
-    repetitions: int
-    shuffle: bool
-    seed: int
-    factors: dict[str, list[Any]]
-    runs: list[_PlannedRun]
-    blocks: NotRequired[str | None]
-    base: NotRequired[dict[str, Any]]
-    chosen: NotRequired[dict[str, list[str]]]
-    defaults: NotRequired[dict[str, str]]
-
-
-class _Waiting(Record):
-    next_run: NotRequired[str]
-    step: NotRequired[str | None]
-    questions: NotRequired[list[dict[str, Any]]]
-
-
-class _Asked(Record):
-    run: str
-    step: str
-
-
-class _OperatorStep(Record):
-    run: str
-    step: str
-    treatments: dict[str, Scalar]
-    answers: dict[str, Scalar]
-    notes: dict[str, Scalar]
-
-
-class _BoundParameter(TypedDict):
-    factor: str
-    value: Any
-
-
-class _Bound(_OfRun):
-    owner: str
-    parameters: dict[str, _BoundParameter]
-
-
-class _Subject(_OfRun):
-    owner: NotRequired[str]
-    command: NotRequired[list[str]]
-    host: NotRequired[str | None]
-    output: NotRequired[str | None]
-
-
-class _MissionStopped(_OfRun):
-    owner: str
-    reason: str
-
-
-class _Prepared(Record):
-    treatments: dict[str, Any]
-
-
-#: By kind; a record of a kind that is not here is one of a later version, or nobody relies on it.
-RECORDS: dict[str, Any] = {
-    "asked": _Asked,
-    "attempt_finished": _AttemptFinished,
-    "attempt_started": _AttemptStarted,
-    "bound": _Bound,
-    "clock": _Clock,
-    "deviation": _Deviation,
-    "event": _Event,
-    "excluded": _Excluded,
-    "experiment_finished": _Dated,
-    "experiment_started": _ExperimentStarted,
-    "extended": _Extended,
-    "finding": _Finding,
-    "gate": _Gate,
-    "guard": _Guard,
-    "included": _Included,
-    "judged": _Judged,
-    "mission_stopped": _MissionStopped,
-    "operator_step": _OperatorStep,
-    "prepared": _Prepared,
-    "repeated": _Repeated,
-    "subject": _Subject,
-    "table_written": _TableWritten,
-    "waited": _Waited,
-    "waiting": _Waiting,
-    "window": _Window,
-}
 
 
 # The other files

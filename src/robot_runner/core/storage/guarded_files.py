@@ -15,7 +15,7 @@ What cannot be done is a `StorageError` that names the file, why, and what to do
 from __future__ import annotations
 
 import errno
-import json
+import io
 import os
 import stat
 from contextlib import contextmanager, suppress
@@ -40,14 +40,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from io import BufferedReader
     from pathlib import Path
-    from typing import BinaryIO
+    from typing import BinaryIO, TextIO
 
 __all__ = [
+    "LINE_LIMIT",
     "DamagedFileError",
     "MissingFileError",
     "make_experiment_folder",
     "make_folder",
     "open_descriptor",
+    "open_text",
     "open_to_append",
     "open_to_fill",
     "open_to_read",
@@ -58,6 +60,7 @@ __all__ = [
     "read_text",
     "remove",
     "replace",
+    "require_file",
 ]
 
 #: JSON takes up to 24 times its length in memory (a list of empty objects): 8 MB become 200 MB.
@@ -81,6 +84,17 @@ class DamagedFileError(StorageError):
     """A file that was opened does not hold what it should: no text, no JSON, too much of it, or nested too deeply."""
 
 
+def require_file(path: Path, root: Path | None = None) -> None:
+    """Let only a regular file pass that is reached without links, for a library that opens it by its name.
+
+    Raises:
+        MissingFileError: there is none.
+        StorageError: it is no regular file inside the folder.
+    """
+    with refusals(path, root, "read") as (top, (*folders, name)), folder_inside(top, folders) as folder:
+        _require_regular(path, os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode)
+
+
 def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = None) -> BufferedReader:
     """Open a file to read its bytes.
 
@@ -99,6 +113,16 @@ def open_to_read(path: Path, root: Path | None = None, *, limit: int | None = No
         file.close()
         raise _too_large(path, f"the file has {_in_words(size)}", limit)
     return file
+
+
+def open_text(path: Path, root: Path | None = None) -> TextIO:
+    """Open a CSV file to read its text (UTF-8, wrong bytes replaced), lines ending as they stand.
+
+    Raises:
+        StorageError: as `open_to_read` says; or it is larger than what is read as text.
+    """
+    file = open_to_read(path, root, limit=TEXT_LIMIT)
+    return io.TextIOWrapper(file, encoding="utf-8-sig", errors="replace", newline="")
 
 
 def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT) -> bytes:

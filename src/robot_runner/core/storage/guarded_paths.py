@@ -55,8 +55,9 @@ def make_folder(path: Path, root: Path) -> None:
     Raises:
         StorageError: a part of the way is a link or no folder, or the system refuses.
     """
-    with refusals(path, root, "made") as (top, parts), folder_inside(top, parts, make=True):
-        pass
+    if path != root:
+        with refusals(path, root, "made") as (top, parts), folder_inside(top, parts, make=True):
+            pass
 
 
 def make_experiment_folder(root: Path) -> None:

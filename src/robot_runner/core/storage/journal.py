@@ -14,8 +14,14 @@ from typing import TYPE_CHECKING, Any, Self
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
-from robot_runner.core.storage.file_shapes import RECORDS, Record
-from robot_runner.core.storage.guarded_files import LINE_LIMIT, MissingFileError, open_descriptor, open_to_read, read_blocks
+from robot_runner.core.storage.guarded_files import (
+    LINE_LIMIT,
+    MissingFileError,
+    open_descriptor,
+    open_to_read,
+    read_blocks,
+)
+from robot_runner.core.storage.record_shapes import RECORDS, Record
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
@@ -103,7 +109,8 @@ class Journal:
         end = size
         while end > 0:
             if size - end > LINE_LIMIT:
-                raise _corrupt(self._path, b"", f"its last {size - end:,} bytes have no end of a line")
+                problem = f"this is no journal: its last {size - end:,} bytes have no end of a line"
+                raise StorageError(problem, where=str(self._path), fix="Restore the file from a backup.")
             start = max(0, end - 65536)
             newline = os.pread(self._descriptor, end - start, start).rfind(b"\n")
             if newline >= 0:

@@ -1,4 +1,4 @@
-"""Say where the values of a run come from.
+"""Say where the values of a run come from; of a whole experiment or package, what it has of ACM's artifact badges.
 
 For each value: plugin, raw file, aggregation, config line, attempt and host.
 """
@@ -6,11 +6,12 @@ For each value: plugin, raw file, aggregation, config line, attempt and host.
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.console import UserConsole, output, print_facts, print_json
+from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.words import one_line, shown_value
@@ -23,11 +24,19 @@ if TYPE_CHECKING:
 
 __all__ = ["add_arguments", "execute"]
 
+_MARKS = {"met": "+", "not met": "-"}
+
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     add_target(parser)
-    parser.add_argument("run", metavar="RUN", help="the run's id, such as r_3")
+    parser.add_argument(
+        "run",
+        metavar="RUN",
+        nargs="?",
+        help="the run's id, such as r_3; if left out, what the experiment, or a package named in its place, has of "
+        "what ACM's artifact badges ask for",
+    )
     parser.add_argument(
         "names", metavar="NAME", nargs="*", help="measures or columns of the run table; all of them if left out"
     )
@@ -37,6 +46,8 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Print where each value comes from."""
+    if arguments.run is None:
+        return _explain_badges(arguments)
     folder = folder_of_target(arguments.target, arguments.set).root
     from robot_runner.replication.explanation import explain_run  # noqa: PLC0415 - for a quick --help
 
@@ -45,6 +56,28 @@ def execute(arguments: Namespace) -> int:
         print_json(asdict(explanation))
     else:
         _print(output(), explanation)
+    return 0
+
+
+def _explain_badges(arguments: Namespace) -> int:
+    from robot_runner.replication.badge_reading import badges_of  # noqa: PLC0415 - for a quick --help
+
+    path = Path(arguments.target).expanduser()
+    is_config = path.suffix == ".py" or not path.exists()
+    name, lines = badges_of(folder_of_target(arguments.target, arguments.set).root if is_config else path)
+    if arguments.json:
+        print_json({"name": name, "badges": [{**asdict(line), "state": line.state.value} for line in lines]})
+        return 0
+    console = output()
+    console.print(Text(one_line(f"{name}: ACM's artifact badges"), style="bold"))
+    for badge in dict.fromkeys(line.badge for line in lines):
+        console.print()
+        console.print(Text(one_line(badge), style="bold"))
+        for line in (each for each in lines if each.badge == badge):
+            state = line.state.value
+            print_folded(
+                console, f"  {_MARKS.get(state, '?')} ", one_line(f"{line.what} ({state}). {line.fact}"), style=""
+            )
     return 0
 
 

@@ -21,7 +21,7 @@ from robot_runner.core.words import one_line
 from robot_runner.replication.commands.replication_plan import agrees
 from robot_runner.replication.run_by_run import identical_values
 from robot_runner.replication.verdicts import Conclusion, margins_of, reached_verdict, why_not_primary
-from robot_runner.replication.virtual_environments import compare_with, make_comparison_environment
+from robot_runner.replication.virtual_environments import compare_with, is_complete, make_comparison_environment
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -158,9 +158,10 @@ class Comparing:
         """Return the program of an environment that has the libraries; None where nobody wants one."""
         folder = self.target / "comparison_environment"
         question = f"Install what the comparison needs (the extra `analysis`) into {shown_path(folder)}? [Y/n]"
-        if not (self._is_agreed or (folder / "complete").exists() or agrees(question, otherwise=True)):
-            return None
-        output().print("Making an environment for the comparison ...", style="bold")
+        if not is_complete(folder):
+            if not (self._is_agreed or agrees(question, otherwise=True)):
+                return None
+            output().print("Making an environment for the comparison: minutes on a slow connection ...", style="bold")
         return make_comparison_environment(folder)
 
     def _print(

@@ -1,0 +1,72 @@
+"""Clusters that are started in other ways: over ssh, and encrypted with certificates of their own."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, table_of
+from tests.core.links.ssh_server import SshServer
+
+from robot_runner.core.config.dialects import prepare
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+def _executes_all(cluster: Cluster, watched: Watched) -> None:
+    watched.go()
+    experiment = cluster.experiment(watched.config)
+    answer, _ = experiment.communicate(timeout=PATIENCE)
+    assert experiment.returncode == 0, answer
+    assert [row["Twice"] for row in table_of(watched.folder)] == ["2.0", "4.0", "6.0"]
+
+
+@pytest.mark.soak
+def test_a_worker_that_ssh_starts_executes_runs(cluster: Cluster, watched: Watched, tmp_path: Path) -> None:
+    (tmp_path / "sshd").mkdir()
+    server = SshServer(tmp_path / "sshd")
+    worker = f"{BIN / 'dask'} worker {cluster.address} --nthreads 1 --no-nanny --local-directory {tmp_path / 'there'}"
+    ssh = subprocess.Popen(["ssh", "-tt", "-F", str(server.config), "robot", worker], stdin=subprocess.DEVNULL)
+    try:
+        _executes_all(cluster, watched)
+    finally:
+        ssh.terminate()
+        ssh.wait()
+        server.stop()
+
+
+@pytest.mark.soak
+def test_tls_takes_the_certificates_of_dasks_own_configuration(
+    start_cluster: Callable[..., Cluster], watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    key, certificate = str(tmp_path / "key.pem"), str(tmp_path / "certificate.pem")
+    made = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out", certificate]
+    subprocess.run([*made, "-days", "2", "-subj", "/CN=127.0.0.1"], check=True, capture_output=True)
+    tls = "DASK_DISTRIBUTED__COMM__TLS__"
+    settings = {f"{tls}CA_FILE": certificate}
+    for role in ("SCHEDULER", "WORKER", "CLIENT"):
+        settings |= {f"{tls}{role}__CERT": certificate, f"{tls}{role}__KEY": key}
+    cluster = start_cluster(protocol="tls", settings=settings)
+    cluster.worker("one")
+    _executes_all(cluster, watched)
+
+
+def test_what_a_cluster_cannot_do_is_found_before_anything_is_executed(watched: Watched) -> None:
+    def problems(**settings: str) -> str:
+        return " ".join(map(str, prepare(watched.config, settings).findings))
+
+    assert problems(cluster="tcp://scheduler:8786") == ""
+    assert "the address of a Dask scheduler, such as tcp://scheduler:8786" in problems(cluster="scheduler")
+    watched.config.write_text(
+        watched.config.read_text().replace("claims = []", 'robot = Robots("ros2://alice", "ros2://bob")')
+    )
+    watched.config.write_text("from robot_runner import Robots\n" + watched.config.read_text())
+    assert "several robots are named" in problems(cluster="tcp://scheduler:8786")
+    assert "run_process is IN_PROCESS" in problems(cluster="tcp://scheduler:8786", run_process="in_process")
+    assert "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" in problems(cluster="tls://scheduler:8786")

@@ -1,0 +1,99 @@
+"""What runs claim: what plugins say, their robot and hosts, and the whole machine for who does not say."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.config.claims import Claims, held_claims, usable_cores, worker_count
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+HEAD = """\
+from robot_runner import *
+from robot_runner.plugins import Profiler, System
+from robot_runner.plugins.profilers import Ina219, PsUtil, WattsUpPro
+from robot_runner.plugins.systems import BasicTurtlebot3
+
+class Silent(Profiler):
+    def start_measurement(self, context):
+        pass
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+"""
+
+
+@pytest.fixture
+def claims(write_config: Callable[..., Path]) -> Callable[..., Any]:
+    """Return what gives the claims of a config's first run, and those that it holds against other experiments."""
+
+    def of(body: str) -> tuple[dict[str, list[str]], frozenset[str]]:
+        experiment = prepare_or_refuse(write_config(body, head=HEAD))
+        found = Claims(experiment.parameters, experiment.plugins, experiment.events)
+        combination = next(iter(experiment.model.plan())).combination
+        return found.of(combination), held_claims(found, experiment.model)
+
+    return of
+
+
+def test_a_simulated_robot_and_its_meters_claim_nothing(claims: Callable[..., Any]) -> None:
+    body = """
+    robot = "simulated"
+    plugins = [BasicTurtlebot3(), Ina219(), PsUtil()]
+    def launch_mission(self, context): pass
+    """
+    assert claims(body) == ({}, frozenset())
+
+
+def test_who_measures_this_machine_claims_it_against_everybody(claims: Callable[..., Any]) -> None:
+    body = 'robot = "simulated"\nplugins = [BasicTurtlebot3(), PsUtil(host="localhost")]'
+    assert claims(body) == ({"host:localhost": ["PsUtil"]}, frozenset({"host:localhost"}))
+
+
+def test_who_does_not_say_has_the_machine_to_itself_and_keeps_no_other_experiment_out(
+    claims: Callable[..., Any],
+) -> None:
+    body = "plugins = [Silent()]\ndef launch_mission(self, context): pass"
+    assert claims(body) == ({"host:localhost": ["config", "Silent"]}, frozenset())
+
+
+def test_a_config_says_what_its_callbacks_need(claims: Callable[..., Any]) -> None:
+    body = 'claims = ["device:lamp"]\nhosts = {"base": "local"}\ndef launch_mission(self, context): pass'
+    assert claims(body) == (
+        {"host:localhost": ["config"], "device:lamp": ["config"]},
+        frozenset({"device:lamp"}),
+    )
+
+
+def test_a_real_robot_is_claimed_with_its_graph_and_namespace(
+    claims: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    monkeypatch.delenv("ROS_MASTER_URI", raising=False)
+    body = 'robot = "rosbridge://alice:9090"\nprobe = False\nplugins = [BasicTurtlebot3(namespace="/alice")]'
+    own, held = claims(body)
+    assert set(own) == {"robot:rosbridge://alice:9090"}
+    assert held == {"robot:rosbridge://alice:9090/alice ROS_DOMAIN_ID=7"}
+
+
+@pytest.mark.parametrize("given", ["0", "-1", "many", "1.5"])
+def test_a_number_of_workers_that_is_none_is_refused(write_config: Callable[..., Path], given: str) -> None:
+    with pytest.raises(ConfigError, match='1 or more, or "auto"'):
+        prepare_or_refuse(write_config(), {"workers": given})
+
+
+def test_auto_is_as_many_workers_as_there_are_cores(write_config: Callable[..., Path]) -> None:
+    experiment = prepare_or_refuse(write_config("claims = []"), {"workers": "auto"})
+    assert worker_count(experiment.parameters) == usable_cores() >= 1
+
+
+def test_a_plugin_whose_claims_raise_is_a_finding(write_config: Callable[..., Path]) -> None:
+    head = HEAD.replace("class Silent(Profiler):", "class Silent(Profiler):\n    def claims(self, robot): return 1 / 0")
+    findings = prepare(write_config("plugins = [Silent()]", head=head), {"workers": "2"}).findings
+    assert any("ZeroDivisionError" in finding.problem for finding in findings)

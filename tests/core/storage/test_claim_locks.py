@@ -1,0 +1,70 @@
+"""What an experiment has claimed is refused to another one, until it ends, however it ends."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.storage.claim_locks import HeldClaims
+
+HOLDING = """
+import sys, time
+from pathlib import Path
+from robot_runner.core.storage.claim_locks import HeldClaims
+with HeldClaims(["serial:/dev/ttyUSB0", "robot:ros2://alice"], "first", Path("/results/first")):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_state(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+def test_a_second_experiment_is_refused_with_the_name_of_the_first_until_that_is_killed() -> None:
+    first = subprocess.Popen([sys.executable, "-c", HOLDING], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        assert first.stdout is not None
+        assert first.stdout.readline() == "held\n"
+        with (
+            pytest.raises(ExecutionError) as refused,
+            HeldClaims(["robot:ros2://alice", "serial:/dev/ttyUSB0", "host:pi@bob"], "second", Path("second")),
+        ):
+            raise AssertionError("it was not refused")
+        assert [finding.problem.split(" (")[0] for finding in refused.value.findings] == [
+            f"{claim} is in use by the experiment 'first' in /results/first"
+            for claim in ("robot:ros2://alice", "serial:/dev/ttyUSB0")
+        ]
+        assert str(first.pid) in str(refused.value)
+        with HeldClaims(["host:pi@bob"], "third", Path("third")):
+            pass  # what the refused one had got was let go of
+    finally:
+        first.kill()
+        first.communicate()
+    with HeldClaims(["serial:/dev/ttyUSB0", "robot:ros2://alice"], "second", Path("second")) as held:
+        assert held.findings == []
+
+
+def test_where_claims_cannot_be_written_it_is_said_and_nothing_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    with HeldClaims(["device:camera 0"], "one", tmp_path) as held:
+        assert "nobody is kept out who claims device:camera 0" in held.findings[0].problem
+
+
+def test_a_link_in_the_place_of_a_claim_is_not_followed(tmp_path: Path) -> None:
+    with HeldClaims(["serial:a"], "one", tmp_path):
+        pass
+    path = next((tmp_path / "state").rglob("serial*"))
+    path.unlink()
+    path.symlink_to(tmp_path / "elsewhere")
+    with HeldClaims(["serial:a"], "one", tmp_path) as held:
+        assert held.findings
+    assert not (tmp_path / "elsewhere").exists()
