@@ -29,7 +29,7 @@ _HEAD = """\
 | 1 | a run failed |
 | 2 | refused: the command, the config or the experiment's folder is not as it must be; nothing was executed |
 | 3 | `replicate`: every run was executed, and the results are different |
-| 4 | `replicate`: every run was executed, and whether the results agree could not be decided, or nothing could be compared |
+| 4 | `replicate`: every run was executed; whether the results agree is undecided, or nothing could be compared |
 | 70 | a fault of Robot Runner itself; the traceback is kept in a file that is named |
 | 130 | interrupted by Ctrl-C: what was open was closed, and the experiment can be resumed |
 

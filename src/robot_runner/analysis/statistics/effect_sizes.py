@@ -156,7 +156,7 @@ def noncentralities_of_f(f_value: float, freedom: tuple[float, float], level: fl
 
 
 def _root(function: Callable[[float], float], start: float, step: float, least: float = -math.inf) -> float | None:
-    """Return where a falling function crosses zero, from a bracket that grows from a guess; None where none is found."""
+    """Return where a falling function crosses zero, from a bracket that grows from a guess; None where none is."""
     way = 1.0 if function(start) > 0 else -1.0
     near = start
     for _ in range(_MOST_STEPS):
