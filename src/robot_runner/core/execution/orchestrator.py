@@ -130,6 +130,7 @@ class _Orchestrator:
         self._stop = Stop()
         self._places = places_of(experiment, claims, progress.combinations_left)
         has_one_place = len(self._places.all) == 1
+        is_alone = has_one_place and self._parameters.cluster is None  # nothing to keep apart, and here is everything
         progress.expect_places(max(1, len(self._places.all)))
         attempts = Attempts(
             experiment,
@@ -144,7 +145,7 @@ class _Orchestrator:
         self._side_by_side = SideBySide(
             progress,
             self._places,
-            lambda task: frozenset(claims.of(task.combination)),
+            lambda task: frozenset(() if is_alone else claims.of(task.combination)),
             attempts,
             patience,
             self._stop,

@@ -112,7 +112,7 @@ class SideBySide:
     def _is_ending(self) -> bool:
         return self._patience.interruption.is_requested or bool(self._stop.reason)
 
-    def _choose(self) -> tuple[PendingRun, Place, frozenset[str]] | None:
+    def _choose(self) -> tuple[PendingRun, RunTask, Place, frozenset[str]] | None:
         """Return the first run that can begin now, where, and what it claims; None where none can."""
         busy = {each.place.name for each in self._busy}
         free = [each for each in self._places.all if not each.is_aside and each.name not in busy]
@@ -133,7 +133,7 @@ class SideBySide:
             place = self._place_for(task, list(suitable))
             if place is not None:
                 del self._passed_over[place_in_queue]
-                return run, place, suitable[place]
+                return run, task, place, suitable[place]
             if task.is_warm_up:
                 return None
         return None
@@ -156,10 +156,9 @@ class SideBySide:
         """How many places take runs."""
         return sum(not place.is_aside for place in self._places.all)
 
-    def _begin(self, run: PendingRun, place: Place, holds: frozenset[str], *, is_cleared: bool) -> None:
+    def _begin(self, run: PendingRun, task: RunTask, place: Place, holds: frozenset[str], *, is_cleared: bool) -> None:
         finished = self._finished.get(place.name)
         steps = self._attempts.execute(run, place, finished, is_cleared=is_cleared and finished is None)
-        task = self._progress.task_of(run)
         if self._turns is not None:
             self._turns.begin(task, place)
         try:

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 from urllib.parse import quote
 
-from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:
@@ -67,9 +68,10 @@ class HeldClaims:
         path = _folder() / quote(claim, safe="")
         try:
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-        except OSError as error:
-            problem = f"nobody is kept out who claims {claim} as well, as {path} cannot be written: {error.strerror}"
+            descriptor = open_descriptor(path, path.parent, mode=0o600)
+        except (OSError, StorageError) as error:
+            reason = error.problem if isinstance(error, StorageError) else error.strerror
+            problem = f"nobody is kept out who claims {claim} as well, as {path} cannot be written: {reason}"
             self.findings.append(Finding.warning("claims", problem, "Set XDG_STATE_HOME to a folder of your own."))
             return
         try:
