@@ -257,7 +257,8 @@ def _documents(entries: Entries) -> Iterator[Hostile]:
 
 def _unpacked(entries: Entries) -> Iterator[Hostile]:
     for name in ("package.json", _SUMS, "manifest.json", "runs/r_1/log.txt"):
-        for kind in ("fifo", "zero", "sparse", "loop"):
+        # Raw data may be as large as the disk, and is read to its end, with its progress shown.
+        for kind in ("fifo", "zero", "loop", *(["sparse"] if "/" not in name else [])):
             yield Hostile(f"unpacked, {kind} {name}", partial(_folder_with, entries, partial(_replaced_by, kind, name)))
     for name in ("runs", "config"):
         yield Hostile(f"unpacked, {name} is a link", partial(_folder_with, entries, partial(_linked, name)))

@@ -70,4 +70,4 @@ def test_all_hostile_folders(original: Original, server: CallServer, tmp_path: P
 def tell(record_property: object, figures: str) -> None:
     """Have the figures printed at the end of the test run."""
     assert callable(record_property)
-    record_property("figures", figures)
+    record_property("figure", figures)

@@ -211,7 +211,7 @@ def _blocks_of_entry(path: Path, archive: zipfile.ZipFile, name: str) -> Iterato
                 if left < 0:
                     raise _damaged(path, name, "the file is larger than it says")
                 yield block
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
         raise _damaged(path, name, str(error)) from error
     except OSError as error:
         raise storage_error(path, "read", error) from error
@@ -241,8 +241,8 @@ def _header_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findi
     """Yield files whose own header says something else than the directory at the end, which is what is read."""
     with path.open("rb") as file:
         for entry in entries:
-            file.seek(entry.header_offset)
-            header = file.read(_LOCAL.size)
+            file.seek(max(0, entry.header_offset))
+            header = file.read(_LOCAL.size) if entry.header_offset >= 0 else b""
             if len(header) < _LOCAL.size:
                 yield _fault(path, entry.filename, "the file's header is cut off")
                 continue

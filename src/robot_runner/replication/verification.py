@@ -54,6 +54,7 @@ _SHAPES: dict[str, Any] = {
     contents.ENVIRONMENT: _Environment,
     contents.MANIFEST: Manifest,
 }
+_LARGEST = dict.fromkeys((*_SHAPES, contents.REGISTRATION), JSON_LIMIT)
 _SUM = re.compile(r"([0-9a-f]{64})  (.+)")
 _ALTERED = "Get it again from where it came from."
 
@@ -199,6 +200,10 @@ def _differing_names(package: OpenPackage, sums: Mapping[str, str]) -> Iterator[
 def _differing_contents(package: OpenPackage, sums: Mapping[str, str], progress: Progress) -> Iterator[Finding]:
     total, done = sum(package.sizes.values()), 0
     for name in sorted(set(sums) & set(package.sizes)):
+        if package.sizes[name] > _LARGEST.get(name, package.sizes[name]):  # not read to its end only to be refused then
+            problem = f"the file has {package.sizes[name]:,} bytes, more than any such file"
+            yield Finding.error(f"{package.where}, {name}", problem, _ALTERED)
+            continue
         digest = hashlib.sha256()
         try:
             for block in package.blocks(name):

@@ -1,0 +1,231 @@
+"""Each reader of a file that we write returns a value or one of our errors, whatever bytes the file holds."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import random
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from tests.hostile.malformed_json import ODD_VALUES, keys_of, with_value, without, written
+
+from robot_runner.analysis.sample_files import headings_of, split_unit
+from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.execution.durations import Durations
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.storage.excluded_runs import ExcludedRuns
+from robot_runner.core.storage.executed_runs import done_runs, executed_order
+from robot_runner.core.storage.journal import Journal, last_records, read_journal
+from robot_runner.core.storage.lock import holder_of, take_request
+from robot_runner.core.storage.manifest import is_damaged, read_manifest
+from robot_runner.core.storage.outliving import outliving
+from robot_runner.core.storage.registration import read_registration
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.legacy.recognition import recognise
+from robot_runner.replication.opening import open_package
+from robot_runner.replication.run_history import RunHistory
+from robot_runner.replication.verification import verify_package
+
+if TYPE_CHECKING:
+    from tests.hostile.hostile_original import Original
+
+Reader = Callable[[Path], Any]
+
+#: In the fixed search, some seconds for all readers together; `make soak` searches for long.
+_EXAMPLES = 40 if settings.default is not None and settings.default.max_examples < 1000 else 2000
+
+
+def _journal(path: Path) -> None:
+    """Read it as each of those does that has a reader of its own."""
+    for read in (
+        lambda: list(read_journal(path)),
+        lambda: list(last_records(path, kinds=["attempt_started", "attempt_finished"])),
+        lambda: ExcludedRuns.read(path),
+        lambda: (done_runs(path), executed_order(path)),
+        lambda: Durations().learn_from(path),
+        lambda: RunHistory.read(path, "r_1"),
+        lambda: Journal(path).close(),
+    ):
+        _ours(read)
+
+
+def _manifest(path: Path) -> None:
+    _ours(lambda: read_manifest(path))
+    is_damaged(path)
+    _ours(lambda: read_status(path.parent))
+
+
+def _table(path: Path) -> None:
+    schema = read_schema(path.with_name("run_table.schema.json"))
+    _ours(lambda: read_run_table(path, TableLayout.of_schema(schema)))
+    _ours(lambda: read_run_table(path, TableLayout((), stamps=())))
+
+
+def _package(path: Path) -> None:
+    def verify() -> None:
+        with open_package(path) as package:
+            verify_package(package)
+
+    _ours(verify)
+
+
+def _samples(path: Path) -> None:
+    _ours(lambda: [split_unit(heading) for heading in headings_of(path)])
+
+
+def _control(path: Path) -> None:
+    take_request(path)
+
+
+#: The file, and how it is read.
+READERS: dict[str, tuple[str, Reader]] = {
+    "journal": ("journal.jsonl", _journal),
+    "manifest": ("manifest.json", _manifest),
+    "schema": ("run_table.schema.json", lambda path: _ours(lambda: read_schema(path))),
+    "table": ("run_table.csv", _table),
+    "registration": ("registration.json", lambda path: _ours(lambda: read_registration(path))),
+    "samples": ("runs/r_1/Ina219/samples.csv", _samples),
+    "control file": (".control", _control),
+    "lock": (".lock", holder_of),
+    "list of processes": (".outliving", outliving),
+    "config": ("config/small.py", lambda path: _ours(lambda: recognise(path))),
+    "package": ("small.zip", _package),
+}
+
+
+def _ours(read: Callable[[], Any]) -> None:
+    """Call a reader; one of our errors has a problem, a place and a remedy."""
+    try:
+        read()
+    except RobotRunnerError as error:
+        for finding in error.findings:
+            assert finding.problem
+            assert finding.where
+
+
+def changed(content: bytes, chance: random.Random) -> bytes:
+    """Return a file as it may have become: one of many kinds of damage, or several."""
+    for _ in range(chance.choice((1, 1, 1, 2, 5))):
+        content = chance.choice((_bits, _cut, _doubled, _planted, _other_value))(content, chance)
+    return content
+
+
+def _bits(content: bytes, chance: random.Random) -> bytes:
+    changed = bytearray(content or b"\0")
+    for _ in range(chance.choice((1, 4, 30))):
+        changed[chance.randrange(len(changed))] = chance.randrange(256)
+    return bytes(changed)
+
+
+def _cut(content: bytes, chance: random.Random) -> bytes:
+    start, end = sorted(chance.randrange(len(content) + 1) for _ in range(2))
+    return content[:start] + content[end:]
+
+
+def _doubled(content: bytes, chance: random.Random) -> bytes:
+    start, end = sorted(chance.randrange(len(content) + 1) for _ in range(2))
+    return content[:end] + content[start:]
+
+
+def _planted(content: bytes, chance: random.Random) -> bytes:
+    place = chance.randrange(len(content) + 1)
+    return content[:place] + chance.choice(_TOKENS) + content[place:]
+
+
+_TOKENS = (
+    b"\0", b"\xff", b"\n", b"\r", b'"', b",", b"{", b"[", b"}", b"]", b"null", b"NaN", b"1e999", b"-", b"9" * 400,
+    b"9" * 5000,    b"\\ud800", b"\x1b[2J", b"../", b"true", b'{"kind":"', b"[" * 3000, b"\xef\xbb\xbf",
+)  # fmt: skip
+
+
+def _other_value(content: bytes, chance: random.Random) -> bytes:
+    """Change one value of JSON, of a record or of a cell, so that the file stays well formed."""
+    lines = content.splitlines()
+    with_json = [place for place, line in enumerate(lines) if line[:1] == b"{" and line[-1:] == b"}"]
+    try:
+        if content[:1] == b"{" and len(with_json) != len(lines):
+            return _of_document(json.loads(content), chance)
+        if with_json:
+            place = chance.choice(with_json)
+            lines[place] = _of_document(json.loads(lines[place]), chance)
+            return b"\n".join(lines) + b"\n"
+        rows = list(csv.reader(io.StringIO(content.decode())))
+        row = chance.choice(rows)
+        row[chance.randrange(len(row))] = chance.choice(
+            ("", "nan", "-1", "x" * 999, "\x1b", "1e999", "Done", "true", "9" * 5000)
+        )
+        text = io.StringIO()
+        csv.writer(text).writerows(rows)
+        return text.getvalue().encode()
+    except (ValueError, IndexError, csv.Error, RecursionError):
+        return content
+
+
+def _of_document(document: Any, chance: random.Random) -> bytes:
+    way = chance.choice(list(keys_of(document, 4)))
+    if chance.random() < 0.3:
+        return written(without(document, way)).encode("utf-8", "surrogatepass")
+    return written(with_value(document, way, chance.choice(list(ODD_VALUES.values())))).encode("utf-8", "surrogatepass")
+
+
+@pytest.mark.parametrize("name", READERS)
+@settings(suppress_health_check=list(HealthCheck), max_examples=_EXAMPLES)
+@given(seed=st.integers(0, 2**32))
+def test_whatever_a_file_holds_it_is_read_or_refused(
+    original: Original, tmp_path_factory: pytest.TempPathFactory, name: str, seed: int
+) -> None:
+    relative, read = READERS[name]
+    folder = _copy_of(original, tmp_path_factory)
+    path = folder / relative
+    whole = _whole(original, relative)
+    try:
+        path.write_bytes(changed(whole, random.Random(seed)))  # noqa: S311 - chance, and no secret
+        read(path)
+    finally:
+        path.write_bytes(whole)
+
+
+def test_the_files_are_in_order_before_they_are_damaged(
+    original: Original, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Else each would be refused at once, and nothing behind it were searched."""
+    folder = _copy_of(original, tmp_path_factory)
+    assert read_status(folder).done == 4
+    assert len(read_schema(folder / "run_table.schema.json")) > 10
+    assert read_registration(folder / "registration.json").is_intact
+    assert zipfile.is_zipfile(folder / "small.zip")
+    with open_package(folder / "small.zip") as package:
+        assert verify_package(package).is_intact
+
+
+_REQUEST = b'{"command": "continue", "answers": {"Temperature": "21.5"}}'
+_SPARED = b'[1, "12"]\n[4000000, "7"]\n'
+_HOLDER = b'{"pid": 7, "host": "lab", "since": "2026-01-31T12:00:00.000Z"}'
+_copies: dict[Path, Path] = {}
+
+
+def _whole(original: Original, relative: str) -> bytes:
+    if relative == "small.zip":
+        return original.package.read_bytes()
+    made = {".control": _REQUEST, ".outliving": _SPARED, ".lock": _HOLDER}
+    return made[relative] if relative in made else (original.study / original.folder / relative).read_bytes()
+
+
+def _copy_of(original: Original, factory: pytest.TempPathFactory) -> Path:
+    if original.study not in _copies:
+        folder = factory.mktemp("fuzzed") / "small"
+        import shutil
+
+        shutil.copytree(original.study / original.folder, folder)
+        shutil.copy(original.package, folder / "small.zip")
+        _copies[original.study] = folder
+    return _copies[original.study]
