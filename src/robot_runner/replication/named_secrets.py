@@ -119,7 +119,7 @@ _CELL = re.compile(rb"\"(?:[^\"]|\"\")*\"|[^,;\t\r\n]*")
 
 def secret_columns(heading: bytes) -> frozenset[int]:
     """Return the places, from 0, of those columns of a table whose headings say that they hold secrets."""
-    names = re.split(rb"[,;\t]", heading)
+    names = re.split(rb"[,;\t]", heading.strip())
     return frozenset(place for place, each in enumerate(names) if is_secret_name(each.decode("utf-8", "replace")))
 
 

@@ -74,8 +74,8 @@ def add_arguments(parser: Parser) -> None:
         metavar="WHAT",
         choices=("refuse", "keep", "replace"),
         default="refuse",
-        help="what to do about lines that may hold a secret: `refuse` to pack, and list them (if left out), `keep` them "
-        "as they are, or `replace` what may be one",
+        help="what to do about lines that may hold a secret: `refuse` to pack, and list them (if left out), `keep` "
+        "them as they are, or `replace` what may be one",
     )
     parser.add_argument(
         "--no-wheels",
