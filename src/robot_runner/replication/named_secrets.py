@@ -74,6 +74,7 @@ _FLAG = _form(_QUOTE + rb"?(?:[ \t]+)(?!-)" + _BARE)
 _PROSE = _form(
     rb"[ \t]+(?:is|was|war|ist|lautet|=|->|\xe2\x80\x93|-)[ \t]+(?P<bare>[^\s\"',;<>\\)}\]]+)(?P<rest>[^\n]*)"
 )
+_GOES_ON = _form(rb"[ \t]+[a-z]{2,}[ \t]+[a-z]")
 _SPACED = _form(rb"[ \t]+(?P<bare>[^\s\"',;<>\\)}\]:=]+)[ \t]*(?=\r?\n|\Z|\\n|[\"'])")
 
 #: In a line with one of these, what follows the word password is one, without any sign between.
@@ -118,7 +119,7 @@ _CELL = re.compile(rb"\"(?:[^\"]|\"\")*\"|[^,;\t\r\n]*")
 
 def secret_columns(heading: bytes) -> frozenset[int]:
     """Return the places, from 0, of those columns of a table whose headings say that they hold secrets."""
-    names = re.split(rb"[,;\t]", heading)
+    names = re.split(rb"[,;\t]", heading.strip())
     return frozenset(place for place, each in enumerate(names) if is_secret_name(each.decode("utf-8", "replace")))
 
 
@@ -201,7 +202,9 @@ def _loosely(block: bytes, place: tuple[int, int], name: str, before: bytes) -> 
     if match := _BLOCK_SCALAR.match(block, end):
         yield from _judged(match, "bare", name, start)
     elif (match := _LOOSE.match(block, end)) or (match := _OF_SOMEBODY.match(block, end)):
-        if not _is_code(match["bare"]) and not block.startswith(b"(", match.end()):
+        if _GOES_ON.match(block, match.end()) and match["bare"].isalpha():
+            yield from _of_sentence(match, name, start)
+        elif not _is_code(match["bare"]) and not block.startswith(b"(", match.end()):
             yield from _judged(match, "bare", name, start)
     elif match := _PROSE.match(block, end):
         yield from _told(match, name, start)
@@ -219,6 +222,13 @@ def _told(match: re.Match[bytes], name: str, start: int) -> Iterator[Found]:
     is_sure = is_random or (is_last and _LOGIN_WORDS.search(name) is not None)
     what = _WHAT if is_sure else f"what may be a {_WHAT}"
     yield Found(match.start("bare"), match.start("bare") + len(value), what, start, is_sure=is_sure)
+
+
+def _of_sentence(match: re.Match[bytes], name: str, start: int) -> Iterator[Found]:
+    """Yield a mere word behind a colon, with which a sentence may begin: somebody has to judge."""
+    value = match["bare"]
+    if name != "pass" and not _NO_WORD.fullmatch(value) and not is_placeholder(value.decode("ascii", "replace")):
+        yield Found(*match.span("bare"), f"what may be a {_WHAT}", start, is_sure=False)
 
 
 def _judged(match: re.Match[bytes], group: str, name: str, begin: int) -> Iterator[Found]:

@@ -43,6 +43,8 @@ _BLOCK = 1 << 20
 _WHOLE = 4 << 20
 #: Of a line that is longer than a block, so much stays for the next block: what stands across the cut is found there.
 _KEPT_BACK = 8192
+#: A longer line is no heading of a table.
+_LONGEST_HEADING = 1 << 16
 #: More lines of one kind in one file are counted, not told.
 _MOST_LINES = 20
 _SNIFFED = 8192
@@ -198,7 +200,7 @@ class Redactor:
                 continue
             found = self.find(kept, grammar, is_file=is_whole and is_last)
             if is_whole and grammar is Grammar.TABLE and self.has_general:
-                columns = secret_columns(kept[: kept.find(b"\n")])
+                columns = secret_columns(kept[: kept.find(b"\n", 0, _LONGEST_HEADING) + 1])
             if columns:
                 found = _without_overlap([*found, *secrets_in_columns(kept, columns, has_heading=is_whole)])
             cut = len(kept) if is_last else _cut_of(kept, found)

@@ -71,10 +71,11 @@ def add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--doubtful",
+        metavar="WHAT",
         choices=("refuse", "keep", "replace"),
         default="refuse",
-        help="what to do about lines of which it is not sure whether they hold a secret: refuse to pack, and list them "
-        "(if left out), keep them as they are, or replace what may be a secret",
+        help="what to do about lines that may hold a secret: `refuse` to pack, and list them (if left out), `keep` "
+        "them as they are, or `replace` what may be one",
     )
     parser.add_argument(
         "--no-wheels",
