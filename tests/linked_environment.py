@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
 import subprocess
 import sys
 from importlib import metadata
@@ -57,4 +59,7 @@ def _link(name: str, site: Path) -> None:
         if ".." not in file.parts and file.suffix != ".pyc" and origin.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             target.unlink(missing_ok=True)
-            target.symlink_to(origin.resolve())
+            try:
+                os.link(origin.resolve(), target)  # no symbolic one: those are not packed
+            except OSError:  # another file system
+                shutil.copyfile(origin, target)

@@ -133,7 +133,10 @@ def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT)
     """
     with open_to_read(path, root, limit=limit) as file:
         try:
-            content = file.read(limit + 1)
+            size = os.fstat(file.fileno()).st_size
+            content = file.read(size + 1)  # memory is taken for as much as is asked for
+            if len(content) > size:
+                content += file.read(limit + 1 - len(content))
         except OSError as error:
             raise storage_error(path, "read", error) from error
     if len(content) > limit:  # it has grown since
