@@ -93,7 +93,3 @@ def _cluster(folder: Path) -> Iterator[str]:
             started.callback(process.wait)
             started.callback(process.terminate)
         yield address
-
-
-if __name__ == "__main__":
-    sys.exit(main(*map(int, sys.argv[1:])))

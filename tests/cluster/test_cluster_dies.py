@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
+import subprocess
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.cluster.conftest import LEASE, PATIENCE, Cluster, Proxy, Watched, journal_of, table_of, until
+from tests.cluster.conftest import BIN, LEASE, PATIENCE, Cluster, Proxy, Watched, journal_of, table_of, until
 
 if TYPE_CHECKING:
-    import subprocess
     from collections.abc import Callable, Iterator
 
 
@@ -223,3 +224,58 @@ def test_attempts_that_are_lost_count_where_the_config_says_so(cluster: Cluster,
     answer, _ = experiment.communicate(timeout=PATIENCE)
     assert experiment.returncode == 1, answer
     assert [row["status"] for row in table_of(watched.folder)] == ["Failed", "Done", "Done"]
+
+
+DRAWN = """
+import random
+import time
+
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "drawn"
+    results_output_path = "results"
+    claims = []
+    grace_in_s = 1.0
+    attempts_if_lost = 100
+
+    def launch_mission(self, context):
+        time.sleep(0.2)
+
+    def populate_run_data(self, context):
+        return {"Drawn": random.Random(context.run_seed).random()}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("X", [1, 2])], repetitions=30, data_columns=["Drawn"], seed=8)
+"""
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(600)
+def test_whoever_is_killed_at_random_the_table_is_in_the_end_the_one_of_this_machine(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    config = tmp_path / "config.py"
+    config.write_text(DRAWN, encoding="utf-8")
+    choose = random.Random(16)  # noqa: S311 - whom to kill
+    workers = {name: cluster.worker(name) for name in ("one", "two")}
+    experiment = cluster.experiment(config, "--accept-changes")
+    for number in range(4):
+        time.sleep(choose.uniform(4, 10))
+        if number % 2:
+            experiment.kill()
+            experiment.wait()
+            experiment = cluster.experiment(config, "--accept-changes")
+        else:
+            os.killpg(workers.pop(choose.choice(sorted(workers))).pid, signal.SIGKILL)
+            workers[f"another {number}"] = cluster.worker(f"another {number}")
+    answer, _ = experiment.communicate(timeout=300)
+    assert experiment.returncode == 0, answer
+    here = tmp_path / "here"
+    words = ["run", str(config), "--plain", "--set", f"results_output_path={here}", "--workers", "2"]
+    subprocess.run([str(BIN / "robot-runner"), *words], check=True, capture_output=True)
+    there = table_of(tmp_path / "results" / "drawn")
+    assert [(row["run_id"], row["Drawn"]) for row in there] == [
+        (row["run_id"], row["Drawn"]) for row in table_of(here / "drawn")
+    ]

@@ -63,5 +63,10 @@ def test_what_a_cluster_cannot_do_is_found_before_anything_is_executed(watched: 
 
     assert problems(cluster="tcp://scheduler:8786") == ""
     assert "the address of a Dask scheduler, such as tcp://scheduler:8786" in problems(cluster="scheduler")
+    watched.config.write_text(
+        watched.config.read_text().replace("claims = []", 'robot = Robots("ros2://alice", "ros2://bob")')
+    )
+    watched.config.write_text("from robot_runner import Robots\n" + watched.config.read_text())
+    assert "several robots are named" in problems(cluster="tcp://scheduler:8786")
     assert "run_process is IN_PROCESS" in problems(cluster="tcp://scheduler:8786", run_process="in_process")
     assert "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" in problems(cluster="tls://scheduler:8786")

@@ -32,6 +32,10 @@ def check_cluster(where: str, parameters: Parameters, plugins: Sequence[Plugin])
     if parameters.run_process is RunProcess.IN_PROCESS:
         problem = "run_process is IN_PROCESS, and a worker executes runs in processes of their own"
         findings.append(Finding.error(f"{where}.run_process", problem, "Leave run_process out, or choose SPAWN."))
+    if parameters.robots:
+        problem = "several robots are named, and the workers of a cluster are the places of runs"
+        fix = "Name one robot, or leave cluster out; a claim such as robot:alice leads runs to the worker beside it."
+        findings.append(Finding.error(f"{where}.robot", problem, fix))
     if parameters.cluster.startswith("tls://"):
         findings += _tls_findings(place)
     return findings
