@@ -124,13 +124,16 @@ def execute(arguments: Namespace) -> int:
     )
     target = Path(arguments.to).expanduser() if arguments.to else Path.cwd() / f"{folder.name}.zip"
     key = _key(arguments.sign)
-    with ExitStack() as bar:
+    with ExitStack() as stack:
 
         @cache
-        def shown() -> Progress:
-            return bar.enter_context(byte_progress("packing"))  # once bytes come: what is said before it stays legible
+        def bar() -> Progress:
+            return stack.enter_context(byte_progress("packing"))  # what is said before it stays legible
 
-        packed = pack(folder, target, packing, lambda done, total: shown()(done, total), _say_asking)
+        def show(done: int, total: int) -> None:
+            bar()(done, total)
+
+        packed = pack(folder, target, packing, show, _say_asking)
     signature = sign(target, key) if key else None
     if arguments.json:
         print_json({**_as_json(packed), "signature": str(signature) if signature else None})
