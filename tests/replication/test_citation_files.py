@@ -12,7 +12,7 @@ import yaml
 from jsonschema import Draft7Validator, FormatChecker
 
 from robot_runner.replication.about import About
-from robot_runner.replication.citation_files import citation_text, licence_text, zenodo_text
+from robot_runner.replication.citation_files import citation_text, licence_text, missing_text, zenodo_text
 
 ABOUT = About(
     'naps: "short" ones',
@@ -78,6 +78,10 @@ def test_the_text_of_a_licence_has_no_marks_of_its_template(licence, begins):
     assert text.startswith(begins)
     assert "<<" not in text
     assert ">>" not in text
+
+
+def test_a_licence_that_is_misspelt_is_named_with_the_nearest():
+    assert "or is it CC-BY-4.0?" in missing_text(replace(ABOUT, licence="CC-BY-4")).fix
 
 
 def test_a_text_that_nobody_has_is_said_and_the_authors_own_is_taken(experiment, tmp_path, ada):

@@ -6,7 +6,7 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, nearest
 from robot_runner.replication.contents import LICENCE
 
 if TYPE_CHECKING:
@@ -53,7 +53,9 @@ def missing_text(about: About) -> Finding:
     problem = (
         f"the text of {about.licence} is not in the package: SPDX's list, as it is installed here, does not have it"
     )
-    fix = f"Put its text into the experiment's folder as {LICENCE}, then pack again."
+    near = nearest(str(about.licence), _known_licences())
+    otherwise = f"; or is it {near}?" if near else "."
+    fix = f"Put its text into the experiment's folder as {LICENCE}, then pack again{otherwise}"
     return Finding.warning("licence", problem, fix)
 
 

@@ -7,7 +7,9 @@ and home paths are replaced or left out, and listed. Packing twice gives the sam
 from __future__ import annotations
 
 from argparse import BooleanOptionalAction
+from contextlib import ExitStack
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.authors import Author
     from robot_runner.replication.cleaning import Replaced
     from robot_runner.replication.packing import Packed
+    from robot_runner.replication.sealing import Progress
 
 __all__ = ["add_arguments", "execute"]
 
@@ -122,8 +125,16 @@ def execute(arguments: Namespace) -> int:
     )
     target = Path(arguments.to).expanduser() if arguments.to else Path.cwd() / f"{folder.name}.zip"
     key = _key(arguments.sign)
-    with byte_progress("packing") as progress:
-        packed = pack(folder, target, packing, progress, _say_asking)
+    with ExitStack() as stack:
+
+        @cache
+        def bar() -> Progress:
+            return stack.enter_context(byte_progress("packing"))  # what is said before it stays legible
+
+        def show(done: int, total: int) -> None:
+            bar()(done, total)
+
+        packed = pack(folder, target, packing, show, _say_asking)
     signature = sign(target, key) if key else None
     if arguments.json:
         print_json({**_as_json(packed), "signature": str(signature) if signature else None})
