@@ -22,6 +22,7 @@ def test_every_injected_fault_stands_in_the_table() -> None:
     told_elsewhere = {
         "test_a_folder_that_may_not_be_written_is_refused_before_anything_is_executed",
         "test_the_experiment_of_the_paper_is_executed_on_a_real_graph",
+        "test_two_robots_of_one_graph_take_turns_and_each_drives_its_own_runs",
         "test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster",
     }
     assert names_of_tests_in("process") - told_elsewhere - NAMED == set()

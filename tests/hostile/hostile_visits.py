@@ -32,7 +32,7 @@ COMMANDS_OF_FOLDERS: tuple[tuple[str, ...], ...] = (
     ("report", _FOLDER, "--figures", "svg"),
     ("report", _FOLDER, "--figures", "svg", "--format", "json"),
     ("export", _FOLDER, "--to", "../exported"),
-    ("pack", _FOLDER, "--to", "../packed.zip", "--no-wheels"),
+    ("pack", _FOLDER, "--to", "../packed.zip", "--no-wheels", "--no-hashes"),
     ("extend", _CONFIG, "--repetitions", "3", "--dry-run"),
     ("pause", _FOLDER),
     ("continue", _FOLDER),
@@ -49,23 +49,34 @@ COMMANDS_OF_PACKAGES: tuple[tuple[str, ...], ...] = (
 
 
 def visit_folder(
-    hostile: Hostile, original: Original, server: CallServer, box: Path, tally: Tally, *, every: int = 1, first: int = 0
-) -> None:
-    """Make a hostile folder and call each command on it, or every so many, from the first on."""
+    hostile: Hostile,
+    original: Original,
+    server: CallServer,
+    box: Path,
+    tally: Tally,
+    *,
+    every: int = 1,
+    first: int = 0,
+    said: list[bytes] | None = None,
+) -> list[int]:
+    """Make a hostile folder and call each command on it, or every so many, from the first on; return the exit codes.
+
+    What was printed is added to `said`.
+    """
     work, outside = _made(box), box / "outside"
     shutil.copytree(original.study, work, symlinks=True)
     (box / "original").symlink_to(original.study / original.folder)
     hostile.damage(work / original.folder, outside)
-    _call_all(hostile.name, COMMANDS_OF_FOLDERS[first % every :: every], server, box, tally)
+    return _call_all(hostile.name, COMMANDS_OF_FOLDERS[first % every :: every], server, box, tally, said)
 
 
-def visit_package(hostile: Hostile, original: Original, server: CallServer, box: Path, tally: Tally) -> None:
-    """Make a hostile package and call each command on it."""
+def visit_package(hostile: Hostile, original: Original, server: CallServer, box: Path, tally: Tally) -> list[int]:
+    """Make a hostile package and call each command on it; return the exit codes."""
     work = _made(box)
     work.mkdir()
     shutil.copy(original.package, work / "hostile")
     hostile.damage(work / "hostile", box / "outside")
-    _call_all(hostile.name, COMMANDS_OF_PACKAGES, server, box, tally)
+    return _call_all(hostile.name, COMMANDS_OF_PACKAGES, server, box, tally)
 
 
 def _made(box: Path) -> Path:
@@ -82,15 +93,28 @@ def _remove(box: Path) -> None:
     shutil.rmtree(box)
 
 
-def _call_all(name: str, commands: tuple[tuple[str, ...], ...], server: CallServer, box: Path, tally: Tally) -> None:
+def _call_all(
+    name: str,
+    commands: tuple[tuple[str, ...], ...],
+    server: CallServer,
+    box: Path,
+    tally: Tally,
+    said: list[bytes] | None = None,
+) -> list[int]:
     before = snapshot(box / "outside"), _beside(box)
     tally.subjects += 1
+    codes = []
     for words in commands:
-        tally.take(name, server.call(words, box / "work"))
+        call = server.call(words, box / "work")
+        tally.take(name, call)
+        codes.append(call.code)
+        if said is not None:
+            said += [call.out, call.err]
         now = snapshot(box / "outside"), _beside(box)
         if now != before:
             tally.note("written", f"{name}: {' '.join(words)}: {now}")
             before = now
+    return codes
 
 
 def _beside(box: Path) -> set[str]:

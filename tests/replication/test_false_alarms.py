@@ -94,7 +94,7 @@ def test_hardly_anything_is_taken_for_a_secret(record_property):
     [
         ("a.yaml", "permissions:\n  id-token: write\npassword: ${DB_PASSWORD}\ntoken: null\ntokens: 128\nauth: none\n"),
         ("a.csv", "time_s,tokens,pass,key\n0.1,12,1,3\n"),
-        ("a.json", '{"password": null, "token": {"from": "env"}, "max_tokens": 4096, "auth": false}'),
+        ("a.json", '{"password": null, "token": {"from": "env"}, "max_tokens": 4096, "auth": false, "base-passwd": "3.6.1"}'),
         ("log.txt", "[INFO] token accepted\nno password needed\npassword: \npass: 12\nkey: pressed\nauthor: Ada\n"),
         (
             "a.sh",

@@ -1,7 +1,7 @@
 """Tables as CSV in which no cell is a formula, for spreadsheets: a copy, on request.
 
-A spreadsheet executes a cell that begins with `=`, `+`, `-` or `@`, whoever wrote it: a treatment, an operator's note, a
-line that a robot printed (OWASP, CSV Injection). The tables themselves keep what was measured, byte for byte.
+A spreadsheet executes a cell that begins with `=`, `+`, `-` or `@`, whoever wrote it: a treatment, an operator's note,
+a line that a robot printed (OWASP, CSV Injection). The tables themselves keep what was measured, byte for byte.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["harmless_cell", "write_for_spreadsheets"]
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-#: What makes a formula where a cell begins: also the wide forms that some spreadsheets take for the plain ones, and what
-#: is skipped in front of them. Where a spreadsheet splits at another sign than the comma, a cell begins behind it, too.
+#: What makes a formula where a cell begins: also the wide forms that some spreadsheets take for the plain ones, and
+#: what is skipped in front of them. Where a spreadsheet splits at another sign than the comma, a cell begins there.
 _BEGINS_FORMULA = re.compile(r"(^|[;,|\t\r\n])(?=[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20])")
 
 

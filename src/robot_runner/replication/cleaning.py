@@ -8,6 +8,7 @@ from fnmatch import fnmatch
 from typing import TYPE_CHECKING, TypeVar
 
 from robot_runner.core.errors import Finding
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.safe_write import storage_error
 from robot_runner.replication.contents import LeftOut, PackedFile
 from robot_runner.replication.redaction import Hits, Redactor, grammar_of, is_binary
@@ -85,7 +86,7 @@ class Cleaning:
         if encoding is None:
             yield from self.redactor.blocks(file.path, hits)
         else:
-            with file.path.open("rb") as source:
+            with open_to_read(file.path) as source:
                 cleaned = self.redactor.cleaned(recoded(source, encoding), hits, grammar_of(file.path))
                 for text in codecs.iterdecode(cleaned, "utf-8"):
                     yield text.encode(encoding)
@@ -105,7 +106,7 @@ class Cleaning:
 
 
 def _unchanged(path: Path) -> Iterator[bytes]:
-    with path.open("rb") as file:
+    with open_to_read(path) as file:
         while block := file.read(_BLOCK):
             yield block
 

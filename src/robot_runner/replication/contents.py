@@ -70,6 +70,8 @@ DESCRIBED = {
 }
 
 _DRIVE = re.compile(r"[A-Za-z]:")
+#: A path has at most 4096 bytes on Linux, and a name 255 (in UTF-8, with up to 4 a character).
+_DEEPEST, _LONGEST_PART = 60, 240
 
 
 def fault_of_name(name: str) -> str | None:
@@ -85,6 +87,8 @@ def fault_of_name(name: str) -> str | None:
     if name.startswith("/") or _DRIVE.match(name):
         return "the file's name is absolute"
     parts = name.split("/")
+    if len(parts) > _DEEPEST or max(map(len, parts)) > _LONGEST_PART:
+        return "the file's name is longer, or in more folders, than a disk takes"
     if ".." in parts:
         return "the file's name leaves the folder"
     if "" in parts or "." in parts:

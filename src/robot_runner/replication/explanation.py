@@ -230,14 +230,14 @@ class _Explaining:
         return f"{machine}, Python {software['python']}" if software.get("python") else machine
 
     def _system(self) -> str:
-        software = self._manifest.get("software") or {}
-        named = (software.get("system") or {}).get("name")
-        packages = len(software.get("system_packages") or ())
+        software = _mapping(self._manifest.get("software"))
+        named = _mapping(software.get("system")).get("name")
+        packages = len(_mapping(software.get("system_packages")))
         return f"{named or 'unknown'}, {packages:,} packages in the manifest" if named or packages else ""
 
     def _program(self, path: str, owner: str) -> str:
         """Return which program it was, and of which version as far as that is known."""
-        known = (self._manifest.get("programs") or {}).get(path) or {}
+        known = _mapping(_mapping(self._manifest.get("programs")).get(path))
         if known.get("package"):
             told = f"{known['package']} {known.get('version') or ''}".rstrip()
         else:
@@ -346,6 +346,11 @@ class _Explaining:
     def _extra_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         yield "From", f"a column that somebody added to {self._files.run_table.name} by hand"
         yield "Meaning", column.description
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    """Return a value of a manifest where it is a mapping, and else an empty one: a folder may come from anybody."""
+    return value if isinstance(value, dict) else {}
 
 
 def _shown(line: ConfigLine | None) -> str:

@@ -84,7 +84,7 @@ _NO_WORD = re.compile(
     rb"|for|from|to|of|on|as|at|if|it|one|what|same|different|needed|asked|ask|stored|used|optional|required|missing"
     rb"|ok|okay|public|short|long|weak|strong|\w+ed|\w+ing|\w+able|nicht|kein|das|der|die|ein|eine)[.!?:)]*"
 )
-_LONG, _SHORTEST_RANDOM, _SHORTEST_TOKEN_NUMBER = 256, 16, 16
+_LONGEST_SECRET, _SHORTEST_TOKEN_NUMBER = 1 << 16, 16
 _WHAT = "password"
 _LOGIN_WORDS = re.compile(r"(?i)pass|pw|psk|pin|kennwort|wachtwoord|contrase|senha|mdp")
 
@@ -236,7 +236,7 @@ def _judged_number(match: re.Match[bytes], name: str, begin: int, grammar: Gramm
 
 def _is_secret(value: bytes, name: str) -> bool:
     text = value.decode("utf-8", "replace")
-    if is_placeholder(text) or len(text) > _LONG * 256:
+    if is_placeholder(text) or len(text) > _LONGEST_SECRET or _VERSION.fullmatch(text):
         return False
     if text.replace(".", "").replace("-", "").isdigit():
         return bool(_LOGIN_WORDS.search(name)) and len(text) >= 4  # noqa: PLR2004 - a PIN's
@@ -245,6 +245,8 @@ def _is_secret(value: bytes, name: str) -> bool:
     return not is_path and not is_prose and not text.startswith(("http://", "https://")) and len(text) > 2  # noqa: PLR2004
 
 
+#: What a list of packages has: Debian's are called passwd and base-passwd.
+_VERSION = re.compile(r"(?:\d+:)?\d+(?:\.\d+)+[\w.+:~-]*")
 _CALL = re.compile(rb"[A-Za-z_][\w.]*[(\[]|[A-Za-z_]\w*\.[A-Za-z_]\w*(?:\.\w+)*\Z|(?:self|os|args|cls)\b|\(|\[|\{|&|\*")
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import stat
 import struct
 import zipfile
 import zlib
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 __all__ = ["OpenPackage", "open_package", "unpack"]
 
 _BLOCK = 1 << 20
+#: The directory of some 100,000 files.
+_LARGEST_READ = 12 << 20
 #: Deflate cannot do better than about 1000 to 1, and data that was measured never comes near this.
 _MOST_TIMES_SMALLER = 200
 _SMALL = 64 << 20
@@ -69,15 +72,39 @@ def open_package(path: Path) -> Iterator[OpenPackage]:
         return
     if not path.exists():
         raise PackageError("there is no such file or folder", where=str(path), fix="Correct the path.")
+    if not path.is_file():  # a named pipe would be waited for, and a device never ends
+        raise PackageError("this is neither a regular file nor a folder", where=str(path), fix="Name a package.")
+    with ExitStack() as opened:
+        yield _zipped(path, _archive(path, opened))
+
+
+def _archive(path: Path, opened: ExitStack) -> zipfile.ZipFile:
     try:
-        archive = zipfile.ZipFile(path)
-    except zipfile.BadZipFile as error:
+        return opened.enter_context(zipfile.ZipFile(opened.enter_context(_BoundedReads(path))))
+    # The others are what the library raises where its directory has odd names, places or numbers.
+    except (zipfile.BadZipFile, ValueError, OverflowError, EOFError, struct.error) as error:
         problem = f"the file is no zip file, or its end is missing: {error}"
         raise PackageError(problem, where=str(path), fix=_GET_IT_AGAIN) from error
     except (OSError, NotImplementedError) as error:
         raise storage_error(path, "read", error if isinstance(error, OSError) else OSError(str(error))) from error
-    with archive:
-        yield _zipped(path, archive)
+
+
+class _BoundedReads(io.FileIO):
+    """A file of which no more is read at once than a package needs.
+
+    The directory of a zip file is read whole, and takes up to twenty times its size in memory.
+    """
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return so many bytes at most.
+
+        Raises:
+            zipfile.BadZipFile: so many are asked for as no package needs.
+        """
+        wanted = os.fstat(self.fileno()).st_size - self.tell() if size is None or size < 0 else size
+        if wanted > _LARGEST_READ:
+            raise zipfile.BadZipFile(f"its directory has more than {_LARGEST_READ:,} bytes")
+        return super().read(size)
 
 
 def unpack(package: OpenPackage, target: Path, progress: Progress = lambda _, __: None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -119,7 +120,8 @@ def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str,
     measures = [
         column for column in columns if column.role is ColumnRole.MEASURE and not column.name.endswith(QUALITY_SUFFIX)
     ]
-    planned = set((manifest.get("analysis") or {}).get("measures") or ()) & {column.name for column in measures}
+    plan = manifest.get("analysis") or {}
+    planned = {column.name for column in measures if column.name in (plan.get("measures") or ())}
     is_simulated = str(manifest.get("robot") or "").startswith("simulated")
     found = {}
     for column in measures:
@@ -157,11 +159,12 @@ def _planned(plan: Mapping[str, Any]) -> dict[str, float]:
     """Return the smallest margin of a difference of two means that hypotheses state, by measure."""
     found: dict[str, float] = {}
     for each in plan.get("hypotheses") or ():
-        margin, name = each.get("within"), each.get("measure")
-        if not isinstance(margin, int | float) or margin <= 0:
+        margin, name = (each.get("within"), each.get("measure")) if isinstance(each, dict) else (None, None)
+        if not isinstance(margin, int | float) or not 0 < margin < math.inf:
             continue
         # Of a contrast the margin is that of the weighted sum; a difference of two means weighs 1 and -1.
-        weight = sum(map(abs, (each.get("contrast") or {}).values())) / 2 or 1.0
+        weights = (each.get("contrast") or {}).values()
+        weight = sum(abs(float(weight)) for weight in weights) / 2 or 1.0
         found[str(name)] = min(margin / weight, found.get(str(name), float("inf")))
     return found
 

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from io import StringIO
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from robot_runner.core.errors import Finding, PackageError
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
+from robot_runner.core.storage.file_shapes import Manifest
+from robot_runner.core.storage.guarded_files import JSON_LIMIT
 from robot_runner.core.storage.manifest import FORMAT as MANIFEST_FORMAT
 from robot_runner.core.storage.registration import checksum_of
 from robot_runner.replication import contents
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.replication.opening import OpenPackage
@@ -23,32 +26,33 @@ if TYPE_CHECKING:
 __all__ = ["Verification", "read_text_of", "refuse_faults", "verify_package"]
 
 #: Of what is read whole: descriptions and checksums.
-_LARGEST_TEXT = 64 << 20
+_LARGEST_TEXT = 32 << 20
 _MOST_FINDINGS = 20
-#: The type that each key of a description that is read must have, where it is there.
-_SHAPES: dict[str, dict[str, str]] = {
-    contents.DESCRIPTION: {"left_out": "list of mappings", "replaced": "list of mappings", "experiment": "text"},
-    contents.ENVIRONMENT: {"packages": "mapping of mappings", "host": "mapping", "ros": "mapping"},
-    contents.MANIFEST: {
-        "config": "mapping",
-        "design": "mapping",
-        "deviations": "mapping",
-        "software": "mapping",
-        "host": "mapping",
-        "executions": "list of mappings",
-        "plugins": "list of mappings",
-        "revisions": "mapping of mappings",
-        "seed": "number",
-        "registration": "mapping",
-        "experiment_name": "text",
-    },
-}
-_IS_OF_SHAPE: dict[str, Callable[[Any], bool]] = {
-    "mapping": lambda value: isinstance(value, dict),
-    "list of mappings": lambda value: isinstance(value, list) and all(isinstance(each, dict) for each in value),
-    "mapping of mappings": lambda value: isinstance(value, dict) and all(isinstance(v, dict) for v in value.values()),
-    "number": lambda value: isinstance(value, int),
-    "text": lambda value: isinstance(value, str),
+#: Checksums that cannot be read: what is no list of checksums has more of them than anybody reads.
+_MOST_BAD_LINES = 100
+
+
+class _Named(TypedDict, total=False):
+    name: str
+
+
+class _Description(TypedDict, total=False):
+    format: int
+    experiment: str | None
+    left_out: list[_Named] | None
+    replaced: list[_Named] | None
+
+
+class _Environment(TypedDict, total=False):
+    packages: dict[str, dict[str, Any]] | None
+    host: dict[str, Any] | None
+    ros: dict[str, Any] | None
+
+
+_SHAPES: dict[str, Any] = {
+    contents.DESCRIPTION: _Description,
+    contents.ENVIRONMENT: _Environment,
+    contents.MANIFEST: Manifest,
 }
 _SUM = re.compile(r"([0-9a-f]{64})  (.+)")
 _ALTERED = "Get it again from where it came from."
@@ -134,8 +138,8 @@ def _description(package: OpenPackage) -> Mapping[str, Any]:
         fix = "Name a package; `robot-runner pack` makes one of an experiment's folder."
         raise PackageError(f"this is no package: it has no {contents.DESCRIPTION}", where=str(package.where), fix=fix)
     try:
-        found = json.loads(_text(package, contents.DESCRIPTION))
-    except ValueError as error:
+        found = parsed_json(_text(package, contents.DESCRIPTION, JSON_LIMIT))
+    except (ValueError, RecursionError) as error:
         raise PackageError(f"the file cannot be read: {error}", where=where, fix=_ALTERED) from error
     if not isinstance(found, dict) or not isinstance(found.get("format"), int):
         raise PackageError("the file does not describe a package", where=where, fix=_ALTERED)
@@ -159,8 +163,8 @@ def read_text_of(package: OpenPackage, name: str) -> str:
     return _text(package, name)
 
 
-def _text(package: OpenPackage, name: str) -> str:
-    if package.sizes[name] > _LARGEST_TEXT:
+def _text(package: OpenPackage, name: str, limit: int = _LARGEST_TEXT) -> str:
+    if package.sizes[name] > limit:
         problem = f"the file has {package.sizes[name]:,} bytes, more than any such file"
         raise PackageError(problem, where=f"{package.where}, {name}", fix=_ALTERED)
     return b"".join(package.blocks(name)).decode("utf-8", "replace")
@@ -170,9 +174,11 @@ def _sums(package: OpenPackage) -> tuple[dict[str, str], list[Finding]]:
     if contents.SUMS not in package.sizes:
         return {}, [Finding.error(f"{package.where}, {contents.SUMS}", "the file is missing", _ALTERED)]
     sums: dict[str, str] = {}
-    findings = []
-    for number, line in enumerate(_text(package, contents.SUMS).splitlines(), start=1):
-        found = _SUM.fullmatch(line)
+    findings: list[Finding] = []
+    for number, line in enumerate(StringIO(_text(package, contents.SUMS)), start=1):
+        found = _SUM.fullmatch(line.rstrip("\r\n"))
+        if len(findings) >= _MOST_BAD_LINES:
+            break
         if found is None:
             where = f"{package.where}, {contents.SUMS}:{number}"
             findings.append(Finding.error(where, "the line is not a checksum", _ALTERED))
@@ -210,17 +216,16 @@ def _mapping(package: OpenPackage, name: str, findings: list[Finding]) -> Mappin
     if name not in package.sizes:
         return {}  # reported already, if the checksums list it
     try:
-        found = json.loads(_text(package, name))
-    except (ValueError, PackageError) as error:
+        found = parsed_json(_text(package, name, JSON_LIMIT))
+    except (ValueError, RecursionError, PackageError) as error:
         findings.append(Finding.error(f"{package.where}, {name}", f"the file cannot be read: {error}", _ALTERED))
         return {}
     return found if isinstance(found, dict) else {}
 
 
 def _malformed(package: OpenPackage, name: str, facts: Mapping[str, Any]) -> Iterator[Finding]:
-    for key, shape in _SHAPES[name].items():
-        if facts.get(key) is not None and not _IS_OF_SHAPE[shape](facts[key]):
-            yield Finding.error(f"{package.where}, {name}", f"{key} is not a {shape}: {facts[key]!r:.80}", _ALTERED)
+    for fault in faults_of(facts, _SHAPES[name]) if facts else ():
+        yield Finding.error(f"{package.where}, {name}", fault, _ALTERED)
 
 
 def _registration(package: OpenPackage, manifest: Mapping[str, Any], findings: list[Finding]) -> Iterator[Finding]:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import stats
-from scipy.optimize import elementwise
+from scipy import optimize, stats
 
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
 from robot_runner.analysis.statistics.tested import EffectSize, Interval, Magnitude
@@ -35,6 +35,7 @@ __all__ = [
 ]
 
 _LEVEL = 0.95
+_MOST_STEPS = 1000  # each twice as long as the one before: past the largest number there is
 _LEAST_FOR_SPREAD = 2
 
 
@@ -155,13 +156,19 @@ def noncentralities_of_f(f_value: float, freedom: tuple[float, float], level: fl
 
 
 def _root(function: Callable[[float], float], start: float, step: float, least: float = -math.inf) -> float | None:
-    """Return where a function crosses zero, from a bracket that grows around a guess; None where none is found."""
-    vectorised = np.vectorize(function, otypes=[float])
-    bracket = elementwise.bracket_root(vectorised, start, start + step, xmin=least)
-    if not bracket.success:
-        return None
-    found = elementwise.find_root(vectorised, bracket.bracket)
-    return float(found.x) if found.success and math.isfinite(found.x) else None
+    """Return where a falling function crosses zero, from a bracket that grows from a guess; None where none is found."""
+    way = 1.0 if function(start) > 0 else -1.0
+    near = start
+    for _ in range(_MOST_STEPS):
+        far = max(least, near + way * step)
+        if function(far) * way <= 0:
+            with suppress(ValueError):  # not a number somewhere between
+                return float(optimize.brentq(function, near, far))
+            return None
+        if far == least:
+            return None
+        near, step = far, 2 * step
+    return None
 
 
 def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]]) -> EffectSize | None:

@@ -106,7 +106,10 @@ class ReportedFacts:
         """Bring the manifest's `programs` up to date: package, version and SHA-256 of each, and who called it."""
         if not self._callers:
             return
-        known: dict[str, Any] = self._manifest.setdefault("programs", {})
+        known = self._manifest.get("programs")
+        known = dict(known) if isinstance(known, dict) else {}
         for path, described in described_programs(self._callers).items():
-            before = known.get(path, {}).get("called_by", ())
-            known[path] = {**described, "called_by": sorted({*before, *filter(None, self._callers[path])})}
+            before = known[path].get("called_by") if isinstance(known.get(path), dict) else None
+            callers = {*map(str, before or ()), *filter(None, self._callers[path])}
+            known[path] = {**described, "called_by": sorted(callers)}
+        self._manifest["programs"] = known

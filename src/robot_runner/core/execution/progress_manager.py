@@ -282,7 +282,7 @@ class ProgressManager:
             attempt=task.attempt,
             combination=texts_of(task.combination),
             repetition=task.repetition,
-            **_where(place, slot),
+            **task.whereabouts,
             **self._left(),
         )
         self._file.refresh()
@@ -396,9 +396,3 @@ class ProgressManager:
     def _left(self) -> dict[str, Any]:
         left = self.time_left
         return {} if left is None else {"left": left.facts()}
-
-
-def _where(place: str, slot: int) -> dict[str, Any]:
-    """Return what the journal has of where an attempt is executed: nothing where there is one place only."""
-    named = {"place": place} if place else {}
-    return named if slot == 1 else {**named, "slot": slot}

@@ -79,6 +79,12 @@ class RunTask:
     slot: int = 1
 
     @property
+    def whereabouts(self) -> dict[str, Any]:
+        """What the journal has of where it is executed: nothing where there is one place only."""
+        named: dict[str, Any] = {"place": self.place} if self.place else {}
+        return named if self.slot == 1 else {**named, "slot": self.slot}
+
+    @property
     def is_warm_up(self) -> bool:
         """Whether it only warms up, so that it is not analysed."""
         return self.repetition == 0

@@ -15,10 +15,11 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, complaints, output, print_facts, print_folded, print_json, shown_path
 from robot_runner.cli.findings import as_json, show_findings
-from robot_runner.cli.parser import UsageError, add_json, add_set, add_target
+from robot_runner.cli.parser import UsageError, add_json, add_set
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.core.words import counted, one_line
+from robot_runner.replication.commands.only_one_here import only_experiment
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -38,7 +39,12 @@ _SHOWN_LINES = 5
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    parser.add_argument(
+        "target",
+        metavar="EXPERIMENT",
+        nargs="?",
+        help="the folder of an experiment, or the config file that it comes from; the only one here if left out",
+    )
     add_set(parser)
     parser.add_argument("--to", metavar="FILE", help="the file to write; NAME.zip in the current folder if left out")
     parser.add_argument(
@@ -96,7 +102,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Write the package; say what is in it, what is not, and what others will miss."""
-    folder = folder_of_target(arguments.target, arguments.set).root
+    folder = folder_of_target(arguments.target or only_experiment(), arguments.set).root
     authors, licence = _authors(arguments.author), _licence(arguments.licence)
     from robot_runner.replication.container import as_base  # noqa: PLC0415 - only where a package is made
     from robot_runner.replication.packing import Packing, pack  # noqa: PLC0415 - takes a while to import

@@ -33,6 +33,7 @@ from robot_runner.cli.screens.ending import print_verdict
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import did_you_mean
 from robot_runner.core.secret_names import shown_assignments
+from robot_runner.replication.commands.only_one_here import only_package
 from robot_runner.replication.commands.replication_plan import (
     make_sure,
     print_container,
@@ -67,7 +68,10 @@ _HERE, _VENV, _CONTAINER = _ENVIRONMENTS = ("here", "venv", "container")
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     parser.add_argument(
-        "package", metavar="PACKAGE", help="the package, the folder that it was unpacked to, or an experiment's"
+        "package",
+        metavar="PACKAGE",
+        nargs="?",
+        help="the package, the folder that it was unpacked to, or an experiment's; the only zip file here if left out",
     )
     parser.add_argument(
         "--to", metavar="FOLDER", help="where everything is written; NAME_replication in the current folder if left out"
@@ -122,6 +126,7 @@ def _check_options(arguments: Namespace) -> None:
 
 def _replicate(arguments: Namespace) -> Ending:
     deviations = parse_assignments(arguments.set)
+    arguments.package = arguments.package or only_package()
     with byte_progress("verifying") as progress:
         source = find_source(Path(arguments.package).expanduser(), progress)
     target = Path(arguments.to or f"{_harmless(source.experiment)}_replication").expanduser().resolve()

@@ -16,6 +16,7 @@ from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import UsageError, add_json
 from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.core.words import counted, one_line
+from robot_runner.replication.commands.only_one_here import only_package
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -32,7 +33,12 @@ _DIGITS = 64
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    parser.add_argument("package", metavar="PACKAGE", help="the package, or the folder that it was unpacked to")
+    parser.add_argument(
+        "package",
+        metavar="PACKAGE",
+        nargs="?",
+        help="the package, or the folder that it was unpacked to; the only zip file here if left out",
+    )
     parser.add_argument(
         "--sha256", metavar="DIGITS", help="what its authors say that its SHA-256 is: only this tells who made it"
     )
@@ -46,7 +52,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Verify the package, and say what is wrong with it."""
-    path = Path(arguments.package).expanduser()
+    path = Path(arguments.package or only_package()).expanduser()
     digest = _sha256(path, arguments.sha256) if arguments.sha256 else None
     from robot_runner.replication.opening import open_package  # noqa: PLC0415 - for a quick --help
     from robot_runner.replication.verification import verify_package  # noqa: PLC0415 - as above

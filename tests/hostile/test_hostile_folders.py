@@ -1,0 +1,73 @@
+"""A folder that a stranger prepared is a finding at worst: nothing is written outside, nothing hangs or commands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.hostile.hostile_calls import Tally, escapes
+from tests.hostile.hostile_folders import Hostile, hostile_folders
+from tests.hostile.hostile_visits import COMMANDS_OF_FOLDERS, visit_folder
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.hostile.hostile_calls import CallServer
+    from tests.hostile.hostile_original import Original
+
+BOUNDED = 60
+
+
+def chosen(every: list[Hostile], count: int) -> list[Hostile]:
+    """Return so many, evenly over all kinds."""
+    return [every[place * len(every) // count] for place in range(count)]
+
+
+def test_the_original_is_read_by_every_command_that_is_called(
+    original: Original, server: CallServer, tmp_path: Path
+) -> None:
+    """Else all would be refused for another reason than that they are hostile."""
+    tally = Tally()
+    codes = visit_folder(Hostile("original", lambda *_: None), original, server, tmp_path / "box", tally)
+    refused = {words[0] for words, code in zip(COMMANDS_OF_FOLDERS, codes, strict=True) if code}
+    # It is no package, nobody is there to be asked, and nobody executes it.
+    assert refused == {"verify", "replicate", "continue", "pause"}
+    assert tally.faults == {}
+
+
+def test_hostile_folders(original: Original, server: CallServer, tmp_path: Path, record_property: object) -> None:
+    folders = chosen(list(hostile_folders(original.study / original.folder)), BOUNDED)
+    tally = Tally()
+    for number, hostile in enumerate(folders):
+        # With a step that shares no factor with the number of commands, each is called on several kinds.
+        visit_folder(hostile, original, server, tmp_path / "box", tally, every=10, first=3 * number)
+    tell(record_property, tally.in_words("hostile folders"))
+    assert tally.faults == {}
+
+
+def test_escapes_in_every_file_come_to_no_terminal(original: Original, server: CallServer, tmp_path: Path) -> None:
+    """Names, units, treatments, reasons and cells are shown all the same, so that a person sees what is there."""
+    hostile = next(each for each in hostile_folders(original.study / original.folder) if "every file" in each.name)
+    tally = Tally()
+    shown: list[bytes] = []
+    visit_folder(hostile, original, server, tmp_path / "box", tally, said=shown)
+    assert tally.faults == {}
+    assert b"\\x1b]0;owned" in b"".join(shown)
+    assert not any(escapes(each) for each in shown)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(14_400)
+def test_all_hostile_folders(original: Original, server: CallServer, tmp_path: Path, record_property: object) -> None:
+    tally = Tally()
+    for hostile in hostile_folders(original.study / original.folder):
+        visit_folder(hostile, original, server, tmp_path / "box", tally)
+    tell(record_property, tally.in_words("hostile folders"))
+    assert tally.subjects >= 250
+    assert tally.faults == {}
+
+
+def tell(record_property: object, figures: str) -> None:
+    """Have the figures printed at the end of the test run."""
+    assert callable(record_property)
+    record_property("figures", figures)

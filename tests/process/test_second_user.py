@@ -1,0 +1,151 @@
+"""Another user of the same machine can neither read an experiment's private raw data, nor block it, nor alter it."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import stat
+import subprocess
+import tempfile
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.command_line import PROGRAM
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become a second user")
+
+#: `nobody` on Linux: no rights but everybody's.
+_STRANGER = 65534
+_CONFIG = """\
+from pathlib import Path
+
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "private"
+    results_output_path = Path("results")
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])], data_columns=["Faces"])
+
+    def launch_mission(self, context):
+        print("who was seen")
+        (context.run_folder / "faces.csv").write_text("time_s,person\\n0.5,Ada\\n")
+
+    def populate_run_data(self, context):
+        return {"Faces": 1}
+"""
+
+
+@pytest.fixture
+def study() -> Iterator[Path]:
+    """Yield a folder that everybody may enter; those of pytest are their owner's alone."""
+    folder = Path(tempfile.mkdtemp(prefix="robot-runner-study-"))
+    folder.chmod(0o755)
+    (folder / "private.py").write_text(_CONFIG, encoding="utf-8")
+    yield folder
+    shutil.rmtree(folder)
+
+
+def run(study: Path) -> subprocess.CompletedProcess[str]:
+    command = [PROGRAM, "private.py", "--plain", "--no-probe"]
+    return subprocess.run(command, cwd=study, capture_output=True, text=True, timeout=100, check=False)
+
+
+def as_stranger(act: Callable[[], object]) -> object:
+    """Return what a process of the second user says, as plain data."""
+    with begun_as_stranger(act) as said:
+        return said
+
+
+@contextmanager
+def begun_as_stranger(act: Callable[[], object]) -> Iterator[object]:
+    """Have the second user do something, and yield what it says; the process stays until the block ends."""
+    (answer, say), (wait, end) = os.pipe(), os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        with suppress(BaseException):
+            os.close(end)
+            os.setgroups([])
+            os.setgid(_STRANGER)
+            os.setuid(_STRANGER)
+            os.write(say, json.dumps(act()).encode())
+            os.close(say)
+            os.read(wait, 1)
+        os._exit(0)
+    os.close(say)
+    os.close(wait)
+    try:
+        with os.fdopen(answer, "rb") as told:
+            yield json.loads(told.read())
+    finally:
+        os.close(end)
+        os.waitpid(pid, 0)
+
+
+def succeeded(acts: dict[str, Callable[[], object]]) -> list[str]:
+    """Return which of these the system let happen."""
+    done = []
+    for name, act in acts.items():
+        with suppress(OSError):
+            act()
+            done.append(name)
+    return done
+
+
+def test_nothing_of_a_new_experiment_can_be_read_or_altered(study: Path) -> None:
+    finished = run(study)
+    assert finished.returncode == 0, finished.stdout + finished.stderr
+    folder = study / "results" / "private"
+    paths = [path for path in folder.rglob("*") if path.is_file()]
+    names = {path.name for path in paths}
+    assert {"journal.jsonl", "manifest.json", "run_table.csv", "log.txt", "faces.csv", ".lock"} <= names
+    acts: dict[str, Callable[[], object]] = {
+        "list": lambda: list(folder.iterdir()),
+        "plant": (folder / "new").touch,
+        "move": lambda: folder.rename(study / "results" / "other"),
+        "replace": (folder / ".lock").unlink,
+    }
+    for path in paths:
+        acts[f"read {path.name}"] = path.read_bytes
+        acts[f"write {path.name}"] = lambda path=path: path.open("r+b")  # type: ignore[misc]
+    assert as_stranger(lambda: succeeded(acts)) == []
+    # Where the owner lets others into the folder later, what the program wrote before stays private.
+    folder.chmod(0o755)
+    private = [name for name in acts if name.partition(" ")[2] not in {"", "faces.csv"}]
+    assert as_stranger(lambda: succeeded({name: acts[name] for name in private})) == []
+    assert stat.S_IMODE((folder / "runs").stat().st_mode) == 0o700
+
+
+def hold_all(folder: Path) -> list[str]:
+    """Lock whatever can be opened, in every way that reading allows, and leave it open."""
+    held = []
+    for name in (".lock", ".alive", ".standing_by", "journal.jsonl"):
+        for kind, lock in (("record", fcntl.lockf), ("file", fcntl.flock)):
+            with suppress(OSError):
+                lock(os.open(folder / name, os.O_RDONLY), fcntl.LOCK_SH | fcntl.LOCK_NB)
+                held.append(f"{kind} {name}")
+    return held
+
+
+def test_a_stranger_who_locks_the_files_of_an_earlier_version_does_not_block(study: Path) -> None:
+    folder = study / "results" / "private"
+    folder.mkdir(parents=True)
+    for name in (".lock", ".alive", ".standing_by", "journal.jsonl"):
+        (folder / name).touch(0o644)
+    (folder / ".standing_by").write_text(str(os.getpid()), encoding="ascii")  # whom nobody may kill for that
+    with begun_as_stranger(lambda: hold_all(folder)) as held:
+        assert isinstance(held, list)
+        assert {"record .lock", "file .alive", "file .standing_by"} <= set(held)
+        finished = run(study)
+        assert finished.returncode == 0, finished.stdout + finished.stderr
+        assert "1 run" in finished.stdout or "1 of 1" in finished.stdout
+    assert as_stranger(lambda: [name for name in hold_all(folder) if "journal" not in name]) == []

@@ -1,0 +1,31 @@
+"""Where a command is told no experiment or package, the only one here is meant, and never one of several."""
+
+from __future__ import annotations
+
+import shutil
+
+
+def test_an_experiment_is_packed_checked_and_replicated_without_naming_it(robot_runner, experiment, tmp_path):
+    shutil.copytree(experiment, tmp_path / "study" / "small")
+    assert robot_runner("pack", "--no-hashes").code == 0
+    verified = robot_runner("verify")
+    assert (verified.code, "intact" in verified.out) == (0, True)
+    answer = robot_runner("replicate")  # of which nobody can be asked here
+    assert answer.code == 2
+    assert "add --yes" in answer.err
+    (tmp_path / "small_replication" / "package").mkdir(parents=True)
+    shutil.copy(tmp_path / "study" / "small" / "manifest.json", tmp_path / "small_replication" / "package")
+    (tmp_path / "small_replication" / "package" / "SHA256SUMS").touch()
+    assert robot_runner("pack", "--no-hashes").code == 0  # what was replicated is not meant
+
+
+def test_several_or_none_are_refused_by_name(robot_runner, experiment, tmp_path):
+    nothing = robot_runner("pack")
+    assert (nothing.code, "there is no experiment here" in nothing.err) == (2, True)
+    for name in ("one", "two"):
+        shutil.copytree(experiment, tmp_path / name)
+        (tmp_path / f"{name}.zip").touch()
+    assert "more than one experiment here: one, two" in robot_runner("pack").err
+    for command in ("verify", "replicate"):
+        answer = robot_runner(command)
+        assert (answer.code, "more than one package here: one.zip, two.zip" in answer.err) == (2, True)

@@ -1,0 +1,154 @@
+"""Files of an experiment folder are opened by `core/storage/guarded_files.py`, and by nothing else."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+SOURCE = Path(__file__).parents[2] / "src" / "robot_runner"
+#: What reads or writes experiment folders. Plugins write into a run's new folder, which `RunContext` made.
+PACKAGES = ("core/storage", "core/execution", "core/events", "core/config", "core/sampling", "analysis", "replication")
+OPENERS = {"read_text", "write_text", "read_bytes", "write_bytes", "touch"}
+COPIERS = {"copyfile", "copy", "copy2", "copytree"}
+READERS = {"read_csv", "open_csv", "read_parquet", "scan_csv"}
+#: Openings of other files, and why they are none of an experiment's.
+OTHERS: dict[str, str] = {
+    place: reason
+    for reason, places in {
+        "the guarded way itself": (
+            "core/storage/guarded_files.py: _beside",
+            "core/storage/guarded_files.py: _opened",
+            "core/storage/guarded_files.py: _open_regular",
+            "core/storage/guarded_paths.py: folder_inside",
+            "core/storage/system_refusals.py: fsync_folder",
+        ),
+        "what the system tells of itself: /proc, /sys, installed packages": (
+            "core/storage/manifest.py: _processor",
+            "core/storage/manifest.py: _governor",
+            "core/storage/outliving.py: process_stat",
+            "core/storage/outliving.py: program_name",
+            "core/storage/system_packages.py: installed_system_packages",
+            "core/storage/system_packages.py: _sha256",
+            "core/execution/left_over.py: _is_lock",
+            "core/execution/left_over.py: _has_mark",
+            "core/execution/apart.py: _be_apart",
+            "core/execution/processes.py: use_no_streams",
+            "replication/distributions.py: direct_url",
+            "replication/distributions.py: fingerprint",
+            "replication/distributions.py: wheel_name",
+            "replication/distributions.py: write_wheel",
+            "replication/distributions.py: _editable_code",
+            "replication/distributions.py: _path_entries",
+            "replication/imported_packages.py: _reached",
+        ),
+        "the user's own config or module, which is executed anyway": (
+            "core/execution/circumstances.py: keep_config_files",
+            "core/execution/recovery.py: config_changes",
+            "core/config/dead_names.py: _tree",
+            "core/config/python_config.py: _source",
+            "core/config/registered_config.py: _digest",
+            "core/config/source.py: _read",
+        ),
+        "a temporary folder of this process": (
+            "core/execution/trial.py: try_plugin",
+            "core/execution/trial.py: _loaded",
+            "replication/index_hashes.py: locked_hashes",
+            "replication/index_hashes.py: _dry_run",
+            "replication/virtual_environments.py: _make",
+            "replication/virtual_environments.py: _call",
+            "replication/signatures.py: _allowed_signers",
+        ),
+        "a file that the user names": (
+            "core/config/notify.py: addresses_from",
+            "analysis/commands/power.py: _write",
+            "analysis/commands/preregister.py: _power",
+            "analysis/importing/description.py: read_description",
+            "analysis/plan_file.py: read_plan",
+            "analysis/planning/assumed_values.py: means_file",
+            "replication/signatures.py: sign",
+            "replication/signatures.py: _name",
+            "replication/signatures.py: _ssh_keygen",
+        ),
+        "results of other tools, which the user wants imported, into a folder that was made for them": (
+            "analysis/importing/adoption.py: _adopted",
+            "analysis/importing/adoption.py: _write_samples",
+            "analysis/importing/adoption.py: _checksum",
+            "analysis/importing/foreign_samples.py: _has_rows",
+            "analysis/importing/foreign_table.py: read_foreign_table",
+            "analysis/importing/foreign_table.py: dialect_of",
+        ),
+        "a run's new folder, which its context made": (
+            "core/sampling/meter_process.py: __init__",
+            "core/sampling/meter_process.py: _take",
+        ),
+        "part of Robot Runner": ("analysis/report/rendering.py: _asset",),
+        "a package that the user names, or a new folder or file made of it": (
+            "replication/opening.py: _write",
+            "replication/opening.py: _header_faults",
+            "replication/plain_zip.py: add",
+            "replication/plain_zip.py: written_beside",
+            "replication/searched_files.py: _unpack",
+        ),
+    }.items()
+    for place in places
+}
+
+
+def openings(tree: ast.AST, function: str = "") -> Iterator[str]:
+    """Yield the function in which each file is opened by its name, by the standard library or pandas."""
+    for node in ast.iter_child_nodes(tree):
+        inside = node.name if isinstance(node, ast.FunctionDef | ast.ClassDef) else function
+        if isinstance(node, ast.Call) and _opens(node):
+            yield inside
+        yield from openings(node, inside)
+
+
+def _opens(call: ast.Call) -> bool:
+    if isinstance(call.func, ast.Name):
+        return call.func.id in {"open", *COPIERS}
+    if not isinstance(call.func, ast.Attribute):
+        return False
+    name, owner = call.func.attr, call.func.value
+    owner_name = owner.id if isinstance(owner, ast.Name) else ""
+    if name == "open":
+        has_mode = any(isinstance(each, ast.Constant) and isinstance(each.value, str) for each in call.args)
+        return owner_name == "os" or has_mode or any(each.arg in {"mode", "encoding"} for each in call.keywords)
+    return name in OPENERS or (name in COPIERS and owner_name == "shutil") or (name in READERS and owner_name == "pd")
+
+
+def found() -> dict[str, int]:
+    """Return how many openings there are, by module and function."""
+    places: dict[str, int] = {}
+    for package in PACKAGES:
+        for module in sorted((SOURCE / package).rglob("*.py")):
+            for function in openings(ast.parse(module.read_bytes())):
+                place = f"{module.relative_to(SOURCE).as_posix()}: {function}"
+                places[place] = places.get(place, 0) + 1
+    return places
+
+
+def test_files_of_an_experiment_folder_are_opened_in_one_guarded_way() -> None:
+    assert sorted(set(found()) - set(OTHERS)) == []
+
+
+def test_no_reason_has_outlived_its_opening() -> None:
+    assert sorted(set(OTHERS) - set(found())) == []
+    assert all(OTHERS.values())
+
+
+def test_an_opening_is_noticed() -> None:
+    noticed = [
+        "open(path)",
+        "path.open('rb')",
+        "path.open(encoding='utf-8')",
+        "(a / b).read_text()",
+        "os.open(path, 0)",
+        "shutil.copyfile(a, b)",
+        "pd.read_csv(path)",
+    ]
+    passed = ["open_to_read(path)", "read_text(path)", "resources.open(key, opener)", "pd.read_csv"]
+    assert [text for text in [*noticed, *passed] if list(openings(ast.parse(text)))] == noticed
