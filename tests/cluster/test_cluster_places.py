@@ -7,6 +7,7 @@ import signal
 import subprocess
 from pathlib import Path
 
+import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, apart_from, journal_of, table_of, until
 
 import robot_runner
@@ -14,7 +15,7 @@ import robot_runner
 SIMULATED = """
 import beside
 from robot_runner import ExperimentConfig, Factor, RunTableModel
-from robot_runner.plugins.profilers import Ina219
+from robot_runner.plugins.profilers import Ina219, PsUtil
 from robot_runner.plugins.systems import BasicTurtlebot3
 
 
@@ -22,7 +23,7 @@ class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "simulated"
     results_output_path = "results"
     robot = "simulated"
-    plugins = [BasicTurtlebot3(sleep_s=0.1, drive_s=0.3, task_s=0.2, rotate_s=2.5), Ina219()]
+    plugins = [BasicTurtlebot3(sleep_s=0.1, drive_s=0.3, task_s=0.2, rotate_s=2.5), Ina219(), PsUtil()]
 
     def start_run(self, context):
         print("a run begins")
@@ -34,7 +35,7 @@ class RobotRunnerConfig(ExperimentConfig):
 
     def create_run_table(self):
         factor = Factor("Task", ["Computation", "Network"])
-        return RunTableModel([factor], repetitions=3, data_columns=["Drawn", "Energy"], seed=4)
+        return RunTableModel([factor], repetitions=3, data_columns=["Drawn", "Energy", "CPU"], seed=4)
 """
 BESIDE = "import random\n\n\ndef drawn(context):\n    return random.Random(context.run_seed).random()\n"
 VOLATILE = "_at"
@@ -53,7 +54,10 @@ def _all_files(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_two_workers_without_a_shared_folder_yield_the_values_of_this_machine(cluster: Cluster, tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_shared", [False, pytest.param(True, marks=pytest.mark.soak)])
+def test_two_workers_yield_the_values_of_this_machine_with_and_without_a_shared_folder(
+    cluster: Cluster, tmp_path: Path, is_shared: bool
+) -> None:
     config = tmp_path / "config.py"
     config.write_text(SIMULATED, encoding="utf-8")
     (tmp_path / "beside.py").write_text(BESIDE, encoding="utf-8")
@@ -66,7 +70,7 @@ def test_two_workers_without_a_shared_folder_yield_the_values_of_this_machine(cl
     )
     (tmp_path / "results").mkdir()
     for name in ("one", "two"):
-        cluster.worker(name, before=apart_from(tmp_path / "results"))
+        cluster.worker(name, before=() if is_shared else apart_from(tmp_path / "results"))
     experiment = cluster.experiment(config)
     answer = _answer(experiment)
     assert experiment.returncode == 0, answer

@@ -212,6 +212,7 @@ class ClusterPlaces:
                 "session": self._session,
                 "snapshot": snapshot_of(experiment),
                 "probe": {"path": str(self._probe.resolve()), "digest": hashlib.sha256(content).hexdigest()},
+                "root": str(experiment.folder.root.resolve()),
                 "runs": runs,
                 "grace": experiment.parameters.grace_in_s,
             },

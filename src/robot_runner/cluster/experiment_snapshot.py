@@ -6,12 +6,10 @@ set up in the memory of the orchestrator is not there.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.checks import announced_checks
 from robot_runner.core.config.dialects import prepare
-from robot_runner.core.config.parameters import RunProcess
 from robot_runner.core.config.plugin_checks import check_plugins
 from robot_runner.core.design.batches import EXTENDED
 from robot_runner.core.errors import ConfigError, ExecutionError
@@ -58,13 +56,12 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def experiment_of(snapshot: Mapping[str, Any], folder: Path, runs: Path | None) -> Experiment:
+def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
     """Return the experiment of a snapshot as it is executed on this worker.
 
     Args:
         snapshot: what `snapshot_of` returned.
         folder: the worker's own, empty; the config and all that a run writes go into it.
-        runs: the folder of runs that this worker shares with the orchestrator; None where it shares none.
 
     Raises:
         ConfigError: the config cannot be loaded here, or this worker lacks what it needs; carries every finding.
@@ -83,9 +80,6 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path, runs: Path | None) 
     experiment = _loaded(path, settings)
     _refuse_unfit(experiment)
     restore_revisions(experiment.model.factors, snapshot["revisions"])
-    if runs is not None and experiment.parameters.run_process is not RunProcess.SPAWN:
-        # An absolute path takes the place of the folder's own runs; what belongs to a worker alone stays with it.
-        experiment = replace(experiment, folder=replace(experiment.folder, runs_name=str(runs)))
     experiment.folder.root.mkdir(parents=True, exist_ok=True)
     experiment.folder.runs.mkdir(exist_ok=True)
     return experiment

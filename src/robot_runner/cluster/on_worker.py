@@ -51,7 +51,7 @@ def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
 
     Args:
         facts: `session`, the `id` of the part that this worker takes in it, `snapshot`, `probe` with its `path` and
-            `digest`, `runs`, and `lease` in s.
+            `digest`, `root` of the experiment's folder, `runs` in it, and `lease` in s.
         dask_worker: given by Dask.
 
     Returns:
@@ -149,7 +149,7 @@ class _Session:
 
     def settle(self, *, is_shared: bool) -> None:
         """Leave the experiment where the processes that execute runs find it."""
-        told = {"snapshot": self._facts["snapshot"], "runs": self._facts["runs"] if is_shared else ""}
+        told = {name: self._facts[name] for name in ("snapshot", "runs", "root")} | {"is_shared": is_shared}
         (self.folder / "snapshot.json").write_text(json.dumps(told), encoding="utf-8")
 
     def renew(self) -> None:

@@ -34,6 +34,7 @@ from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.processes import use_no_streams
 from robot_runner.core.execution.task import OutcomeBuilder, RecordReader, RecordWriter
 from robot_runner.core.execution.worker import task_of
+from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
 from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
@@ -58,8 +59,16 @@ _BLOCK = 1 << 20
 class _Host:
     """Executes the runs that the worker orders, one at a time."""
 
-    def __init__(self, experiment: Experiment, folder: Path, requests: int, replies: RecordWriter) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        folder: Path,
+        shared: tuple[Path, Path] | None,
+        requests: int,
+        replies: RecordWriter,
+    ) -> None:
         self._experiment = experiment
+        self._shared = shared
         self._folder = folder
         self._executor = executor_for(experiment)
         self._descriptor = requests
@@ -163,7 +172,7 @@ class _Host:
         }
         try:
             ended |= self._kept(self._task)
-        except OSError as error:
+        except (OSError, RobotRunnerError) as error:
             ended["lost"] = f"what the run left on the worker cannot be kept: {error}"
         room = shutil.disk_usage(self._folder).free
         if outcome.failure is not None and room < _NO_ROOM:
@@ -171,7 +180,7 @@ class _Host:
         return ended | ({"is_certain": True, "is_unfit": True} if "lost" in ended else {})
 
     def _kept(self, task: RunTask) -> dict[str, Any]:
-        """Keep the log of a run, and make all that is to be sent home ready: nothing where it stands there already."""
+        """Keep the log of a run; put what it has written in place, or make it ready to be sent home."""
         folder = self._experiment.folder
         log = folder.current_log
         if log.exists() and log.stat().st_size:
@@ -179,15 +188,37 @@ class _Host:
             shutil.copyfile(log, folder.log(task.run_id))  # the runs may be on another file system
         log.unlink(missing_ok=True)
         run = folder.run(task.run_id)
-        if not run.exists() or not run.is_relative_to(self._folder):
+        if not run.exists():
             return {"files": 0, "bytes": 0, "skipped": []}
         outbox = self._folder / OUTBOX
         outbox.mkdir(exist_ok=True)
-        run.rename(outbox / self._token)
-        listed, skipped = _listed(outbox / self._token)
+        kept = run.rename(outbox / self._token)
+        listed, skipped = _listed(kept)
+        if self._shared is not None:
+            root, runs = self._shared
+            for name, _, _ in listed:
+                self._put_in_place(kept / name, runs / task.run_id / name, root)
+            shutil.rmtree(kept)
+            return {"files": 0, "bytes": 0, "skipped": skipped}
         text = "".join(json.dumps(each) + "\n" for each in listed)
         (outbox / f"{self._token}.list").write_text(text, encoding="utf-8")
         return {"files": len(listed), "bytes": sum(each[1] for each in listed), "list": len(text), "skipped": skipped}
+
+    def _put_in_place(self, source: Path, target: Path, root: Path) -> None:
+        """Copy a file into the orchestrator's folder, as long as the lease lasts: then the run is another worker's.
+
+        Raises:
+            OSError: the lease has ended, or the file cannot be written.
+            StorageError: the way to it leads over a link, or it is there.
+        """
+        make_folder(target.parent, root)
+        descriptor = open_descriptor(target, root, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+        with source.open("rb") as file, os.fdopen(descriptor, "wb") as copy:
+            while block := file.read(_BLOCK):
+                self._take_requests()
+                if self._is_leaving or time.monotonic() >= self._lease:
+                    raise OSError(GONE)
+                copy.write(block)
 
 
 class _Builder(OutcomeBuilder):
@@ -249,12 +280,12 @@ def main(requests: int, writer: int, folder: Path) -> None:
     tell = RecordWriter(writer)
     try:
         session = json.loads((folder.parent / "snapshot.json").read_text(encoding="utf-8"))
-        runs = Path(session["runs"]) if session["runs"] else None
-        experiment = experiment_of(session["snapshot"], folder, runs)
+        shared = (Path(session["root"]), Path(session["runs"])) if session["is_shared"] else None
+        experiment = experiment_of(session["snapshot"], folder)
         gc.collect()
         gc.freeze()  # what a forked run does not collect it does not have to copy
         tell("ready", {})
-        _Host(experiment, folder, requests, tell).serve()
+        _Host(experiment, folder, shared, requests, tell).serve()
     except RobotRunnerError as error:
         tell("refused", {"problems": [str(finding) for finding in error.findings if finding.is_error]})
     except Exception as error:  # noqa: BLE001 - whatever it is, the worker has to know why no run is executed
