@@ -99,3 +99,16 @@ def test_what_cannot_take_turns_is_refused_with_all_findings(write_config: Calla
     looked_for = HEAD.replace('"simulated://bob"', 'bob="auto"')
     findings = prepare(write_config(head=looked_for, table=TABLE)).findings
     assert any("bob would be looked for" in finding.problem for finding in findings)
+
+
+def test_robots_may_be_the_blocks_of_the_analysis(write_config: Callable[..., Path]) -> None:
+    plan = 'analysis = AnalysisPlan(measures=["Energy"], blocks="Robot")'
+    assert prepare(write_config(plan, head=HEAD, table=TABLE)).findings == ()
+    alone = prepare(
+        write_config(
+            plan, head=HEAD.replace('Robots("simulated://alice", "simulated://bob")', '"simulated"'), table=TABLE
+        )
+    )
+    assert [finding.problem for finding in alone.findings] == [
+        "there is no factor 'Robot' whose treatments could be blocks"
+    ]

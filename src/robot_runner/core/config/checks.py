@@ -27,6 +27,7 @@ from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+from robot_runner.core.events.measure import ROBOT
 from robot_runner.core.links.several_robots import Robots
 from robot_runner.core.storage.executed_runs import done_runs
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -64,7 +65,10 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
     """Return which names of the plan the run table does not have."""
     if parameters.analysis is None or model is None:
         return []
-    return list(parameters.analysis.findings([factor.name for factor in model.factors], columns.names))
+    blocks = [factor.name for factor in model.factors]
+    if parameters.robots:
+        blocks.append(ROBOT)
+    return list(parameters.analysis.findings(blocks, columns.names))
 
 
 def check_repeat_until(
