@@ -62,7 +62,6 @@ OTHERS: dict[str, str] = {
             "replication/virtual_environments.py: _call",
             "replication/signatures.py: _allowed_signers",
         ),
-        "the user's own folder of states": ("core/storage/claim_locks.py: _hold",),
         "a file that the user names": (
             "core/config/notify.py: addresses_from",
             "analysis/commands/power.py: _write",

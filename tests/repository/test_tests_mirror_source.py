@@ -8,15 +8,15 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 TESTS = ROOT / "tests"
 FILES = sorted(TESTS.rglob("*.py"))
-#: Tests of the repository, and of the program as a whole.
-WHOLE = {"repository", "process"}
+#: Tests of the repository, of whole processes, and of all commands on hostile folders and packages.
+WHOLE = {"repository", "process", "hostile"}
 
 
 def _mirrors_something(folder: Path) -> bool:
-    """Whether there is a package or folder of this name; whole processes and the repository are mirrored by nothing."""
+    """Whether there is a package or folder of this name, or the tests are of the whole."""
     relative = folder.relative_to(TESTS)
     in_source = (ROOT / "src" / "robot_runner" / relative).is_dir()
-    return in_source or (ROOT / relative).is_dir() or relative.as_posix() in {"repository", "process"}
+    return in_source or (ROOT / relative).is_dir() or relative.as_posix() in WHOLE
 
 
 def test_each_folder_of_tests_mirrors_a_folder_of_the_source() -> None:
