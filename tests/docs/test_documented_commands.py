@@ -35,7 +35,8 @@ def _is_understood(words: list[str]) -> bool:
         return False
     parser = parser_of(command, command_module(installed_commands()[command]))
     known = {option for action in parser.documented for option in action.option_strings}
-    return {word.partition("=")[0] for word in words if word.startswith("--")} <= {*known, "--version"}
+    options = [word.strip("[],").partition("=")[0] for word in words]  # in the page of commands they stand in brackets
+    return {option for option in options if option.startswith("--")} <= {*known, "--version"}
 
 
 def test_a_command_that_is_not_there_is_noticed() -> None:

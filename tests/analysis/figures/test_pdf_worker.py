@@ -18,7 +18,7 @@ def figure():
 def test_figures_are_written_by_the_time_it_is_left(figure, tmp_path):
     with PdfWorker() as worker:
         for name in ("a", "b"):
-            worker.write(figure, tmp_path / f"{name}.pdf")
+            worker.write(figure, tmp_path / f"{name}.pdf", tmp_path)
     assert (tmp_path / "a.pdf").read_bytes() == (tmp_path / "b.pdf").read_bytes()
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
 
@@ -27,20 +27,20 @@ def test_modules_in_the_user_s_folder_are_not_taken_for_ours(figure, tmp_path, m
     (tmp_path / "statistics.py").write_text("raise RuntimeError")
     monkeypatch.chdir(tmp_path)
     with PdfWorker() as worker:
-        worker.write(figure, tmp_path / "a.pdf")
+        worker.write(figure, tmp_path / "a.pdf", tmp_path)
     assert (tmp_path / "a.pdf").is_file()
 
 
 def test_a_file_that_cannot_be_written_is_named(figure, tmp_path):
     with pytest.raises(StorageError, match="cannot be written") as caught, PdfWorker() as worker:
-        worker.write(figure, tmp_path / "missing" / "a.pdf")
+        worker.write(figure, tmp_path / "missing" / "a.pdf", tmp_path)
     assert "missing" in caught.value.where
 
 
 def write_with(worker, figure, path):
     with worker:
         worker._process.wait(timeout=30)
-        worker.write(figure, path)
+        worker.write(figure, path, path.parent)
 
 
 def test_a_process_that_fails_is_told_with_its_last_words(figure, tmp_path, monkeypatch):
@@ -52,6 +52,6 @@ def test_a_process_that_fails_is_told_with_its_last_words(figure, tmp_path, monk
 
 def test_it_is_ended_when_its_user_fails(figure, tmp_path):
     worker = PdfWorker()
-    worker.write(figure, tmp_path / "a.pdf")
+    worker.write(figure, tmp_path / "a.pdf", tmp_path)
     worker.__exit__(ZeroDivisionError, ZeroDivisionError(), None)
     assert worker._process.poll() is not None

@@ -65,6 +65,7 @@ def test_an_experiment_that_followed_its_registration_has_no_deviations(tmp_path
     assert found.sentence.endswith(f"SHA-256 {found.sha256}. Deviations: none.")
 
 
+DEVIATION = {"at": "2026-02-01T12:00:00.000Z", "run": "r_1", "column": "Energy", "was": "877", "is": "878"}
 BATCHES = [
     {"batch": 1, "repetitions": 3, "runs": 12},
     {"batch": 2, "repetitions": 4, "runs": 4, "at": "2026-02-01T12:00:00.000Z"},
@@ -83,7 +84,13 @@ BATCHES = [
         ),
         (lambda each: each.update(analysis_changes=[{}]), "the analysis plan was changed after runs"),
         (lambda each: each.update(analysis={**PLAN, "alpha": 0.1}), "alpha of the analysis plan: 0.1"),
-        (lambda each: each.update(table_deviations=[{}, {}]), "the run table was edited by hand (2 changes)"),
+        (
+            (
+                lambda each: each.update(table_deviations=[DEVIATION, DEVIATION]),
+                "the run table was edited by hand (2 changes)",
+            ),
+            "the run table was edited by hand (2 changes)",
+        ),
         (lambda each: each.update(registration_changes=[{"registration": {}}]), "another registration took the place"),
         (lambda each: each.update(repeat_until_changes=[{}]), "how precisely measures are to be known was changed"),
         (

@@ -294,7 +294,13 @@ def _resolved(robot: str) -> tuple[RobotLinkKind, RobotName]:
 
 def _named_on_graph(name: RobotName) -> RobotName:
     named = name.on_graph
-    namespace_prefix(named.namespace)  # refuses what cannot be one
+    try:
+        namespace_prefix(named.namespace)
+    except LinkError as error:
+        problem = f"robot is {name.address!r}, where {name.link}:// names a robot of a graph: {error.problem}"
+        raise LinkError(
+            problem, where="robot", fix=f"Say {name.link}://alice, or {name.link} for all of it."
+        ) from error
     return named
 
 

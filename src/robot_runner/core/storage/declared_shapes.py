@@ -104,7 +104,7 @@ def faults_of(value: Any, shape: Any) -> list[str]:
 
     Example:
         >>> faults_of({"runs": [{"run": 7}]}, dict[str, list[dict[str, str]]])
-        ["runs[0].run is 7, not a text"]
+        ['runs[0].run is 7, not a text']
     """
     faults: list[str] = []
     _look(_compiled(shape), value, "", faults)

@@ -8,7 +8,7 @@ from typing import Any, NotRequired, TypedDict
 
 from robot_runner.core.storage.declared_shapes import Moment, Scalar
 
-__all__ = ["HolderFile", "Manifest", "RegistrationFile", "Repository", "RequestFile", "SampleQuality", "Schema"]
+__all__ = ["HolderFile", "Manifest", "RegistrationFile", "Repository", "RequestFile", "Schema"]
 
 
 # manifest.json
@@ -59,7 +59,7 @@ _Plugin = TypedDict(
     "_Plugin",
     {
         "name": NotRequired[str],
-        "class": NotRequired[str],
+        "class": NotRequired[str | None],
         "package": NotRequired[str | None],
         "version": NotRequired[str | None],
         "measures": NotRequired[list[str]],
@@ -177,13 +177,3 @@ class RequestFile(TypedDict):
 
     command: str
     answers: NotRequired[dict[str, str]]
-
-
-class _SampleCounts(TypedDict):
-    clock_uncertainty: NotRequired[float | None]
-
-
-class SampleQuality(TypedDict):
-    """`quality.json` beside the samples of a profiler."""
-
-    samples: NotRequired[_SampleCounts]

@@ -31,7 +31,7 @@ class MaskedText(io.TextIOWrapper):
         >>> stream = MaskedText(io.BytesIO(), encoding="utf-8", write_through=True)
         >>> print("connected with open-sesame", file=stream)
         >>> stream.buffer.getvalue()
-        b'connected with REDACTED\\n'
+        b'connected with REDACTED\n'
         >>> del os.environ["LAB_TOKEN"]
     """
 
