@@ -85,10 +85,7 @@ BATCHES = [
         (lambda each: each.update(analysis_changes=[{}]), "the analysis plan was changed after runs"),
         (lambda each: each.update(analysis={**PLAN, "alpha": 0.1}), "alpha of the analysis plan: 0.1"),
         (
-            (
-                lambda each: each.update(table_deviations=[DEVIATION, DEVIATION]),
-                "the run table was edited by hand (2 changes)",
-            ),
+            lambda each: each.update(table_deviations=[DEVIATION, DEVIATION]),
             "the run table was edited by hand (2 changes)",
         ),
         (lambda each: each.update(registration_changes=[{"registration": {}}]), "another registration took the place"),
