@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-import subprocess
-import sys
 import time
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.experiment_snapshot import snapshot_of
+from robot_runner.cluster.piped_process import PipedProcess
 from robot_runner.cluster.run_at_worker import RunAtWorker
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.task import RecordReader, RecordWriter
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, System
 from robot_runner.core.storage import guarded_files
@@ -64,7 +61,8 @@ class ClusterPlaces:
         self._alone_since: float | None = time.monotonic()
         self._is_gone = False
         self._probe = experiment.folder.root / f".probe-{self._session}"
-        self._start(self._facts())
+        self._gateway = PipedProcess("robot_runner.cluster.gateway")
+        self.ask("facts", self._facts())
 
     @property
     def all(self) -> Sequence[ClusterPlace]:
@@ -74,7 +72,7 @@ class ClusterPlaces:
     @property
     def descriptors(self) -> Collection[int]:
         """Where the gateway tells something."""
-        return () if self._is_gone else (self._descriptor,)
+        return () if self._is_gone else (self._gateway.descriptor,)
 
     @property
     def due(self) -> float | None:
@@ -99,20 +97,15 @@ class ClusterPlaces:
 
     def close(self) -> None:
         """Have the workers forget the experiment, and end the gateway."""
-        with suppress(OSError):
-            self.ask("end", {})
-            self._writer.close()
-        try:
-            self._process.wait(_GOODBYE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        os.close(self._descriptor)
+        self.ask("end", {})
+        self._gateway.let_go()
+        self._gateway.wait(_GOODBYE)
+        self._gateway.close()
         guarded_files.remove(self._probe, self._experiment.folder.root)
 
     def ask(self, kind: str, fields: Mapping[str, Any]) -> None:
         """Send a request to the gateway; where it is gone, its end tells."""
-        self._writer(kind, dict(fields))
+        self._gateway.ask(kind, fields)
 
     def begun(self, token: str, run: RunAtWorker) -> None:
         """Take down that a run is in flight."""
@@ -138,7 +131,7 @@ class ClusterPlaces:
         """Take what the gateway tells, for all runs: they share one pipe."""
         if self._is_gone:
             return
-        replies, is_open = self._reader.read()
+        replies, is_open = self._gateway.replies()
         for kind, fields in replies:
             self._take(kind, fields)
         if not is_open:
@@ -217,23 +210,6 @@ class ClusterPlaces:
                 "grace": experiment.parameters.grace_in_s,
             },
         }
-
-    def _start(self, facts: dict[str, Any]) -> None:
-        requests, request = os.pipe()
-        self._descriptor, replies = os.pipe()
-        self._process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
-            [sys.executable, "-m", "robot_runner.cluster.gateway", str(requests), str(replies)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=[requests, replies],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        )
-        os.close(requests)
-        os.close(replies)
-        self._writer = RecordWriter(request)
-        self._reader = RecordReader(self._descriptor)
-        self.ask("facts", facts)
 
 
 def _closing_of(experiment: Experiment) -> float:

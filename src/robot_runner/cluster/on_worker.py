@@ -12,17 +12,14 @@ import json
 import os
 import select
 import shutil
-import subprocess
-import sys
 import threading
 import time
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.cluster.piped_process import PipedProcess
 from robot_runner.cluster.run_host import OUTBOX
 from robot_runner.cluster.worker_versions import described_versions
-from robot_runner.core.execution.task import RecordReader, RecordWriter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -218,6 +215,8 @@ class _Session:
             host.let_go()
         for host in hosts:
             host.wait(self._facts["grace"] + _CLOSING)
+        for host in self._idle:  # whoever follows a busy one leaves it himself
+            host.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _free_host(self) -> _HostProcess:
@@ -235,35 +234,21 @@ class _HostProcess:
     def __init__(self, folder: Path) -> None:
         folder.mkdir()
         self.folder = folder
-        requests, request = os.pipe()
-        self._descriptor, replies = os.pipe()
-        self._process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
-            [sys.executable, "-m", "robot_runner.cluster.run_host", str(requests), str(replies), str(folder)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            pass_fds=[requests, replies],
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        )
-        os.close(requests)
-        os.close(replies)
-        self._writer = RecordWriter(request)
-        self._reader = RecordReader(self._descriptor)
+        self._process = PipedProcess("robot_runner.cluster.run_host", str(folder))
         self._refused: list[str] = []
         self.is_alive = True
 
     def ask(self, kind: str, fields: dict[str, Any]) -> None:
         """Send a request; where the process is gone, its end tells."""
-        with suppress(OSError):
-            self._writer(kind, fields)
+        self._process.ask(kind, fields)
 
     def followed(self, outgoing: _Outgoing) -> dict[str, Any]:
         """Pass on what the process tells of a run, and return what it tells of its end."""
         poll = select.poll()
-        poll.register(self._descriptor, select.POLLIN)
+        poll.register(self._process.descriptor, select.POLLIN)
         while True:
             poll.poll(_SENDING * 1000)
-            replies, is_open = self._reader.read()
+            replies, is_open = self._process.replies()
             for kind, fields in replies:
                 if kind == "record":
                     outgoing.add(fields)
@@ -274,6 +259,7 @@ class _HostProcess:
             if not is_open:
                 self.is_alive = False
                 code = self._process.wait()
+                self._process.close()
                 because = f"the process that executed it ended with code {code}"
                 if self._refused:
                     return {"lost": "; ".join(self._refused), "is_certain": True, "is_unfit": True}
@@ -282,16 +268,15 @@ class _HostProcess:
 
     def let_go(self) -> None:
         """Have it end: a run that it executes is stopped first."""
-        with suppress(OSError):
-            self._writer.close()
+        self._process.let_go()
 
     def wait(self, seconds: float) -> None:
         """Wait for its end; kill it where that takes longer, which ends its run as well."""
-        try:
-            self._process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._process.wait(seconds)
+
+    def close(self) -> None:
+        """Leave what it tells: it has ended, and nobody follows it."""
+        self._process.close()
 
 
 class _Outgoing:
