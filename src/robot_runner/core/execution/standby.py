@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 from contextlib import ExitStack, closing, suppress
+from copy import copy
 from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
@@ -29,6 +30,7 @@ from robot_runner.core.plugin import System
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
 from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
+from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -227,6 +229,8 @@ def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
     if not systems or is_simulated(robot):
         return None
     names = [system.name for system in systems]
+    # One with bound parameters is built again, in its place, for a run that begins beside this one.
+    systems = [copy(each) if factors_of(each) else each for each in systems]
     return Standby(
         partial(preload_robot, robot), partial(_make_safe, experiment, systems, task), names, experiment.folder
     )
