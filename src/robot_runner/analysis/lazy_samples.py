@@ -11,7 +11,7 @@ from pyarrow import csv as arrow_csv
 
 from robot_runner.analysis.samples import are_within, checked_columns, places_of_phases, sample_source
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

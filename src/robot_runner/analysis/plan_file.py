@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:

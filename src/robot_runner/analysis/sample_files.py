@@ -12,7 +12,7 @@ import pandas as pd
 
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
 from robot_runner.core.storage.guarded_files import LINE_LIMIT, open_text, open_to_read, read_json, require_file
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -16,7 +16,7 @@ from pyarrow import csv as arrow_csv
 
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.guarded_files import open_to_read
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import open_to_read
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import LeftOut, PackedFile
 from robot_runner.replication.redaction import Hits, Redactor, grammar_of, is_binary
 from robot_runner.replication.searched_files import recoded, search, wide_encoding

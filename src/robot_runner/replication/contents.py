@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.errors import PackageError, did_you_mean
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.redaction import forbidden_name
 
 if TYPE_CHECKING:

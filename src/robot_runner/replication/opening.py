@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import DESCRIPTION, SUMS, fault_of_name
 
 if TYPE_CHECKING:

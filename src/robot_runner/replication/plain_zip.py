@@ -8,7 +8,7 @@ import zipfile
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NamedTuple
 
-from robot_runner.core.storage.safe_write import fsync_folder, storage_error
+from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

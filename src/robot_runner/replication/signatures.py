@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PackageError
-from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

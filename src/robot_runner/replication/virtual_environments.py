@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PackageError
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import REQUIREMENTS, WHEELS
 from robot_runner.replication.distributions import installed_distributions, wheel_name, wheel_of, write_wheel
 

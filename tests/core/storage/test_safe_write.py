@@ -11,7 +11,8 @@ from typing import TextIO
 import pytest
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.safe_write import fsync_folder, storage_error, write_beside_and_rename
+from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 
 
 def names_in(folder: Path) -> list[str]:

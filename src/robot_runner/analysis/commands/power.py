@@ -35,7 +35,7 @@ from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.batches import GrownRunTableModel
 from robot_runner.core.errors import ConfigError
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -28,7 +28,7 @@ from robot_runner.core.storage.registration import (
     repeated_in_words,
     write_registration,
 )
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:

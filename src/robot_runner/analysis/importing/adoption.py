@@ -21,7 +21,7 @@ from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import quoted
 from robot_runner.core.storage.guarded_files import make_experiment_folder
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

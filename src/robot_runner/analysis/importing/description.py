@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.importing.units import TIME_UNITS, known_units, unit_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,7 +12,7 @@ from robot_runner.analysis.importing.cell_numbers import MISSING, plain_cells
 from robot_runner.analysis.importing.units import split_heading
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import number_of
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence

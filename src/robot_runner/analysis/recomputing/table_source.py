@@ -15,7 +15,7 @@ from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.run_table_reading import delimiter_of, match_headings
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_decoders import TableFindings
 

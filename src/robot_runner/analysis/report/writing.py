@@ -19,7 +19,8 @@ from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.storage.guarded_files import make_folder, replace
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.safe_write import storage_error, write_beside_and_rename
+from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

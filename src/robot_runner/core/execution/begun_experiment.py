@@ -11,7 +11,7 @@ from robot_runner.core.execution.extension import refuse_unplanned, unplanned_ad
 from robot_runner.core.execution.recovery import config_changes
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.manifest import read_manifest
-from robot_runner.core.storage.safe_write import fsync_folder, storage_error
+from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -18,7 +18,7 @@ from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_st
 from robot_runner.core.storage.guarded_files import MissingFileError, make_folder, read_bytes, replace
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.treatments import factors_of
 
 if TYPE_CHECKING:

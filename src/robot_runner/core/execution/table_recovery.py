@@ -34,7 +34,7 @@ from robot_runner.core.storage.guarded_files import (
 from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.safe_write import storage_error
+from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:

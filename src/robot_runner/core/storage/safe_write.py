@@ -6,14 +6,13 @@ import io
 from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.guarded_files import open_to_write
-from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
     from typing import TextIO
 
-__all__ = ["fsync_folder", "storage_error", "write_beside_and_rename"]
+__all__ = ["write_beside_and_rename"]
 
 #: The permissions of a file that belongs to no experiment: what the user's umask leaves of them.
 _RIGHTS = 0o666
