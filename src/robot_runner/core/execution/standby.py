@@ -14,7 +14,7 @@ import signal
 import sys
 import time
 from contextlib import ExitStack, closing, suppress
-from copy import copy
+from copy import copy as shallow_copy
 from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
@@ -230,7 +230,7 @@ def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
         return None
     names = [system.name for system in systems]
     # One with bound parameters is built again, in its place, for a run that begins beside this one.
-    systems = [copy(each) if factors_of(each) else each for each in systems]
+    systems = [shallow_copy(each) if factors_of(each) else each for each in systems]
     return Standby(
         partial(preload_robot, robot), partial(_make_safe, experiment, systems, task), names, experiment.folder
     )
