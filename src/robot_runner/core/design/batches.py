@@ -132,6 +132,8 @@ class GrownRunTableModel(RunTableModel):
             data_columns=model.data_columns,
             warnings=model.warnings,
             warm_up=model.warm_up,
+            design=model.design,
+            design_facts=model.design_facts,
         )
         self.as_configured = model
         self.batches = tuple(batches)
@@ -173,7 +175,8 @@ def as_configured(model: RunTableModel) -> RunTableModel:
 
 def _factor(own: Factor | None, name: str, recorded: Sequence[Any]) -> Factor:
     """Return a factor with the treatments that were recorded: the config's own objects, where it has them."""
-    return Factor(name, [_own_treatment(own, name, each) for each in recorded])
+    treatments = [_own_treatment(own, name, each) for each in recorded]
+    return own.with_treatments(treatments) if own else Factor(name, treatments)
 
 
 def _own_treatment(own: Factor | None, name: str, recorded: Any) -> Any:
