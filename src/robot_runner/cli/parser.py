@@ -110,8 +110,18 @@ def parser_of(command: str, module: CommandModule) -> Parser:
     return parser
 
 
+#: Commands of the earlier tools, and what to do here.
+_EARLIER_COMMANDS = {
+    "config-create": "Write one with `robot-runner new experiment.py`.",
+    "prepare": "Nothing has to be prepared. What is missing here, `robot-runner doctor` says.",
+}
+
+
 def unknown_command(word: str, known: Collection[str]) -> UsageError:
     """Return the error that names the command that was meant, or all of them."""
+    if word in _EARLIER_COMMANDS:
+        problem = f"{word!r} is a command of the earlier tools"
+        return UsageError(problem, where="robot-runner", fix=_EARLIER_COMMANDS[word])
     near = nearest(word, known)
     fix = f"Did you mean {near!r}?" if near else f"Choose one of: {', '.join(known)}; or name a config file (.py)."
     return UsageError(f"there is no command {word!r}", where="robot-runner", fix=fix)
