@@ -208,12 +208,12 @@ def _print_verdict(console: UserConsole, trial: Trial) -> None:
     failure = trial.outcome.failure if trial.outcome else None
     if trial.missing:
         missing = f"it measured nothing: no value of {enumerated(trial.missing)}"
-        console.print(Text("failed: ", style="bold red").append(missing, "not bold default"), soft_wrap=True)
+        print_folded(console, "failed: ", missing, style="bold red")
     elif failure is None:
         console.print("It went well." if not trial.findings else "It went through; look at the warnings.", style="bold")
     else:
         said = one_line(str(failure))
-        console.print(Text("failed: ", style="bold red").append(said, "not bold default"), soft_wrap=True)
+        print_folded(console, "failed: ", said, style="bold red")
         for line in failure.traceback.splitlines():
             console.print(Text(f"  {line}", style="dim"), soft_wrap=True)
 
