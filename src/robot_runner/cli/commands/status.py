@@ -16,13 +16,14 @@ from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.cli.screens.plain import continue_command
-from robot_runner.core.execution.experiment_status import ExperimentStatus, Session, read_status
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
+    from robot_runner.core.execution.experiment_history import Session
 
 __all__ = ["add_arguments", "execute"]
 
