@@ -149,6 +149,8 @@ class GrownRunTableModel(RunTableModel):
             data_columns=model.data_columns,
             warnings=model.warnings,
             warm_up=model.warm_up,
+            design=model.design,
+            design_facts=model.design_facts,
         )
         self.as_configured = model
         self.batches = tuple(batches)
