@@ -192,7 +192,8 @@ def as_configured(model: RunTableModel) -> RunTableModel:
 
 def _factor(own: Factor | None, name: str, recorded: Sequence[Any]) -> Factor:
     """Return a factor with the treatments that were recorded: the config's own objects, where it has them."""
-    return Factor(name, [_own_treatment(own, name, each) for each in recorded])
+    treatments = [_own_treatment(own, name, each) for each in recorded]
+    return own.with_treatments(treatments) if own else Factor(name, treatments)
 
 
 def _own_treatment(own: Factor | None, name: str, recorded: Any) -> Any:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.design.columns import REPETITION, WARM_UP, column_name, name_findings
 from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.factor_conditions import condition_findings
 from robot_runner.core.design.warm_up import warm_up_of
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
@@ -104,6 +105,7 @@ def _factor_findings(factors: object) -> Iterator[Finding]:
             yield Finding.error(f"factors[{place}]", f"factor {factor.name!r} is given twice", "Rename or remove it.")
         else:
             seen.add(factor.name)
+    yield from condition_findings([factor for factor in factors if isinstance(factor, Factor)])
 
 
 def _repetition_findings(repetitions: object, factors: Sequence[Factor]) -> Iterator[Finding]:

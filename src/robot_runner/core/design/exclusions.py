@@ -8,6 +8,7 @@ from operator import and_, or_
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.factor import Combination, Factor
+from robot_runner.core.design.factor_conditions import identified, impossible_treatments
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ class Allowed:
     """Whether the exclusions of a design leave a combination; nothing is enumerated.
 
     Attributes:
-        forbidden: treatments that exclude each other: for each exclusion that is a mapping, the places of the
-            treatments that it names, by factor.
+        forbidden: treatments that exclude each other, by the conditions of the factors and by each exclusion that is a
+            mapping: the places of the treatments, by factor.
         predicates: the exclusions that only a whole combination answers.
 
     Example:
@@ -87,13 +88,9 @@ class Allowed:
                 findings.append(_no_exclusion(where, exclusion))
         if findings:
             raise DesignError.of_findings(findings)
-        self.forbidden = tuple(forbidden)
+        self.forbidden = (*impossible_treatments(factors), *forbidden)
         self.predicates = tuple(predicates)
-        by_name = {factor.name: factor for factor in factors}
-        self._forbidden = [
-            [(name, {id(by_name[name].treatments[place]) for place in places}) for name, places in each.items()]
-            for each in forbidden
-        ]
+        self._forbidden = identified(factors, self.forbidden)
 
     def __call__(self, combination: Combination) -> bool:
         """Return whether no exclusion matches.
