@@ -59,7 +59,7 @@ class Optimise:
             other one beats in all of them.
         runs: how many runs the search has, those that fail included; each combination has `repetitions` of them.
         start: how many combinations come before what is known is used; None for twice the factors and two, five at
-            least, half of all at most.
+            least.
         at_a_time: how many combinations are decided on at a time: as many as runs are executed side by side.
         confirm: how many further runs each of the best combinations has after the search. Only these are analysed as a
             planned experiment is; 0 for none.
@@ -128,13 +128,13 @@ class Optimise:
         if all(len(factor.treatments) == 1 for factor in factors):
             problem = "no factor has two treatments, so that there is nothing to search among"
             yield Finding.error(where, problem, "Give a factor the treatments to search among: its range, in steps.")
-        start = self._start(factors, repetitions)
+        start = self._start(factors)
         if self.runs // repetitions <= start:
             problem = (
                 f"{counted(self.runs, 'run')} are {counted(self.runs // repetitions, 'combination')} of "
                 f"{counted(repetitions, 'repetition')}, and the first {start} are spread: none is left to search with"
             )
-            yield Finding.error(where, problem, f"Plan runs={(2 * start) * repetitions} or more.")
+            yield Finding.error(where, problem, f"Plan runs={2 * start * repetitions} or more.")
         if self.baseline:
             yield from baseline_findings(where, factors, self.baseline)
 
@@ -158,7 +158,7 @@ class Optimise:
             DesignError: the exclusions leave none, or not the baseline.
         """
         space = SearchedSpace(factors, is_allowed)
-        first = space.spread(self._start(factors, 1), f"{self.seed} start")
+        first = space.spread(self._start(factors), f"{self.seed} start")
         if not first:
             fix = "Exclude fewer."
             raise DesignError("the exclusions leave no combination that could be found", where="design", fix=fix)
@@ -171,11 +171,10 @@ class Optimise:
         """Return what decides where to search next."""
         return _Search(self, factors, is_allowed, repetitions)
 
-    def _start(self, factors: Sequence[Factor], repetitions: int) -> int:
-        varied = sum(len(factor.treatments) > 1 for factor in factors)
+    def _start(self, factors: Sequence[Factor]) -> int:
         if self.start is not None:
             return self.start
-        return max(2, min(max(_LEAST_START, 2 * varied + 2), self.runs // repetitions // 2))
+        return max(_LEAST_START, 2 * sum(len(factor.treatments) > 1 for factor in factors) + 2)
 
     def _facts(self) -> dict[str, Any]:
         what = " and ".join(in_direction(name, each) for name, each in self.directions.items())
@@ -261,12 +260,13 @@ class _Search:
             "are_numbers": space.are_numbers,
             "directions": [each.value.replace("se", "ze") for each in design.directions.values()],
             "points": [(places, each.means(self.measures)) for places, each in tried],
-            "start": design._start(self._factors, self._repetitions),  # noqa: SLF001 - its own other half
+            "start": design._start(self._factors),  # noqa: SLF001 - its own other half
             "count": count,
             "seed": seed,
         }
         command = [sys.executable, "-m", "robot_runner.adaptive.optuna_program"]
-        asked = subprocess.run(  # a group of its own: Ctrl-C is for the experiment, which ends once this is answered
+        # A group of its own: Ctrl-C is for the experiment, which ends once this is answered.
+        asked = subprocess.run(  # noqa: S603 - a program of ours, and what it is told is no command
             command,
             input=json.dumps(question),
             capture_output=True,

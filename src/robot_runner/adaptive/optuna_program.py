@@ -27,7 +27,7 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
             Optuna has a model), `count` and `seed`.
     """
     import optuna  # noqa: PLC0415 - a second
-    from optuna.distributions import CategoricalDistribution, IntDistribution  # noqa: PLC0415
+    from optuna.distributions import BaseDistribution, CategoricalDistribution, IntDistribution  # noqa: PLC0415
     from optuna.trial import TrialState, create_trial  # noqa: PLC0415
 
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
@@ -36,7 +36,7 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
         seed=question["seed"], multivariate=True, constant_liar=True, n_startup_trials=question["start"]
     )
     study = optuna.create_study(directions=question["directions"], sampler=sampler)
-    space = {
+    space: dict[str, BaseDistribution] = {
         str(number): IntDistribution(0, levels - 1) if is_numeric else CategoricalDistribution(list(range(levels)))
         for number, (levels, is_numeric) in enumerate(zip(question["levels"], question["are_numbers"], strict=True))
         if levels > 1

@@ -172,8 +172,9 @@ class _Racing:
         now = max(each.run.repetition for each in told if each.run.batch == 1)
         there = {key_of(each.run.combination) for each in told if each.run.batch == 1 and each.run.repetition == now}
         runners = [each for each in points if key_of(each.combination) in there]
-        worse = self._worse(runners, len(raced), now)
-        left = [each for each in runners if id(each) not in worse]
+        worse = self._worse(runners, len(raced))
+        # Where runs failed, each may be worse than another in the repetitions that they share.
+        left = [each for each in runners if id(each) not in worse] or runners
         words = self._in_words(left, runners, worse, now)
         known = {
             "left": [_plain(each) for each in left],
@@ -191,24 +192,26 @@ class _Racing:
             return confirmation(left, design.confirm, words, facts)
         return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
 
-    def _worse(self, runners: Sequence[Explored], raced: int, now: int) -> dict[int, str]:
+    def _worse(self, runners: Sequence[Explored], raced: int) -> dict[int, str]:
         """Return those that are clearly worse than another one, by their identity, and than which.
 
         Each pair has the same share of the error, and its interval holds for all looks; only errors to one side drop
-        the best one, so that each interval has twice its share.
+        best one, so that each interval has twice its share. Without a value after the first look, one is dropped, too.
         """
         (name, direction), *_ = self._design.directions.items()
-        level = level_at_each_look(self._least, self._design.at_most, 1 - 2 * _ERROR / max(raced - 1, 2))
+        level = level_at_each_look(self._least, self._design.at_most, 1 - 2 * _ERROR / (raced - 1))
         found = {}
-        for one in runners:
+        has_values = [each for each in runners if each.values]
+        for one in runners if has_values else ():
+            if not one.values:
+                found[id(one)] = "any that has a value"
             for other in runners:
                 differences = _within_repetitions(one, other, name, direction.sign)
-                if len(differences) < LEAST_REPETITIONS:
+                if len(differences) < self._least:
                     continue
                 mean = math.fsum(differences) / len(differences)
                 if mean > 0 and mean > half_width_of(differences, level):
                     found[id(one)] = shown(other.combination)
-        del now
         return found
 
     def _in_words(
