@@ -64,6 +64,7 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Excluded", _excluded(status)),
             ("Repeated", status.repeated),
             ("Precision", "; ".join(status.precision)),
+            ("Decided", status.decided),
             ("Order", status.order),
             ("Sessions", _sessions(status)),
             ("Started", status.sessions[0].started_at if status.sessions else status.started_at or ""),
