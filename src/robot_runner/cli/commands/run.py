@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
 
-__all__ = ["add_arguments", "execute"]
+__all__ = ["add_arguments", "apply_shortcuts", "execute"]
 
 
 #: The options that choose runs, and what becomes of those that are chosen.
@@ -76,15 +76,24 @@ def add_arguments(parser: Parser) -> None:
         help="execute the runs on the workers of a Dask cluster: the address of its scheduler, such as "
         "tcp://scheduler:8786 or tls://scheduler:8786; the same as --set cluster=ADDRESS",
     )
+    parser.add_argument(
+        "--wait",
+        action="store_true",
+        help="wait where another experiment has claimed the same robot or meter, instead of being refused",
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
+
+
+def apply_shortcuts(arguments: Namespace) -> None:
+    """Take options that stand for a static parameter as what is set."""
+    for name in ("cluster", "workers"):
+        if (given := getattr(arguments, name)) is not None:
+            arguments.set = [*arguments.set, f"{name}={given}"]
 
 
 def execute(arguments: Namespace) -> int:
     """Execute every run that is not done."""
-    if arguments.cluster is not None:
-        arguments.set = [*arguments.set, f"cluster={arguments.cluster}"]
-    if arguments.workers is not None:
-        arguments.set = [*arguments.set, f"workers={arguments.workers}"]
+    apply_shortcuts(arguments)
     with no_byte_code():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
     if preparation.experiment is None:
@@ -99,7 +108,13 @@ def execute(arguments: Namespace) -> int:
     )
 
     def executed(asked: Resumption) -> Execution:
-        return execute_on_screen(experiment, preparation.findings, plain=arguments.plain, resumption=asked)
+        return execute_on_screen(
+            experiment,
+            preparation.findings,
+            plain=arguments.plain,
+            resumption=asked,
+            waits_for_claims=arguments.wait,
+        )
 
     try:
         execution = executed(resumption)
