@@ -110,6 +110,9 @@ def _add(arguments: Namespace, parser: Parser) -> int:
         config_sha256=digest_of(config),
     )
     awaited = awaited_by(queue, added, [each for each in queue.read()[0] if not each.has_ended])
+    if arguments.json:
+        print_json(_as_json(added, "waits", f"for {awaited or 'its turn'}"))
+        return 0
     print(f"{named(added)} is in the queue{f'; it waits for {awaited}' if awaited else ''}")
     if not queue.is_attended:
         print("To execute what is in the queue: robot-runner queue run")
@@ -132,7 +135,7 @@ def _options(arguments: Namespace, parser: Parser) -> list[str]:
     words: list[str] = []
     for action in parser.documented:
         given = getattr(arguments, action.dest, None)
-        if not action.option_strings or not given or action.dest in {"workers", "cluster"}:
+        if not action.option_strings or not given or action.dest in {"workers", "cluster", "json"}:
             continue
         name = action.option_strings[0]
         words += (

@@ -7,6 +7,7 @@ import os
 import shutil
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
+from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.experiment import experiment_folder
@@ -162,8 +163,22 @@ def _malformed(loaded: LoadedConfig, parameter: Parameter, value: object) -> Fin
     return Finding.error(
         f"{loaded.where}.{parameter.name}",
         f"the value is {shown}, of type {type(value).__name__}",
-        f"It must be {parameter.kind.expected}.",
+        f"It must be {parameter.kind.expected}.{_meant(parameter, value)}",
     )
+
+
+def _meant(parameter: Parameter, value: object) -> str:
+    """Return what to write where a text stands for the value, as it does on the command line."""
+    if not isinstance(value, str) or not value.strip() or parameter.kind.is_secret:
+        return ""
+    try:
+        read = parameter.kind.from_text(value)
+    except (ValueError, KeyError):
+        return ""
+    if not parameter.kind.accepts(read) or read == value:
+        return ""
+    written = f"{read} (from robot_runner import {type(read).__name__})" if isinstance(read, Enum) else repr(read)
+    return f" Write {parameter.name} = {written}."
 
 
 # What the checks of installed packages find.

@@ -226,7 +226,8 @@ class _Extending:
         there = {str(run.combination[column.name]): run.combination[column.name] for run in runs}
         own = dict(zip(column.factor.texts, column.factor.treatments, strict=True)) if column.factor else {}
         recorded = {*self._design["factors"].get(column.name, ()), *there}
-        return Factor(column.name, {**{text: own[text] for text in own if text in recorded}, **there}.values())
+        listed = {**{text: own[text] for text in own if text in recorded}, **there}.values()
+        return column.factor.with_treatments(listed) if column.factor else Factor(column.name, listed)
 
     def _nothing_to_add(self, begun: Begun) -> ExecutionError:
         there = counted(begun.repetitions, "repetition")

@@ -227,15 +227,15 @@ class _Orchestrator:
         self._events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT, ended)
 
     def _execute_runs(self, *, is_cleared: bool) -> None:
-        """Execute the runs that are left, then a repetition at a time until all is precise."""
+        """Execute the runs that are left, then those that follow from the results, until nothing follows."""
         gc.collect()
         gc.freeze()  # what a forked run does not collect it does not have to copy
         try:
             while self._side_by_side.execute(is_cleared=is_cleared):
-                judged = self._progress.repeat()
-                if judged is not None:
-                    self._notice(judged)
-                if judged is None or not judged.added:
+                decided = self._progress.decide()
+                if decided is not None:
+                    self._notice(decided)
+                if decided is None or not decided.added:
                     return
         finally:
             gc.unfreeze()

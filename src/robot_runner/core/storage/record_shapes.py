@@ -143,6 +143,7 @@ class _Estimate(TypedDict):
 
 class _Judged(_Dated):
     precision: NotRequired[list[_Estimate]]
+    why: NotRequired[str]
 
 
 class _PlannedRun(TypedDict):
@@ -156,6 +157,15 @@ class _Repeated(_Judged):
     repetition: int
     runs: list[_PlannedRun]
     base: NotRequired[dict[str, Any]]
+
+
+class _Decided(_Dated):
+    name: str
+    why: str
+    runs: list[_PlannedRun]
+    factors: NotRequired[dict[str, list[Any]]]
+    base: NotRequired[dict[str, Any]]
+    known: NotRequired[dict[str, Any]]
 
 
 class _Extended(_Dated):
@@ -223,6 +233,7 @@ RECORDS: dict[str, Any] = {
     "attempt_started": _AttemptStarted,
     "bound": _Bound,
     "clock": _Clock,
+    "decided": _Decided,
     "deviation": _Deviation,
     "event": _Event,
     "excluded": _Excluded,
