@@ -13,6 +13,7 @@ from robot_runner.cli.console import output, print_facts, print_json, quiet_load
 from robot_runner.cli.design_words import (
     columns_as_json,
     design_as_json,
+    design_in_words,
     in_words,
     measures_in_words,
     print_runs,
@@ -56,6 +57,7 @@ def execute(arguments: Namespace) -> int:
         console,
         [
             ("Runs", in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
+            *design_in_words(plan.model),
             ("Repeated", plan.repeated),
             ("Decided", str(plan.model.design_facts.get("decides", ""))),
             ("Warm-up", warm_ups_in_words(plan.model, plan.runs)),
