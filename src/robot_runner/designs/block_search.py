@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import combinations
+from itertools import combinations, product
 from random import Random
 from typing import TYPE_CHECKING, Final
 
@@ -58,15 +58,14 @@ class _Exchange:
         #: How often each treatment is in each block of each kind.
         self._in_block: list[dict[int, Counter[int]]] = [{} for _ in self._kinds]
         for place, treatment in enumerate(self._at):
-            for kind, block in enumerate(self._cells[self._cell_of[place]]):
-                self._in_block[kind].setdefault(block, Counter())[treatment] += 1
+            for kind, number in enumerate(self._cells[self._cell_of[place]]):
+                self._in_block[kind].setdefault(number, Counter())[treatment] += 1
         #: How often two treatments are in one block, over the blocks of all kinds.
         self._together = [[[0] * treatments for _ in range(treatments)] for _ in self._kinds]
         for kind in self._kinds:
             for block in self._in_block[kind].values():
-                for one, count in block.items():
-                    for other, more in block.items():
-                        self._together[kind][one][other] += count * more
+                for one, other in product(block, repeat=2):
+                    self._together[kind][one][other] += block[one] * block[other]
 
     def found(self) -> tuple[int, list[list[int]]]:
         """Return the criterion, and the treatments of each cell."""
@@ -127,7 +126,7 @@ def concurrences(treatments: int, blocks: Sequence[Sequence[int]]) -> Counter[tu
 
 
 def efficiency(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
-    """Return the average efficiency factor of a design: 1 where comparisons lose nothing to the blocks, 0 where one is lost.
+    """Return the average efficiency factor: 1 where comparisons lose nothing to the blocks, 0 where one is lost.
 
     It is the harmonic mean of the canonical efficiency factors. Source: John and Williams, Cyclic and Computer
     Generated Designs, 2nd ed., 1995, section 2.2.
@@ -179,4 +178,3 @@ def _trace_of_inverse(matrix: list[list[float]]) -> float | None:
             if other != place and (factor := rows[other][place]):
                 rows[other] = [a - factor * b for a, b in zip(rows[other], rows[place], strict=True)]
     return sum(rows[place][size + place] for place in range(size))
-
