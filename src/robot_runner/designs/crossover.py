@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.design import DesignedRuns
 from robot_runner.core.design.held_order import HELD_ORDER, HeldOrder
 from robot_runner.core.errors import Finding
+from robot_runner.core.words import counted
 from robot_runner.designs.factor_roles import (
     Roles,
     factor_name,
@@ -132,7 +133,7 @@ class Crossover:
                 "follows": follows,
                 HELD_ORDER: held.as_mapping(),
                 "block_columns": [units.name, periods.name],
-                "notes": [f"each treatment follows each other one in {follows} units"],
+                "notes": [f"each treatment follows each other one in {counted(follows, 'unit')}"],
                 "layout": [
                     {
                         "title": "Sequences",

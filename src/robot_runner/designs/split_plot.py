@@ -41,7 +41,7 @@ class SplitPlot:
             combinations of the hard factors.
 
     Example:
-        >>>         >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.factor import Factor
         >>> from robot_runner.core.design.run_table_model import RunTableModel
         >>> factors = [Factor("Plot", [1, 2]), Factor("Floor", ["wood", "carpet"]), Factor("Speed", [0.1, 0.2])]
         >>> [run.combination["Floor"] for run in RunTableModel(factors, design=SplitPlot("Floor", "Plot")).plan()]
