@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["Places", "SearchedSpace"]
+__all__ = ["Places", "SearchedSpace", "settings"]
 
 #: A combination as the place of each factor's treatment.
 Places = tuple[int, ...]
@@ -30,7 +30,7 @@ _FEW = 20_000
 class SearchedSpace:
     """What a search chooses from.
 
-    Treatments that are numbers have places in ascending order, others as they are listed.
+    Treatments that are numbers have places in ascending order, others as they are listed; a range has all its steps.
 
     Args:
         factors: what is varied.
@@ -50,7 +50,7 @@ class SearchedSpace:
     def __init__(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> None:
         self.are_numbers = [all(map(_is_number, factor.treatments)) for factor in factors]
         self.levels: list[list[Any]] = [
-            sorted(factor.treatments) if is_numeric else list(factor.treatments)
+            sorted(settings(factor)) if is_numeric else settings(factor)
             for factor, is_numeric in zip(factors, self.are_numbers, strict=True)
         ]
         self._is_allowed = is_allowed
@@ -113,6 +113,16 @@ class SearchedSpace:
                 number, place = divmod(number, len(levels))  # noqa: PLW2901 - what is left of it
                 places.append(place)
             yield tuple(places)
+
+
+def settings(factor: Factor) -> list[Any]:
+    """Return what a factor can be set to: its treatments, or of a range all of its steps."""
+    span = factor.range
+    if span is None:
+        return list(factor.treatments)
+    own = dict(zip(factor.texts, factor.treatments, strict=True))  # its own objects: exclusions go by these
+    steps = (span.at(number / span.step_count) for number in range(span.step_count + 1))
+    return list({str(each): own.get(str(each), each) for each in steps}.values())
 
 
 def _is_number(treatment: object) -> bool:
