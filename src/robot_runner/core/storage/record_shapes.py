@@ -253,6 +253,7 @@ RECORDS: dict[str, Any] = {
     "operator_step": _OperatorStep,
     "prepared": _Prepared,
     "repeated": _Repeated,
+    "stop_requested": _Dated,
     "subject": _Subject,
     "table_written": _TableWritten,
     "waited": _Waited,
