@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.conftest import HEAD, written_config
 
+from robot_runner.analysis import analyse, load_results, write_report
+from robot_runner.analysis.figures.style import FigureFormat
+from robot_runner.analysis.report.writing import ReportFormat
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.asking import Told
 from robot_runner.core.design.growing import Additions
@@ -248,3 +251,27 @@ def test_validation_names_all_that_does_not_fit(tmp_path: Path) -> None:
         ("there is no measure 'Enrgy' to decide by", "Did you mean 'Energy'?"),
         ("the design decides on the runs, and so would repeat_until", "Leave one of them out."),
     }
+
+
+def test_the_analysis_is_of_the_runs_that_confirm_and_refuses_to_test_those_of_a_search(
+    tmp_path: Path, searched: tuple[Path, list[NextDecided]]
+) -> None:
+    results = load_results(folder_of(searched[0]).root)
+    assert len(results.runs) == 22
+    energy = analyse(results).measure("Energy")
+    assert energy.overall is not None
+    assert energy.overall.n == 6
+    assert energy.test is not None
+    assert energy.test.effects[0].p_value < 0.001
+    written = write_report(results, kind=ReportFormat.MARKDOWN, output=tmp_path / "report", figures=[FigureFormat.SVG])
+    report = written.document.read_text(encoding="utf-8")
+    assert "What was found by searching was confirmed" in report
+    assert "Confirmation: 6 runs (r\\_17 to r\\_22)" in report
+    config = with_design(tmp_path / "searching", 'Optimise("Energy", runs=12)')
+    execute(config)
+    statistics = analyse(load_results(folder_of(config).root))
+    energy = statistics.measure("Energy")
+    assert energy.overall is not None
+    assert energy.overall.n == 12
+    assert (energy.test, energy.post_hoc, statistics.correlations) == (None, (), ())
+    assert "they are exploratory" in energy.not_computed[0].why
