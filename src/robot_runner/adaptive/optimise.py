@@ -221,7 +221,8 @@ class _Search:
         if any(each.run.batch > 1 for each in told):
             words = f"{words}. The runs that confirm it are done"
             return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
-        left = design.runs // self._repetitions - len(points)
+        # Where nothing has a value, the fault is not in the treatments: the runs that are left are worth keeping.
+        left = design.runs // self._repetitions - len(points) if best else 0
         wanted = self._next(points, min(design.at_a_time, left)) if left > 0 else []
         if wanted:
             words = f"{words}. Next: {listed(shown(each) for each in wanted)}"
@@ -231,7 +232,7 @@ class _Search:
         if not best:
             odd = [*odd, (f"no combination has a value of {enumerated(self.measures)}", "See why its runs failed.")]
         ended = "the search has had its runs" if left <= 0 else "no further combination is allowed"
-        words = f"{words}: {ended}"
+        words = f"{words}: {ended if best else 'nothing tells where to search'}"
         if design.confirm and best:
             return confirmation(self._to_confirm(points, best), design.confirm, words, facts)
         return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
