@@ -37,7 +37,7 @@ _KINDS = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".
 #: The files of the page, by the package whose they are.
 _ASSETS = {
     **dict.fromkeys(
-        ("page.html", "page.css", "app.js", "parts.js", "table.js", "curves.js", "actions.js", "icon.svg"),
+        ("page.html", "page.css", "app.js", "parts.js", "experiment.js", "index.js", "table.js", "curves.js", "icon.svg"),
         "robot_runner.page",
     ),
     **dict.fromkeys(
