@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.analysis import experiment_folders
-from tests.browser import browser
 
 from robot_runner.analysis.report.writing import write_report
 
@@ -14,8 +13,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.report.writing import WrittenReport
-
-__all__ = ["browser"]
 
 VIDEO, NETWORK = (870.123456789, 872.4, 869.0, 874.2, 871.3), (834.0, 836.1, 833.2, 838.0, 835.5)
 

@@ -64,9 +64,11 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Excluded", _excluded(status)),
             ("Repeated", status.repeated),
             ("Precision", "; ".join(status.precision)),
+            ("Decided", status.decided),
             ("Order", status.order),
             ("Sessions", _sessions(status)),
-            ("Started", status.started_at or ""),
+            ("Started", status.sessions[0].started_at if status.sessions else status.started_at or ""),
+            ("Resumed", status.sessions[-1].started_at if len(status.sessions) > 1 else ""),
             ("Chosen", _chosen(status)),
             ("Ended", status.finished_at or ""),
             ("Results", shown_path(status.folder)),
@@ -140,7 +142,7 @@ def _sessions(status: ExperimentStatus) -> str:
     executed = shown_duration(sum(session.seconds for session in status.sessions))
     broken = sum(not session.is_whole for session in status.sessions) - (status.holder is not None)
     killed = f", {broken} of them broken off" if broken else ""
-    return f"{len(status.sessions)}{killed}; the first began {status.sessions[0].started_at}; {executed} in all"
+    return f"{len(status.sessions)}{killed}; {executed} in all"
 
 
 def _chosen(status: ExperimentStatus) -> str:

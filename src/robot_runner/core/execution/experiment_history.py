@@ -68,6 +68,7 @@ class ExperimentHistory:
         self.waiting_for: dict[str, Any] | None = None
         self.warm_ups: set[str] = set()
         self.precision: tuple[str, ...] = ()
+        self.decided = ""
         self.is_paused = False
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
@@ -190,6 +191,11 @@ class ExperimentHistory:
 
     def _take_judged(self, record: Mapping[str, Any]) -> None:
         self.precision = tuple(str(each["in_words"]) for each in record.get("precision", ()))
+        self.decided = str(record.get("why", ""))
+
+    def _take_decided(self, record: Mapping[str, Any]) -> None:
+        self._planned += len(record["runs"])
+        self._take_judged(record)
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))

@@ -1,4 +1,4 @@
-"""A headless Chromium, spoken to by its DevTools protocol: https://chromedevtools.github.io/devtools-protocol/."""
+"""A headless Chromium that tests open pages with, spoken to by its DevTools protocol over two pipes."""
 
 from __future__ import annotations
 
