@@ -106,13 +106,14 @@ function showWay(file) {
   const xs = file.way.map((place) => place[0]), ys = file.way.map((place) => place[1]);
   const middle = (values) => (Math.min(...values) + Math.max(...values)) / 2;
   const span = Math.max(Math.max(...xs) - Math.min(...xs), Math.max(...ys) - Math.min(...ys), 0.5) * 1.15;
-  const left = middle(xs) - span / 2, top = -middle(ys) - span / 2, hair = span / 320;
+  const high = span, wide = span * 4 / 3;
+  const left = middle(xs) - wide / 2, top = -middle(ys) - high / 2, hair = span / 320;
   const grid = [];
   const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000].find((each) => span / each <= 7) || span / 5;
-  for (let at = Math.ceil(left / step) * step; at <= left + span; at += step) { grid.push(drawing("line", { x1: at, x2: at, y1: top, y2: top + span })); }
-  for (let at = Math.ceil(top / step) * step; at <= top + span; at += step) { grid.push(drawing("line", { x1: left, x2: left + span, y1: at, y2: at })); }
+  for (let at = Math.ceil(left / step) * step; at <= left + wide; at += step) { grid.push(drawing("line", { x1: at, x2: at, y1: top, y2: top + high })); }
+  for (let at = Math.ceil(top / step) * step; at <= top + high; at += step) { grid.push(drawing("line", { x1: left, x2: left + wide, y1: at, y2: at })); }
   const last = file.way[file.way.length - 1];
-  const svg = drawing("svg", { viewBox: [left, top, span, span].join(" "), role: "img", "aria-label": "The way of the robot in " + view.run + "; it is at " + number(last[0]) + " m, " + number(last[1]) + " m" },
+  const svg = drawing("svg", { viewBox: [left, top, wide, high].join(" "), role: "img", "aria-label": "The way of the robot in " + view.run + "; it is at " + number(last[0]) + " m, " + number(last[1]) + " m" },
     drawing("g", { class: "grid", "stroke-width": hair }, ...grid),
     drawing("polyline", { class: "way", "stroke-width": 3 * hair, points: file.way.map((place) => place[0] + "," + -place[1]).join(" ") }),
     drawing("circle", { class: "start", cx: xs[0], cy: -ys[0], r: 4 * hair, "stroke-width": 2 * hair }),

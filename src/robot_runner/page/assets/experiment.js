@@ -159,9 +159,12 @@ async function act(action, body) {
   const answer = await ask("/api/experiments/" + shown.id + "/" + action, body).catch(() => ({ ok: false, said: { problem: "The server cannot be reached." } }));
   $("said").classList.toggle("bad", !answer.ok);
   const first = (answer.said.findings || [])[0];
-  setText($("said"), answer.ok ? answer.said.said : answer.said.problem + (first && first.fix && answer.status !== 422 ? ": " + first.fix : ""));
+  const why = answer.status === 422 ? "Not all answers are taken: see below." : sentence(answer.said.problem) + (first && first.fix ? " " + first.fix : "");
+  setText($("said"), answer.ok ? answer.said.said : why);
   return answer;
 }
+
+function sentence(text) { return text.charAt(0).toUpperCase() + text.slice(1) + (/[.?!]$/.test(text) ? "" : "."); }
 
 // ---- what the experiment asks
 
@@ -206,7 +209,7 @@ async function answer(waiting, button) {
   let first = null;
   for (const box of $("ask-form").querySelectorAll("[data-question]")) {
     const found = refused.find((each) => each.where === box.dataset.question);
-    setText(box.querySelector(".error"), found ? found.problem + ". " + found.fix : "");
+    setText(box.querySelector(".error"), found ? sentence(found.problem) + " " + found.fix : "");
     const control = box.querySelector("input, select");
     control.setAttribute("aria-invalid", String(Boolean(found)));
     first = first || (found ? control : null);
@@ -217,7 +220,7 @@ async function answer(waiting, button) {
 // ---- means
 
 function showMeans() {
-  const means = shown.means.filter((each) => each.measures.length);
+  const means = shown.means.filter((each) => each.rows.some((row) => row.cells.some((cell) => cell[0])));
   $("means").hidden = means.length === 0;
   if (!means.length) { return; }
   const factor = means[Math.min(shown.factor, means.length - 1)];

@@ -104,7 +104,9 @@ def _tell(serving: Serving, arguments: Namespace) -> None:
         console.print(Text(serving.code(elsewhere)))
     sys.stdout.flush()
     if arguments.until_closed:  # who started it reads no further
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
 
 
 def _folder(given: str, *, may_be_missing: bool) -> Path:
