@@ -86,7 +86,8 @@ class Browser:
         """Wait until an expression is true in the page, and return its value."""
         deadline = time.monotonic() + seconds
         while not (value := self.evaluate(condition)):
-            assert time.monotonic() < deadline, f"this never came: {condition}\n{self.evaluate('document.body.innerText')}"
+            seen = self.evaluate("document.body.innerText")
+            assert time.monotonic() < deadline, f"this never came: {condition}\n{seen}"
             time.sleep(0.05)
         return value
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
-from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.operator_steps import Question
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = ["FollowedExperiment"]
+
+_log = logging.getLogger(__name__)
 
 #: Rows of which the cells are sent as they change; where more change at once, pages fetch those that they show.
 _MOST_ROWS = 50
@@ -60,8 +62,8 @@ class FollowedExperiment:
         self._curves: RunCurves | None = None
         self._signs: tuple[Any, ...] = ()
         self._table_is_due = True
+        self._refused_table = (0, 0)
         self._has_caught_up = False
-        self._passed: deque[tuple[str, str]] = deque(maxlen=20)
 
     @property
     def is_behind(self) -> bool:
@@ -75,7 +77,10 @@ class FollowedExperiment:
                 return self._look()
             except RobotRunnerError as error:
                 self._error = error
-                return {"state": self._state()}
+            except Exception:  # noqa: BLE001 - whatever a folder does to us, those who look are told, and others are served
+                _log.exception("%s cannot be followed.", self.folder)
+                self._error = StorageError("this experiment cannot be shown", fix="Ask robot-runner status.")
+            return {"state": self._state()}
 
     def rows(self, start: int, count: int, *, status: str = "", text: str = "") -> dict[str, Any]:
         """Return some rows of the table: all that there are where nothing is looked for, or those that were found."""
@@ -117,10 +122,14 @@ class FollowedExperiment:
     def _read_table(self) -> dict[str, Any]:
         """Read the run table, once it is there."""
         self._files = ExperimentFolder.found_at(self.folder)
+        sign = self._files.run_table.stat() if self._files.run_table.is_file() else None
+        if sign is None or (sign.st_size, sign.st_mtime_ns) == self._refused_table:
+            return {}
+        self._refused_table = (sign.st_size, sign.st_mtime_ns)  # one that cannot be read is not read again and again
         rows = self.table.read(self._files)
         if rows is None:
-            return {}
-        self._table_is_due = False
+            return {"table": self._columns()}
+        self._table_is_due, self._refused_table = False, (0, 0)
         if self._has_caught_up:
             self._history.take_rows(rows)
         self._means.begin_anew()
@@ -185,19 +194,27 @@ class FollowedExperiment:
 
     def _columns(self) -> dict[str, Any]:
         measures = [{"name": name, "unit": self.table.units.get(name, "")} for name in self.table.measures]
-        return {"total": len(self.table), "factors": list(self.table.factors), "measures": measures}
+        note = (
+            "The run table is too large for this page: see run_table.csv."
+            if self.table.is_too_large(self._files)
+            else ""
+        )
+        return {"total": len(self.table), "factors": list(self.table.factors), "measures": measures, "note": note}
 
     def snapshot(self) -> dict[str, Any]:
         """Return all parts of the page, for a viewer who comes."""
         with self._lock:
             parts = {"state": self._state(), "table": self._columns(), "findings": self._findings()}
-            parts["means"] = self._means.told(self._excluded())
-            return parts | self._of_runs_in_flight(anew=True)
+            return parts | {"means": self._means.told(self._excluded())} | self._of_runs_in_flight()
 
     def _state(self) -> dict[str, Any]:
         status = self._status
         if self._error is not None or status is None:
-            return {"name": self.folder.name, "word": "unreadable" if self._error else self._word(), "problem": self._problem()}
+            return {
+                "name": self.folder.name,
+                "word": "unreadable" if self._error else self._word(),
+                "problem": self._problem(),
+            }
         waiting = status.waiting_for
         return {
             "name": status.experiment_name[:_LONGEST_TEXT],
@@ -244,12 +261,22 @@ class FollowedExperiment:
 
     def _flying(self, each: Any) -> dict[str, Any]:
         place = self.table.place(each.run)
-        treatments = dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
-        return {"run": each.run, "place": each.place, "event": each.event, "treatments": treatments, **self._doing.get(each.run, {})}
+        treatments = (
+            dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        )
+        return {
+            "run": each.run,
+            "place": each.place,
+            "event": each.event,
+            "treatments": treatments,
+            **self._doing.get(each.run, {}),
+        }
 
     def _waiting(self, waiting: Mapping[str, Any]) -> dict[str, Any]:
         place = self.table.place(waiting["next_run"])
-        treatments = dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        treatments = (
+            dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        )
         questions = [Question.from_mapping(facts) for facts in waiting["questions"]]
         asked = [question.as_mapping() | {"hint": question.hint} for question in questions]
         return {"run": waiting["next_run"], "step": waiting["step"], "treatments": treatments, "questions": asked}
@@ -258,11 +285,13 @@ class FollowedExperiment:
         if self._status is None:
             return {"total": 0, "last": [], "failures": []}
         findings = [*self._status.findings][-_MOST_FINDINGS:]
-        told = [{name: getattr(each, name)[:_LONGEST_TEXT] for name in ("where", "problem", "fix")} for each in findings]
+        told = [
+            {name: getattr(each, name)[:_LONGEST_TEXT] for name in ("where", "problem", "fix")} for each in findings
+        ]
         failures = [each[:_LONGEST_TEXT] for each in self._status.failures[-_MOST_FINDINGS:]]
         return {"total": len(self._status.findings), "last": told, "failures": failures}
 
-    def _of_runs_in_flight(self, *, anew: bool = False) -> dict[str, Any]:
+    def _of_runs_in_flight(self) -> dict[str, Any]:
         """Return the end of the log of the run in flight, and whether there are new samples of it."""
         run = next(iter(self._status.in_flight), None) if self._status else None
         if run is None:
@@ -271,7 +300,10 @@ class FollowedExperiment:
         if self._curves is None or self._curves.run_id != run.run:
             self._curves = RunCurves(self._files, run.run)
         self._curves.look()
-        return {"samples": {"run": run.run, "version": self._curves.version}, "log": {"run": run.run, "text": self._log()}}
+        return {
+            "samples": {"run": run.run, "version": self._curves.version},
+            "log": {"run": run.run, "text": self._log()},
+        }
 
     def curves(self, run_id: str) -> list[dict[str, Any]]:
         """Return the curves of a run: those of the one in flight as they are, another's read now."""

@@ -33,11 +33,27 @@ if TYPE_CHECKING:
 
 __all__ = ["LivePage", "PageSettings"]
 
-_KINDS = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".svg": "image/svg+xml", ".txt": "text/plain"}
+_KINDS = {
+    ".js": "text/javascript",
+    ".css": "text/css",
+    ".html": "text/html",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain",
+}
 #: The files of the page, by the package whose they are.
 _ASSETS = {
     **dict.fromkeys(
-        ("page.html", "page.css", "app.js", "parts.js", "experiment.js", "index.js", "table.js", "curves.js", "icon.svg"),
+        (
+            "page.html",
+            "page.css",
+            "app.js",
+            "parts.js",
+            "experiment.js",
+            "index.js",
+            "table.js",
+            "curves.js",
+            "icon.svg",
+        ),
         "robot_runner.page",
     ),
     **dict.fromkeys(
@@ -176,15 +192,9 @@ class LivePage:
             return _plain(421, "This page is not served under that name. robot-runner watch --name NAME adds one.")
         if not is_of_same_origin(headers, is_action=is_action):
             return _plain(403, "This request comes from another site.")
-        if is_action and headers.get(_OWN_HEADER) != "1":
-            return _plain(403, "This request does not come from the live page.")
-        if is_action and not headers.get("content-length", "").isdecimal():
-            return _plain(411, "This request does not say how long it is.")
-        if is_action and int(headers["content-length"]) > _MOST_BODY:
-            return _plain(413, "This request is too long.")
         if not self._settings.requests.lets_pass(address):
             return _plain(429, "Too many requests: wait a moment.")
-        return None
+        return _refused_action(headers) if is_action else None
 
     # What anybody may ask for: files that hold nothing of an experiment.
 
@@ -275,6 +285,17 @@ class LivePage:
         if self._followers.viewers + len(self._index) >= self._settings.most_viewers:
             raise HTTPException(503, f"{self._settings.most_viewers} people look already.")
         return EventStream(channel, _HEADERS)
+
+
+def _refused_action(headers: dict[str, str]) -> Response | None:
+    """Return why a request that changes something is refused, by its headers; None where it is not."""
+    if headers.get(_OWN_HEADER) != "1":
+        return _plain(403, "This request does not come from the live page.")
+    if not headers.get("content-length", "").isdecimal():
+        return _plain(411, "This request does not say how long it is.")
+    if int(headers["content-length"]) > _MOST_BODY:
+        return _plain(413, "This request is too long.")
+    return None
 
 
 def _for(least: Role, endpoint: Callable[[Request], Awaitable[Any]]) -> Callable[[Request], Awaitable[Any]]:

@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.sampling.live_samples import LIVE
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
 
@@ -27,8 +28,6 @@ _POINTS = 400
 _AT_ONCE, _MOST_BYTES = 4_000_000, 48_000_000
 _MOST_FILES, _MOST_COLUMNS, _LONGEST_NAME = 16, 16, 80
 _TIMES = ("time_s", "t_s", "timestamp_s", "time", "t")
-#: What profilers write while they sample, until the samples themselves are written.
-LIVE = ".live"
 _WAY = ("x_m", "y_m")
 
 
@@ -242,6 +241,8 @@ class RunCurves:
 def _regular(folder: Path) -> list[Path]:
     try:
         with os.scandir(folder) as entries:
-            return sorted(folder / each.name for each in entries if stat.S_ISREG(each.stat(follow_symlinks=False).st_mode))
+            return sorted(
+                folder / each.name for each in entries if stat.S_ISREG(each.stat(follow_symlinks=False).st_mode)
+            )
     except OSError:
         return []

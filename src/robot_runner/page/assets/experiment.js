@@ -31,7 +31,7 @@ export function begin(id, about) {
 
 export function take(name, data) {
   if (name === "state") { showState(data); }
-  if (name === "table") { table.setColumns(data); $("table").hidden = data.total === 0; }
+  if (name === "table") { table.setColumns(data); $("table").hidden = data.total === 0 && !data.note; }
   if (name === "rows") { table.change(data); }
   if (name === "means") { shown.means = data; showMeans(); }
   if (name === "findings") { showFindings(data); }

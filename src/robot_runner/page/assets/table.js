@@ -11,6 +11,8 @@ export function begin(base, choose) {
 
 export function setColumns(columns) {
   seen.columns = columns;
+  setText($("table-note"), columns.note);
+  $("table-note").hidden = !columns.note;
   seen.total = columns.total;
   const measures = columns.measures.map((each) => element("th", { scope: "col", class: "number" }, each.name, each.unit ? element("span", { class: "unit" }, " " + each.unit) : null));
   const factors = columns.factors.map((name) => element("th", { scope: "col" }, name));

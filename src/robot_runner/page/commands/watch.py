@@ -53,7 +53,9 @@ def add_arguments(parser: Parser) -> None:
         help="a further name by which browsers reach this machine; may be given several times",
     )
     parser.add_argument("--read-only", action="store_true", help="let everybody look, and nobody act")
-    parser.add_argument("--new-links", action="store_true", help="make all links and logins void that were given before")
+    parser.add_argument(
+        "--new-links", action="store_true", help="make all links and logins void that were given before"
+    )
     parser.add_argument(
         "--until-closed", action="store_true", help="end once the standard input is closed, as `run --page` has it"
     )
