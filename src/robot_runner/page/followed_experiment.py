@@ -8,6 +8,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.operator_steps import Question
+from robot_runner.core.entry_points import named_entry_point
 from robot_runner.core.errors import RobotRunnerError, StorageError
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status, status_of
@@ -15,6 +16,7 @@ from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of, pause_is_requested
+from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.words import harmless
 from robot_runner.page.followed_table import FollowedTable
 from robot_runner.page.journal_tail import JournalTail
@@ -63,6 +65,7 @@ class FollowedExperiment:
         self._signs: tuple[Any, ...] = ()
         self._table_is_due = True
         self._refused_table = (0, 0)
+        self._robot: str | None = None
         self._has_caught_up = False
 
     @property
@@ -170,6 +173,7 @@ class FollowedExperiment:
         self._error = None
         if self._has_caught_up and self._files.manifest.exists():
             self._status = status_of(self._files, self._history)
+            self._robot = self._robot or _pictured(read_manifest(self._files.manifest).get("robot"))
         elif self._has_caught_up and self._files.run_table.exists():
             self._status = read_status(self.folder)
         self._mark_in_flight()
@@ -234,6 +238,7 @@ class FollowedExperiment:
             "precision": list(status.precision),
             "order": status.order,
             "damaged": self._tail.damaged,
+            "has_pictures": self._robot is not None,
             "has_report": (self._files.report / "report.html").is_file(),
             "problem": None,
         }
@@ -317,6 +322,16 @@ class FollowedExperiment:
             pass
         return curves.told()
 
+    @property
+    def robot(self) -> str | None:
+        """How the robot is reached, where that is a way of which pictures can be made; None elsewhere."""
+        return self._robot
+
+    def pose(self, run_id: str) -> tuple[float, float, float] | None:
+        """Return where the robot was seen last in a run (m, m, rad); None where nothing tells."""
+        poses = (each.get("pose") for each in self.curves(run_id))
+        return next((pose for pose in poses if pose is not None), None)
+
     def _log(self) -> str:
         try:
             with open_to_read(self._files.current_log) as file:
@@ -328,3 +343,8 @@ class FollowedExperiment:
         lines = text.splitlines()[1 if size > _LOG_BYTES else 0 :]
         # What a program printed by itself is hidden only when its run has ended.
         return harmless(without_environment_secrets("\n".join(lines)))
+
+
+def _pictured(robot: object) -> str | None:
+    """Return how the robot is reached, if there is anything that makes pictures of it."""
+    return robot if isinstance(robot, str) and named_entry_point("pictures", robot) is not None else None

@@ -21,6 +21,7 @@ from robot_runner.page.page_access import Keys, RateLimit, Role, is_known_host, 
 from robot_runner.page.page_metrics import metrics_text
 from robot_runner.page.person_actions import ACTIONS, RefusedAnswersError
 from robot_runner.page.report_copy import Reports
+from robot_runner.page.robot_pictures import RobotPictures
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable
@@ -124,6 +125,7 @@ class LivePage:
         self._index = Channel(self._found.look, self._found.snapshot, _INDEX_EVERY)
         self._followers = Followers()
         self._reports = Reports()
+        self._pictures: dict[str, RobotPictures] = {}
         self._assets = {name: _asset(name, package) for name, package in _ASSETS.items()}
         acts, looks = Role.ACTS, Role.LOOKS
         one = "/api/experiments/{experiment}"
@@ -137,6 +139,7 @@ class LivePage:
             Route(f"{one}/events", _for(looks, self._events)),
             Route(f"{one}/rows", _for(looks, self._rows)),
             Route(f"{one}/curves/{{run}}", _for(looks, self._curves)),
+            Route(f"{one}/picture/{{run}}", _for(looks, self._picture)),
             Route(f"{one}/report", _for(looks, self._report)),
             Route(f"{one}/{{action}}", _for(acts, self._act), methods=["POST"]),
             Route("/metrics", _for(looks, self._metrics)),
@@ -173,6 +176,8 @@ class LivePage:
             self._followers.close()
             self._index.stop()
             self._reports.close()
+            for pictures in self._pictures.values():
+                pictures.close()
 
     async def _guarded(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -255,6 +260,18 @@ class LivePage:
         experiment = await self._followers.looked_at(await self._folder(request))
         found = await asyncio.to_thread(experiment.curves, request.path_params["run"])
         return Response(await asyncio.to_thread(as_json, found), media_type="application/json")
+
+    async def _picture(self, request: Request) -> Response:
+        experiment = await self._followers.looked_at(await self._folder(request))
+        image = await asyncio.to_thread(self._rendered, experiment, request.path_params["run"])
+        return Response(image, media_type="image/png")
+
+    def _rendered(self, experiment: FollowedExperiment, run: str) -> bytes:
+        """Return a picture of the robot where it is in a run, or was at its end."""
+        pose = experiment.pose(run)
+        if experiment.robot is None or pose is None:
+            raise HTTPException(404, "Nothing tells where the robot is.")
+        return self._pictures.setdefault(experiment.robot, RobotPictures(experiment.robot)).picture(pose)
 
     async def _report(self, request: Request) -> Response:
         content = await asyncio.to_thread(self._reports.content, await self._folder(request))

@@ -94,7 +94,7 @@ function follow() {
   source.addEventListener("error", () => { connected(false); if (source.readyState === EventSource.CLOSED) { page.retry = setTimeout(again, 1500); } });
   on("again", follow);
   if (page.shown) {
-    for (const name of ["state", "table", "rows", "means", "findings", "log", "samples", "picture"]) { on(name, (data) => experiment.take(name, data)); }
+    for (const name of ["state", "table", "rows", "means", "findings", "log", "samples"]) { on(name, (data) => experiment.take(name, data)); }
   } else {
     on("experiments", showIndex);
   }

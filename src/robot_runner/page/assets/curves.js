@@ -101,7 +101,8 @@ export function redraw() { if (view.files.length) { view.key = null; show(); } }
 // ---- the way of the robot, to scale
 
 function showWay(file) {
-  $("way").hidden = !file && $("picture").hidden;
+  $("way").hidden = !file;
+  showPicture(file);
   if (!file) { $("map").replaceChildren(); return; }
   const xs = file.way.map((place) => place[0]), ys = file.way.map((place) => place[1]);
   const middle = (values) => (Math.min(...values) + Math.max(...values)) / 2;
@@ -122,10 +123,31 @@ function showWay(file) {
   $("map").replaceChildren(svg, caption);
 }
 
-export function picture(data) {
+// ---- the simulated robot, as it is rendered where the page is served
+
+export function setPictures(has) { view.hasPictures = has; }
+
+async function showPicture(file) {
+  const address = view.base + "/picture/" + encodeURIComponent(view.run);
+  const key = file && view.hasPictures ? address + JSON.stringify(file.pose) : "";
+  if (view.picture === key) { return; }
+  view.picture = key;
+  if (!key) { $("picture").hidden = true; return; }
+  if (view.isRendering) { return; }
+  view.isRendering = true;
+  const answer = await fetch(address, { credentials: "same-origin", cache: "no-store" }).catch(() => null);
+  view.isRendering = false;
+  if (!answer) { return; }
   $("picture").hidden = false;
-  $("way").hidden = false;
-  setText($("picture-note"), data.note);
-  $("picture-image").hidden = !data.address;
-  if (data.address) { $("picture-image").src = view.base + data.address; $("picture-image").alt = data.note; }
+  $("picture-image").hidden = !answer.ok;
+  if (answer.ok) {
+    const earlier = $("picture-image").src;
+    $("picture-image").src = URL.createObjectURL(await answer.blob());
+    if (earlier.startsWith("blob:")) { URL.revokeObjectURL(earlier); }
+    $("picture-image").alt = "The simulated robot where it was seen last in " + view.run;
+    setText($("picture-note"), "Rendered where it was seen last");
+  } else {
+    setText($("picture-note"), (await answer.json()).problem);
+  }
+  if (view.picture !== key) { const latest = view.picture; view.picture = null; if (latest) { setTimeout(() => showPicture(view.files.find((each) => each.way && each.way.length)), 500); } }
 }

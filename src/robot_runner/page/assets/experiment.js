@@ -37,7 +37,6 @@ export function take(name, data) {
   if (name === "findings") { showFindings(data); }
   if (name === "log") { showLog(data); }
   if (name === "samples") { curves.changed(data); }
-  if (name === "picture") { curves.picture(data); }
 }
 
 export function redraw() { curves.redraw(); if (shown.means) { showMeans(); } }
@@ -47,6 +46,7 @@ export function redraw() { curves.redraw(); if (shown.means) { showMeans(); } }
 function showState(state) {
   shown.state = state;
   shown.arrived = performance.now();
+  curves.setPictures(Boolean(state.has_pictures));
   const marks = { waiting: "● ", paused: "❚❚ ", failed: "✕ " };
   document.title = (marks[state.word] || "") + state.name + " – Robot Runner";
   setText($("title"), state.name);
