@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -64,3 +65,15 @@ def test_the_new_config_is_clean_by_the_rules_of_the_house(robot_runner: Callabl
     ]
     answer = subprocess.run([*command, "experiment.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stdout
+
+
+def test_a_command_works_as_it_is_printed_where_the_program_is_not_on_the_path(program: str, tmp_path: Path) -> None:
+    anywhere = {**os.environ, "PATH": "/usr/bin:/bin"}
+    told = subprocess.run([program, "new"], env=anywhere, cwd=tmp_path, capture_output=True, text=True, check=True)
+    commands = dict(line.strip().split("  ", 1) for line in told.stdout.splitlines() if line.startswith("  "))
+    for command in (commands["Check"], commands["Plan"]):
+        subprocess.run(["sh", "-c", command.strip()], env=anywhere, cwd=tmp_path, capture_output=True, check=True)
+    as_module = [sys.executable, "-m", "robot_runner", "new", "other.py"]
+    told = subprocess.run(as_module, env=anywhere, cwd=tmp_path, capture_output=True, text=True, check=True)
+    command = next(line for line in told.stdout.splitlines() if "Check" in line).partition("Check")[2].strip()
+    subprocess.run(["sh", "-c", command], env=anywhere, cwd=tmp_path, capture_output=True, check=True)

@@ -5,11 +5,10 @@ It describes a short experiment on the embedded robot, to be changed.
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.console import output, print_facts
+from robot_runner.cli.console import command_line, output, print_facts
 from robot_runner.cli.parser import UsageError
 from robot_runner.cli.templating import template, write_new_file
 
@@ -37,7 +36,6 @@ def execute(arguments: Namespace) -> int:
     path = Path(arguments.file)
     if path.suffix != ".py":
         raise UsageError("a config is a Python file", where=arguments.file, fix=f"Name it {path.name}.py.")
-    name = shlex.quote(arguments.file)
     text = template("new").replace("{file}", path.name)
     write_new_file(path, text, instead="Choose another name: robot-runner new NAME.py")
     console = output()
@@ -45,9 +43,9 @@ def execute(arguments: Namespace) -> int:
     print_facts(
         console,
         [
-            ("Check", f"robot-runner check {name}"),
-            ("Plan", f"robot-runner plan {name}"),
-            ("Execute", f"robot-runner {name}"),
+            ("Check", command_line("check", arguments.file)),
+            ("Plan", command_line("plan", arguments.file)),
+            ("Execute", command_line(arguments.file)),
         ],
     )
     return 0

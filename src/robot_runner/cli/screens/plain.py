@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rich.cells import cell_len
 from rich.text import Text
 
-from robot_runner.cli.console import Column, aligned, fitting, folded, shown_path
+from robot_runner.cli.console import Column, aligned, command_line, fitting, folded, shown_path
 from robot_runner.cli.design_words import run_cells, run_columns
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.screens.progress import Progress
@@ -225,7 +225,7 @@ def request(waiting: WaitingForUser, *, by_key: bool) -> str:
 def continue_command(folder: Path, questions: Sequence[Question] = ()) -> str:
     """Return the command that lets an experiment go on, with a place for each answer that it needs."""
     answers = [f"--answer {shlex.quote(question.name)}=..." for question in questions if not question.optional]
-    return " ".join(["robot-runner continue", shlex.quote(shown_path(folder)), *answers])
+    return " ".join([command_line("continue", shown_path(folder)), *answers])
 
 
 def run_to_come(waiting: WaitingForUser, model: RunTableModel) -> list[str]:
@@ -257,7 +257,7 @@ def pausing(paused: Paused, *, by_key: bool) -> str:
     """Return what is said while the experiment is paused."""
     key = "press ENTER, or in another terminal: " if by_key else ""
     run = f"run {paused.next_run_number} of {paused.run_count}"
-    return f"Paused before {run}. To go on: {key}robot-runner continue {shlex.quote(shown_path(paused.folder))}"
+    return f"Paused before {run}. To go on: {key}{continue_command(paused.folder)}"
 
 
 def waiting_at_gate(waiting: GateWaiting) -> str:
