@@ -27,7 +27,6 @@ take_slow_steps() {
     step "import contracts" "$bin/lint-imports"
     [ "$which" = all ] || return 0
     step "command-line page is current" "$bin/python" scripts/generate_cli_page.py --check
-    step "documentation" "$bin/mkdocs" build --strict --site-dir .make/site
 }
 
 which=${1:-all}

@@ -1,4 +1,4 @@
-"""What tests of several floors share: config files, written to a folder of the test's own, and one ROS 1 master."""
+"""What tests of several floors share: config files in a folder of the test's own, one browser, and one ROS 1 master."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 from tests.command_line import PROGRAM, program, robot_runner, terminal
+from tests.headless_browser import browser
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["program", "robot_runner", "terminal"]
+__all__ = ["browser", "program", "robot_runner", "terminal"]
 _FIXED, _SOAK = "fixed", "soak"
 
 # Without a clock and with a fixed seed, what passes on one machine passes on every machine, however busy it is.

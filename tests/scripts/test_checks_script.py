@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TOOLS = ("ruff", "mypy", "lint-imports", "python", "mkdocs", "pytest", "shellcheck")
+TOOLS = ("ruff", "mypy", "lint-imports", "python", "pytest", "shellcheck")
 
 
 @pytest.fixture

@@ -41,6 +41,7 @@ from robot_runner.core.execution.notices import (
     GatePassed,
     HostRestarts,
     InterruptionNoticed,
+    NextDecided,
     Notice,
     Paused,
     PrecisionJudged,
@@ -131,7 +132,7 @@ class LiveScreen:
                 self.refresh()
             case AttemptFinished():
                 self._take_end(notice)
-            case PrecisionJudged():
+            case PrecisionJudged() | NextDecided():
                 self._print_finished()
                 self._print_lines([Text(f"  {notice.in_words()}")])
             case FindingsNoticed(findings):

@@ -27,6 +27,7 @@ from robot_runner.core.execution.notices import (
     GateWaiting,
     HostRestarts,
     InterruptionNoticed,
+    NextDecided,
     Notice,
     Paused,
     PrecisionJudged,
@@ -325,7 +326,7 @@ class PlainScreen:
                 self._print(f"{_named(task)} starts{f': {treatments}' if treatments else ''}")
             case AttemptFinished(task, outcome, is_last):
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
-            case PrecisionJudged():
+            case PrecisionJudged() | NextDecided():
                 self._print(notice.in_words())
             case FindingsNoticed(findings):
                 print_findings(self._console, findings)

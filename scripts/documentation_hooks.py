@@ -1,0 +1,46 @@
+"""What mkdocs does beside its plugins: tables that GitHub and the built documentation both show well."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+__all__ = ["on_page_content", "on_page_markdown"]
+
+_FENCE = re.compile(r"^(```|~~~).*?^\1[^\S\n]*$", re.MULTILINE | re.DOTALL)
+_ROW = re.compile(r"^\|.*\|[^\S\n]*$", re.MULTILINE)
+_CODE = re.compile(r"`[^`\n]+`")
+_CELL_CODE = re.compile(r"(?<=<code>)[^<]+(?=</code>)")
+_CELL = re.compile(r"<t[dh]\b.*?</t[dh]>", re.DOTALL)
+#: Where a long name may go on in the next line: behind these, before a letter or digit.
+_BREAK = re.compile(r"(?<=[_./,:=(|\[-])(?=\w)")
+#: Shorter code is not broken: characters.
+_UNBROKEN = 16
+
+
+def on_page_markdown(markdown: str, **kwargs: Any) -> str:
+    r"""Return the page with `str | None` in tables: GitHub needs `\|` there, and Python-Markdown would show it.
+
+    Example:
+        >>> print(on_page_markdown(r"| `str \| None` | a \| b |"))
+        | `str | None` | a \| b |
+    """
+    del kwargs
+    fences = [match.span() for match in _FENCE.finditer(markdown)]
+
+    def row(match: re.Match[str]) -> str:
+        if any(start <= match.start() < end for start, end in fences):
+            return match[0]
+        return _CODE.sub(lambda code: code[0].replace("\\|", "|"), match[0])
+
+    return _ROW.sub(row, markdown)
+
+
+def on_page_content(html: str, **kwargs: Any) -> str:
+    """Return the page with places in the tables' long names at which a line may end, so that no table is cut."""
+    del kwargs
+    return _CELL.sub(lambda cell: _CELL_CODE.sub(_breakable, cell[0]), html)
+
+
+def _breakable(code: re.Match[str]) -> str:
+    return _BREAK.sub("<wbr>", code[0]) if len(code[0]) > _UNBROKEN else code[0]

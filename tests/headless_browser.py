@@ -1,0 +1,155 @@
+"""A headless Chromium that tests open pages with, spoken to by its own protocol over two pipes."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import shutil
+import subprocess
+import time
+from collections import deque
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+_DEADLINE = 60.0
+
+
+class Browser:
+    """One tab.
+
+    Attributes:
+        events: what the browser told, oldest first: (method, parameters).
+    """
+
+    def __init__(self, write: int, read: int) -> None:
+        self.events: list[tuple[str, dict[str, Any]]] = []
+        self._write, self._read = write, read
+        self._buffer = b""
+        self._waiting: deque[dict[str, Any]] = deque()
+        self._number = 0
+        self._session: str | None = None
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        while (answer := self._next()).get("id") != self._number:
+            self._take(answer)
+        assert "error" not in answer, answer
+        return answer["result"]
+
+    def open(self, path: Path, *, width: int = 1280, height: int = 900, is_phone: bool = False) -> None:
+        self.call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=is_phone
+        )
+        self.events.clear()
+        self.call("Page.navigate", url=path.as_uri())
+        while not any(method == "Page.loadEventFired" for method, _ in self.events):
+            self._take(self._next())
+        self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def evaluate(self, script: str) -> Any:
+        result = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in result, result
+        return result["result"].get("value")
+
+    def point_at(self, selector: str, x: float, y: float) -> None:
+        """Move the pointer to a place in an element, as shares of its width and height."""
+        place = self.evaluate(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); e.scrollIntoView({{block: 'center',"
+            f" behavior: 'instant'}}); const r = e.getBoundingClientRect();"
+            f" return [r.left + r.width * {x}, r.top + r.height * {y}]; }})()"
+        )
+        for step in (3, 0):
+            self.call("Input.dispatchMouseEvent", type="mouseMoved", x=place[0] - step, y=place[1])
+        self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def pdf(self, *, paper: tuple[float, float] = (8.5, 11.0)) -> bytes:
+        """Print on paper of this width and height, inches."""
+        return base64.b64decode(self.call("Page.printToPDF", paperWidth=paper[0], paperHeight=paper[1])["data"])
+
+    @property
+    def complaints(self) -> list[tuple[str, dict[str, Any]]]:
+        """Exceptions, console messages, log entries and dialogs since the page was opened."""
+        kinds = {
+            "Runtime.exceptionThrown",
+            "Runtime.consoleAPICalled",
+            "Log.entryAdded",
+            "Page.javascriptDialogOpening",
+        }
+        return [event for event in self.events if event[0] in kinds]
+
+    @property
+    def requests(self) -> list[str]:
+        """Addresses that were asked for since the page was opened, without data that stand in the page."""
+        asked = [event["request"]["url"] for method, event in self.events if method == "Network.requestWillBeSent"]
+        return [url for url in asked if not url.startswith("data:")]
+
+    def _take(self, message: dict[str, Any]) -> None:
+        if "method" in message:
+            self.events.append((message["method"], message["params"]))
+
+    def _next(self) -> dict[str, Any]:
+        deadline = time.monotonic() + _DEADLINE
+        while b"\0" not in self._buffer:
+            ready, _, _ = select.select([self._read], [], [], max(0.0, deadline - time.monotonic()))
+            assert ready, "Chromium does not answer"
+            data = os.read(self._read, 1 << 20)
+            assert data, "Chromium has ended"
+            self._buffer += data
+        message, _, self._buffer = self._buffer.partition(b"\0")
+        return json.loads(message)
+
+
+@contextmanager
+def _started(program: str, profile: Path) -> Iterator[Browser]:
+    with ExitStack() as closing:
+        theirs_in, ours_out = os.pipe()
+        ours_in, theirs_out = os.pipe()
+        for descriptor in (ours_out, ours_in):
+            closing.callback(os.close, descriptor)
+        # Chromium reads commands from descriptor 3 and answers on 4.
+        shell = f'exec "$0" "$@" 3<&{theirs_in} 4>&{theirs_out}'
+        options = [
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--remote-debugging-pipe",
+            f"--user-data-dir={profile}",
+        ]
+        process = subprocess.Popen(
+            ["/bin/bash", "-c", shell, program, *options, f"--user-data-dir={profile}"],
+            pass_fds=(theirs_in, theirs_out),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(theirs_in)
+        os.close(theirs_out)
+        closing.callback(process.wait)
+        closing.callback(process.kill)
+        yield Browser(ours_out, ours_in)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """Return a headless Chromium; without one, tests that need it are skipped."""
+    program = next(filter(None, map(shutil.which, _NAMES)), None)
+    if program is None:
+        pytest.skip("no Chromium is installed (Debian: apt install chromium)")
+    with _started(program, tmp_path_factory.mktemp("chromium")) as started:
+        yield started
