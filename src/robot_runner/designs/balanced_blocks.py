@@ -102,7 +102,10 @@ def _translations(cycles: Sequence[int], copies: int, fixed: int) -> list[_Permu
         return (place[tuple((a + b) % n for a, b, n in zip(e, shift, cycles, strict=True))] for e in elements)
 
     return [
-        (*chain.from_iterable([copy * size + each for each in images] for copy in range(copies)), *range(size * copies, size * copies + fixed))
+        (
+            *chain.from_iterable([copy * size + each for each in images] for copy in range(copies)),
+            *range(size * copies, size * copies + fixed),
+        )
         for images in (list(moved(shift)) for shift in elements)
     ]
 

@@ -179,4 +179,3 @@ def _trace_of_inverse(matrix: list[list[float]]) -> float | None:
             if other != place and (factor := rows[other][place]):
                 rows[other] = [a - factor * b for a, b in zip(rows[other], rows[place], strict=True)]
     return sum(rows[place][size + place] for place in range(size))
-

@@ -130,7 +130,9 @@ def _spread(treatments: int, replicates: int, blocks: Sequence[Factor], seed: in
     return [sorted(held) for held in spread]
 
 
-def _incomplete(treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int | None) -> list[list[int]]:
+def _incomplete(
+    treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int | None
+) -> list[list[int]]:
     """Return the treatments of each cell where there are fewer replicates than cells."""
     size, rest = divmod(treatments * replicates, len(cells))
     balanced = None if rest or len(cells[0]) > 1 else _balanced(treatments, size, len(cells), seed)

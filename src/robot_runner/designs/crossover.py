@@ -76,8 +76,10 @@ class Crossover:
         del repetitions
         named = [("unit", factor_name(self.unit)), ("period", factor_name(self.period))]
         yield from role_findings("Crossover", named, factors)
-        if isinstance(self.washout_in_s, bool) or not isinstance(self.washout_in_s, int | float) or not (
-            0 <= self.washout_in_s < float("inf")
+        if (
+            isinstance(self.washout_in_s, bool)
+            or not isinstance(self.washout_in_s, int | float)
+            or not (0 <= self.washout_in_s < float("inf"))
         ):
             problem = f"{self.washout_in_s!r} is no time to wait"
             yield Finding.error("design: Crossover(washout_in_s=...)", problem, "Give seconds, from 0.")

@@ -45,7 +45,9 @@ def role_findings(design: str, roles: Sequence[tuple[str, Any]], factors: Sequen
             taken[name] = role
     for factor in factors:
         if factor.when and (factor.name in taken or set(factor.when) & set(taken)):
-            problem = f"factor {factor.name!r} applies in some runs only, and its condition concerns {listed_roles(taken)}"
+            problem = (
+                f"factor {factor.name!r} applies in some runs only, and its condition concerns {listed_roles(taken)}"
+            )
             yield Finding.error(f"design: {design}", problem, "Make it a factor that applies always.")
     if len(taken) == len(known):
         yield Finding.error(f"design: {design}", "no factor is left to be studied", "Add one beside these.")
@@ -106,9 +108,7 @@ class Roles:
         cells = list(product(*(factor.treatments for factor in self.blocks)))
         left = []
         for treatment in self.treatments():
-            allowed = [
-                is_allowed(self.combined(treatment, *zip(self.blocks, cell, strict=True))) for cell in cells
-            ]
+            allowed = [is_allowed(self.combined(treatment, *zip(self.blocks, cell, strict=True))) for cell in cells]
             if any(allowed) and not all(allowed):
                 cell = cells[allowed.index(False)]
                 place = ", ".join(f"{factor.name}={each!r}" for factor, each in zip(self.blocks, cell, strict=True))

@@ -88,9 +88,7 @@ class SplitPlot:
         if rest:
             raise _uneven(self.hard_names, len(by_hard), plots)
         held = [
-            each
-            for number in range(replicates)
-            for each in shuffled(by_hard.values(), drawn, "whole plots", number)
+            each for number in range(replicates) for each in shuffled(by_hard.values(), drawn, "whole plots", number)
         ]
         runs = [
             (roles.combined((plots, plot), treatment), repetition, number)

@@ -159,7 +159,9 @@ class GraecoLatinSquare:
             drawn = seed if shuffle else None
             one, other = (shuffled(each, drawn, kind, number) for kind, each in (("latin", latin), ("greek", greek)))
             pair = _mixed(orthogonal_pair(order), drawn, number)
-            squares.append([[(one[a], other[b]) for a, b in zip(*rows, strict=True)] for rows in zip(*pair, strict=True)])
+            squares.append(
+                [[(one[a], other[b]) for a, b in zip(*rows, strict=True)] for rows in zip(*pair, strict=True)]
+            )
         facts = {**self.as_mapping(), "row": names[0], "column": names[1]}
         made = _in_order(roles, squares, facts)
         for run in made.runs:

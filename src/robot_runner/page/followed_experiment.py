@@ -197,7 +197,11 @@ class FollowedExperiment:
     def _state(self) -> dict[str, Any]:
         status = self._status
         if self._error is not None or status is None:
-            return {"name": self.folder.name, "word": "unreadable" if self._error else self._word(), "problem": self._problem()}
+            return {
+                "name": self.folder.name,
+                "word": "unreadable" if self._error else self._word(),
+                "problem": self._problem(),
+            }
         waiting = status.waiting_for
         return {
             "name": status.experiment_name[:_LONGEST_TEXT],
@@ -244,12 +248,22 @@ class FollowedExperiment:
 
     def _flying(self, each: Any) -> dict[str, Any]:
         place = self.table.place(each.run)
-        treatments = dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
-        return {"run": each.run, "place": each.place, "event": each.event, "treatments": treatments, **self._doing.get(each.run, {})}
+        treatments = (
+            dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        )
+        return {
+            "run": each.run,
+            "place": each.place,
+            "event": each.event,
+            "treatments": treatments,
+            **self._doing.get(each.run, {}),
+        }
 
     def _waiting(self, waiting: Mapping[str, Any]) -> dict[str, Any]:
         place = self.table.place(waiting["next_run"])
-        treatments = dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        treatments = (
+            dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        )
         questions = [Question.from_mapping(facts) for facts in waiting["questions"]]
         asked = [question.as_mapping() | {"hint": question.hint} for question in questions]
         return {"run": waiting["next_run"], "step": waiting["step"], "treatments": treatments, "questions": asked}
@@ -258,7 +272,9 @@ class FollowedExperiment:
         if self._status is None:
             return {"total": 0, "last": [], "failures": []}
         findings = [*self._status.findings][-_MOST_FINDINGS:]
-        told = [{name: getattr(each, name)[:_LONGEST_TEXT] for name in ("where", "problem", "fix")} for each in findings]
+        told = [
+            {name: getattr(each, name)[:_LONGEST_TEXT] for name in ("where", "problem", "fix")} for each in findings
+        ]
         failures = [each[:_LONGEST_TEXT] for each in self._status.failures[-_MOST_FINDINGS:]]
         return {"total": len(self._status.findings), "last": told, "failures": failures}
 
@@ -271,7 +287,10 @@ class FollowedExperiment:
         if self._curves is None or self._curves.run_id != run.run:
             self._curves = RunCurves(self._files, run.run)
         self._curves.look()
-        return {"samples": {"run": run.run, "version": self._curves.version}, "log": {"run": run.run, "text": self._log()}}
+        return {
+            "samples": {"run": run.run, "version": self._curves.version},
+            "log": {"run": run.run, "text": self._log()},
+        }
 
     def curves(self, run_id: str) -> list[dict[str, Any]]:
         """Return the curves of a run: those of the one in flight as they are, another's read now."""

@@ -74,7 +74,9 @@ class MeansSoFar:
                 if key not in self._cells:
                     self._cells[key] = [self._cell(runs, measure, excluded) for measure in numeric]
                 rows.append({"treatment": ", ".join(treatments), "cells": self._cells[key]})
-            measures = [{"name": table.measures[each], "unit": table.units.get(table.measures[each], "")} for each in numeric]
+            measures = [
+                {"name": table.measures[each], "unit": table.units.get(table.measures[each], "")} for each in numeric
+            ]
             told.append({"factor": name, "measures": measures, "rows": rows, "confidence": CONFIDENCE})
         return told
 

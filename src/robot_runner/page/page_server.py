@@ -33,7 +33,13 @@ if TYPE_CHECKING:
 
 __all__ = ["LivePage", "PageSettings"]
 
-_KINDS = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".svg": "image/svg+xml", ".txt": "text/plain"}
+_KINDS = {
+    ".js": "text/javascript",
+    ".css": "text/css",
+    ".html": "text/html",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain",
+}
 #: The files of the page, by the package whose they are.
 _ASSETS = {
     **dict.fromkeys(

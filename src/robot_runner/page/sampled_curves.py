@@ -242,6 +242,8 @@ class RunCurves:
 def _regular(folder: Path) -> list[Path]:
     try:
         with os.scandir(folder) as entries:
-            return sorted(folder / each.name for each in entries if stat.S_ISREG(each.stat(follow_symlinks=False).st_mode))
+            return sorted(
+                folder / each.name for each in entries if stat.S_ISREG(each.stat(follow_symlinks=False).st_mode)
+            )
     except OSError:
         return []

@@ -63,7 +63,7 @@ def execute(arguments: Namespace) -> int:
         raise LinkError.of_findings(findings)
     folder = _fresh(Path(arguments.folder).expanduser())
     config = folder / "demo.py"
-    write_new_file(config, template("demo"), instead="Choose another folder.")
+    write_new_file(config, template("demo_config.py"), instead="Choose another folder.")
     experiment = prepare_or_refuse(config)
     execution = execute_on_screen(experiment, plain=arguments.plain)
     with read_or_not():
