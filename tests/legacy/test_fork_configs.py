@@ -272,8 +272,13 @@ def test_an_event_at_which_a_fork_validated_is_heard_before_the_experiment(
     config: Callable[..., Path], execute: Callable[..., Executed], tmp_path: Path
 ) -> None:
     methods = """\
-        def before_experiment(self): (self.ROOT_DIR / "order").open("a").write("before ")
-        def validate(self): (self.ROOT_DIR / "order").open("a").write("validated ")
+        def note(self, word):
+            with (self.ROOT_DIR / "order").open("a") as file:
+                file.write(word + " ")
+
+        def before_experiment(self): self.note("before")
+
+        def validate(self): self.note("validated")
     """
     path = config(methods, subscribe="(RunnerEvents.VALIDATE_EXPERIMENT, self.validate),")
     said = " ".join(finding.problem for finding in prepare(path).findings)
