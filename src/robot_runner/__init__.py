@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Statistic as Statistic
     from robot_runner.core.design.factor import Factor as Factor
     from robot_runner.core.design.hypothesis import Hypothesis as Hypothesis
+    from robot_runner.core.design.numeric_range import Range as Range
     from robot_runner.core.design.outliers import Doubtful as Doubtful
     from robot_runner.core.design.outliers import Outliers as Outliers
     from robot_runner.core.design.precision import PreciseOf as PreciseOf
@@ -80,6 +81,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.outlook import NextRun as NextRun
     from robot_runner.core.execution.from_python import ExperimentResults as ExperimentResults
     from robot_runner.core.execution.from_python import run_experiment as run_experiment
+    from robot_runner.core.inactive import INACTIVE as INACTIVE
     from robot_runner.core.links.declared_host import Host as Host
     from robot_runner.core.links.declared_host import Reboot as Reboot
     from robot_runner.core.links.several_robots import Robots as Robots

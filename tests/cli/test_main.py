@@ -57,6 +57,12 @@ def test_the_version_is_that_of_the_package(robot_runner: Callable) -> None:
         (["chek"], "robot-runner: there is no command 'chek'", "Did you mean 'check'?"),
         (["STATUS"], "there is no command 'STATUS'", "Did you mean 'status'?"),
         (["qqq"], "there is no command 'qqq'", "Choose one of: demo, new, check"),
+        (
+            ["config-create", "mine"],
+            "'config-create' is a command of the earlier tools",
+            "Write one with `robot-runner new",
+        ),
+        (["prepare"], "'prepare' is a command of the earlier tools", "Nothing has to be prepared."),
         (["--versoin"], "robot-runner: there is no option '--versoin'", "Did you mean '--version'?"),
         (["check", "c.py", "--jsn"], "robot-runner check: there is no option '--jsn'", "Did you mean '--json'?"),
         (["run", "c.py", "--sett=robot=simulated"], "there is no option '--sett'", "Did you mean '--set'?"),

@@ -46,8 +46,8 @@ def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
         "Next is r_1, run 1 of 2: Task=Video",
         "2 runs left",
         "To do: swap the battery",
-        "Answer when it is done, or in another terminal: robot-runner continue results/trial --answer voltage",
-        "=...",
+        "Answer when it is done, or in another terminal: robot-runner continue results/trial --answer",
+        "voltage=...",
         "  voltage (V, 9 to 13):",
     ]
     assert "▶" not in shown.text, "the live part gives way"

@@ -33,6 +33,7 @@ __all__ = [
     "aligned",
     "complaints",
     "fitting",
+    "folded",
     "is_live_terminal",
     "no_byte_code",
     "output",
@@ -74,6 +75,11 @@ class UserConsole(Console):
                 # A link is an escape sequence, too, and its address is somebody's text.
                 style = segment.style.update_link(None) if segment.style and segment.style.link else segment.style
                 yield segment._replace(text=harmless(segment.text), style=style)
+
+    def tell(self, text: str, style: str = "") -> None:
+        """Print a text; where it is longer than a line it goes on in the next one, and no word is broken."""
+        for line in folded(text, self.width):
+            self.print(Text(line, style=style), soft_wrap=True)
 
     def erase_line(self) -> None:
         """Begin the line anew that is being shown."""
@@ -164,12 +170,24 @@ def print_facts(console: UserConsole, facts: Iterable[tuple[str, str]], *, inden
 
 def print_folded(console: UserConsole, head: str, text: str, *, style: str) -> None:
     """Print a text after a head in this style; where it is folded, it goes on beneath itself."""
-    # A path or a command that was broken could not be pasted.
-    width = max(_NARROWEST, console.width - len(head))
-    first, *more = textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
+    first, *more = folded(text, console.width - len(head))
     console.print(Text(head, style=style).append(first, "not bold default"), soft_wrap=True)
     for line in more:
         console.print(Text(" " * len(head) + line), soft_wrap=True)
+
+
+def folded(text: str, width: int) -> list[str]:
+    """Return a text as lines of this width, indented alike; no word is broken: a path could not be pasted then.
+
+    Example:
+        >>> folded("  Press ENTER to go on", 20)
+        ['  Press ENTER to go', '  on']
+    """
+    if len(text) <= width:
+        return [text]
+    indent = text[: len(text) - len(text.lstrip(" "))]
+    width = max(_NARROWEST, width)
+    return textwrap.wrap(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False) or [""]
 
 
 _GAP = "  "

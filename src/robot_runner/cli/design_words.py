@@ -112,6 +112,10 @@ def in_words(model: RunTableModel) -> str:
         return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts) or 'nothing is varied'}"
     combinations = prod(len(factor.treatments) for factor in model.factors)
     runs = sum(not run.is_warm_up for run in model.plan())
+    if not model.is_full_factorial and not model.is_extended:
+        kind = str(model.design_facts["kind"]).replace("_", " ")
+        full = combinations * model.repetitions
+        return f"{counted(runs, 'run')}, {kind}; the full factorial has {full:,}: {' x '.join(parts)}"
     if model.repetitions > 1:
         parts.append(f"{model.repetitions:,} repetitions")
     if model.is_extended:

@@ -49,12 +49,11 @@ def show_findings(findings: Sequence[Finding]) -> None:
 def print_findings(console: UserConsole, findings: Sequence[Finding]) -> None:
     """Print findings, errors first."""
     for finding in sorted(findings, key=lambda each: not each.is_error):
-        head = Text()
-        head.append(f"{finding.severity.value}: ", style=_STYLES[finding.severity.value])
-        head.append(one_line(f"{finding.where}: {finding.problem}" if finding.where else finding.problem))
-        console.print(head, soft_wrap=True)
+        problem = f"{finding.where}: {finding.problem}" if finding.where else finding.problem
+        severity = finding.severity.value
+        print_folded(console, f"{severity}: ", one_line(problem), style=_STYLES[severity])
         if finding.fix:
-            console.print(Text("  fix: ", style="bold").append(one_line(finding.fix), style="not bold"), soft_wrap=True)
+            print_folded(console, "  fix: ", one_line(finding.fix), style="bold")
 
 
 def quality_in_words(bad: Mapping[str, Mapping[str, Sequence[str]]]) -> str:

@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
 __all__ = ["main", "overview"]
 
+#: Wide enough that nothing is folded where nobody looks at a screen.
+_UNLIMITED = 100_000
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Do what the words of the command line say, and return the exit code.
@@ -53,23 +56,49 @@ def overview() -> str:
     """Return the help of the program."""
     commands = installed_commands()
     width = max(map(len, commands), default=0)
-    return "\n".join(
-        [
-            "Robot Runner executes measurement-based experiments on robotics software.",
-            "",
-            "  robot-runner CONFIG.py          execute the experiment that a file describes, or resume it",
-            "  robot-runner COMMAND --help     all about one command",
-            "",
-            "Commands:",
-            *(f"  {name:{width}}  {summary_of(point)}" for name, point in commands.items()),
-            "",
-            "Options:",
-            "  -h, --help  Show this.",
-            "  --version   Show the version.",
-            "",
-            "New here? `robot-runner demo` fills a run table in under a minute, on a simulated robot.",
-        ]
-    )
+    rows = [
+        "Robot Runner executes measurement-based experiments on robotics software.",
+        "",
+        _row("robot-runner CONFIG.py       ", "execute the experiment that a file describes, or resume it"),
+        _row("robot-runner COMMAND --help  ", "all about one command"),
+        "",
+        "Commands:",
+        *(_row(name.ljust(width), summary_of(point)) for name, point in commands.items()),
+        "",
+        "Options:",
+        "  -h, --help  Show this.",
+        "  --version   Show the version.",
+        "",
+        "New here? `robot-runner demo` fills a run table in under a minute, on a simulated robot.",
+    ]
+    return "\n".join(line if line.startswith(" ") else "\n".join(_lines(line, _width())) for line in rows)
+
+
+def _row(name: str, summary: str) -> str:
+    """Return a command with what it does, which goes on beneath itself where the terminal is too narrow."""
+    head = f"  {name}  "
+    return head + f"\n{' ' * len(head)}".join(_lines(summary, _width() - len(head)))
+
+
+def _lines(text: str, width: int) -> list[str]:
+    # As `textwrap.wrap` does it, which takes longer to import than all of this help takes.
+    lines = [""]
+    for word in text.split(" "):
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > width:
+            lines.append(word)
+        else:
+            lines[-1] = f"{lines[-1]} {word}".lstrip()
+    return lines
+
+
+def _width() -> int:
+    """Return how many cells a line of the terminal has; no limit where there is none."""
+    import os  # noqa: PLC0415 - for a quick --help
+
+    try:
+        return os.get_terminal_size(sys.stdout.fileno()).columns or _UNLIMITED
+    except (OSError, ValueError):  # no terminal
+        return _UNLIMITED
 
 
 def _command(words: list[str]) -> tuple[str, list[str]]:

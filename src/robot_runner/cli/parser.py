@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from robot_runner.core.errors import RobotRunnerError, did_you_mean, nearest
@@ -33,6 +34,18 @@ class UsageError(RobotRunnerError):
     """Words that the command line does not understand."""
 
 
+class _Folding(argparse.RawDescriptionHelpFormatter):
+    """Folds the paragraphs of a description to the terminal; what is indented, such as an example, stays as it is."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        del indent  # of groups, which have no description here
+        paragraphs = text.strip().split("\n\n")
+        return "\n\n".join(
+            each if each.startswith(" ") else textwrap.fill(each, width, break_long_words=False, break_on_hyphens=False)
+            for each in paragraphs
+        )
+
+
 class Parser(argparse.ArgumentParser):
     """The parser of one command: raises instead of exiting, and names the option that was meant.
 
@@ -52,7 +65,7 @@ class Parser(argparse.ArgumentParser):
             prog=f"robot-runner {command}",
             description=description,
             allow_abbrev=False,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_Folding,
         )
 
     def add_argument(self, *names: Any, **settings: Any) -> argparse.Action:
@@ -110,8 +123,18 @@ def parser_of(command: str, module: CommandModule) -> Parser:
     return parser
 
 
+#: Commands of the earlier tools, and what to do here.
+_EARLIER_COMMANDS = {
+    "config-create": "Write one with `robot-runner new experiment.py`.",
+    "prepare": "Nothing has to be prepared. What is missing here, `robot-runner doctor` says.",
+}
+
+
 def unknown_command(word: str, known: Collection[str]) -> UsageError:
     """Return the error that names the command that was meant, or all of them."""
+    if word in _EARLIER_COMMANDS:
+        problem = f"{word!r} is a command of the earlier tools"
+        return UsageError(problem, where="robot-runner", fix=_EARLIER_COMMANDS[word])
     near = nearest(word, known)
     fix = f"Did you mean {near!r}?" if near else f"Choose one of: {', '.join(known)}; or name a config file (.py)."
     return UsageError(f"there is no command {word!r}", where="robot-runner", fix=fix)

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.errors import PluginError, did_you_mean, nearest
+from robot_runner.core.inactive import INACTIVE
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -135,8 +136,10 @@ class _Binding:
         return cls(positional, dict(keywords), factors)
 
     def arguments(self, combination: Mapping[str, Any]) -> tuple[list[Any], dict[str, Any]]:
-        """Return what it is built with under a combination."""
-        values = {name: _resolved(value, combination) for name, value in self.keywords.items()}
+        """Return what it is built with under a combination; what a factor does not apply to is left at its default."""
+        bound = {name: value.factor for name, value in self.keywords.items() if isinstance(value, Treatment)}
+        left = {name for name, factor in bound.items() if combination.get(factor) is INACTIVE}
+        values = {name: _resolved(value, combination) for name, value in self.keywords.items() if name not in left}
         return [_resolved(value, combination) for value in self.positional], values
 
 
@@ -198,6 +201,9 @@ def _treatment_of(bound: Treatment, combination: Mapping[str, Any]) -> Any:
     if bound.factor not in combination:
         fix = did_you_mean(bound.factor, combination) or "Give the run a treatment of it."
         raise PluginError(f"the run has no treatment of the factor {bound.factor!r}", where=repr(bound), fix=fix)
+    if combination[bound.factor] is INACTIVE:
+        fix = f"Bind a parameter by its name, which has a default: Camera(resolution={bound!r})."
+        raise PluginError(f"the factor {bound.factor!r} does not apply to the run", where=repr(bound), fix=fix)
     return combination[bound.factor]
 
 

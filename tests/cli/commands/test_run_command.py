@@ -207,3 +207,29 @@ def test_runs_to_redo_can_be_listed_with_commas(robot_runner: Callable, write_co
     assert robot_runner("run", "config.py", "--redo", "r_1, r_3", "--redo", "r_4").code == 0
     with open("results/trial/run_table.csv", encoding="utf-8", newline="") as file:  # noqa: PTH123 - as a reader would
         assert [row["Energy"] for row in csv.DictReader(file)] == ["2", "1", "2", "2"]
+
+
+def test_json_tells_how_it_went_and_nothing_else_goes_to_stdout(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config(f"{FAILING}\ndef before_experiment(self, context):\n    print('hello')\n")
+    answer = robot_runner("run", "config.py", "--json")
+    facts = answer.json
+    assert answer.code == facts["exit_code"] == 1
+    assert facts["runs"] == {"done": 2, "failed": 2, "to_do": 0}
+    assert facts["run_table"] == str(tmp_path / "results" / "trial" / "run_table.csv")
+    assert len(facts["failed"]) == len(facts["failures"]) == 2
+    assert "hello" in answer.err
+    assert "2 failed" in answer.err
+    mended = robot_runner("run", "config.py", "--json", "--set", "mends=true", "--accept-changes")
+    assert (mended.code, mended.json["runs"]["done"], mended.json["stopped_by"]) == (0, 4, None)
+
+
+def test_json_of_what_is_refused_has_the_findings(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
+    write_config("attempts = 0")
+    answer = robot_runner("run", "config.py", "--json")
+    assert answer.code == answer.json["exit_code"] == 2
+    assert answer.json["was_executed"] is False
+    assert answer.json["findings"][0]["where"].endswith("attempts")
+    unknown = robot_runner("run", "config.py", "--json", "--set", "atempts=3")
+    assert (unknown.code, unknown.json["findings"][0]["fix"]) == (2, "Did you mean 'attempts'?")

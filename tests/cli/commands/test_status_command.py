@@ -83,7 +83,7 @@ def test_all_sessions_are_told_and_not_the_last_alone(robot_runner: Callable, ha
     assert [each["started_at"] for each in facts["sessions"]] == [first["started_at"], facts["started_at"]]
     assert facts["sessions"][1]["selection"] == {"only": ["r_3"]}
     told = " ".join(robot_runner("status", half_done).out.split())
-    assert f"Sessions 2; the first began {first['started_at']}; " in told
+    assert f"Started {first['started_at']} Resumed {facts['started_at']}" in told
     assert "Chosen --only r_3" in told
 
 

@@ -154,7 +154,7 @@ def test_what_its_check_finds_refuses_it_with_a_fix(robot_runner: Callable) -> N
             2,
             "the code raised ValueError when it was made: no port",
         ),
-        (broken("def __init__(self):\n    pass"), 2, "the profiler has no name"),
+        (broken("def __init__(self):\n    pass"), 2, "the plugin has no name"),
         (broken("def check(self, circumstances):\n    return 1 / 0"), 2, "the check raised ZeroDivisionError"),
         (broken("def start_run(self, a, b):\n    pass"), 2, "start_run(a, b) cannot be called with a context"),
         (
@@ -203,9 +203,9 @@ def test_the_traceback_of_a_strangers_callback_is_shown(robot_runner: Callable, 
         (["PsUtil", "--seconds", "nan"], "--seconds is nan"),
         (["nowhere.py"], "there is no such file"),
         (["no_such_module:Meter"], "the code raised ModuleNotFoundError when it was imported"),
-        (["robot_runner.core.errors:Finding"], "Finding is no Profiler"),
+        (["robot_runner.core.errors:Finding"], "Finding is no plugin"),
         (["robot_runner.meters.psutil:PsUtl"], "Did you mean 'PsUtil'?"),
-        (["BasicTurtlebot3"], "no plugin named 'BasicTurtlebot3' is installed"),
+        (["BasicTurtlebot"], "Did you mean 'BasicTurtlebot3'?"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -236,3 +236,50 @@ def test_a_profiler_that_hangs_is_ended(
     answer = robot_runner("try", path, "--seconds", "0.1")
     assert answer.code == 1
     assert "failed: start_measurement" in answer.out
+
+
+def test_a_plugin_that_needs_a_parameter_says_which_and_how_to_set_it(robot_runner: Callable) -> None:
+    answer = robot_runner("try", "CodeCarbon")
+    assert answer.code == 2
+    assert "CodeCarbon: it cannot be made without country" in answer.err
+    assert "Add --set country=..." in answer.err
+    assert "author" not in answer.err
+
+
+SYSTEM = """\
+from robot_runner.plugins import Measure, System
+
+
+class Arm(System):
+    measures = (Measure("Lifts", "1", "How often it lifted."),)
+
+    def __init__(self, *, name=None):
+        super().__init__(name=name)
+        self.lifts = 0
+
+    def launch_mission(self, context):
+        self.lifts += context.combination["Lifts_wanted"]
+
+    def populate_run_data(self, context):
+        context.publish("Lifts", float(self.lifts))
+"""
+
+
+def test_a_system_is_tried_with_its_own_mission_and_with_treatments(robot_runner: Callable, plugin: Callable) -> None:
+    plugin(SYSTEM, "arm.py")
+    began = time.monotonic()
+    answer = robot_runner("try", "arm.py", "--factor", "Lifts_wanted=3", "--json")
+    assert answer.code == 0, answer.err
+    assert answer.json["measures"]["Lifts"]["value"] == 3.0
+    assert time.monotonic() - began < 60.0  # it does not wait for the longest mission
+
+
+def test_an_installed_system_is_tried_on_the_embedded_robot_and_asked_for_on_a_real_one(robot_runner: Callable) -> None:
+    words = ("try", "BasicTurtlebot3", "--factor", "Task=Video")
+    answer = robot_runner(*words, "--set", "robot=simulated", "--json")
+    assert answer.code == 0, answer.err
+    assert answer.json["measures"]["Duration"]["value"] == pytest.approx(95.0, abs=2.0)
+    refused = robot_runner(*words, "--set", "robot=ros1")
+    assert refused.code == 2
+    assert "it operates the robot 'ros1', which may move" in refused.err
+    assert "--yes" in refused.err

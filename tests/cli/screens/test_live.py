@@ -165,12 +165,16 @@ def test_a_terminal_that_is_gone_is_no_fault(shown: Shown, notices: Any, monkeyp
         monkeypatch.setattr(shown._screenful.stream, "write", gone)
 
 
-def test_columns_that_do_not_fit_are_left_out(experiment: Experiment, clock: Any, screenful: Any, notices: Any) -> None:
+def test_columns_that_do_not_fit_are_left_out_and_named(
+    experiment: Experiment, clock: Any, screenful: Any, notices: Any
+) -> None:
     narrow = screenful(40)
     with LiveScreen(narrow.console, experiment, clock) as screen:
         screen.notice(notices.started(columns={"Energy": "J", "CPU": "%", "Memory": "%"}))
     assert "  run  Task     Repetition  Energy (J)" in narrow.text
-    assert "CPU" not in narrow.text
+    heading, *_ = (line for line in narrow.text.splitlines() if "Repetition" in line)
+    assert "CPU" not in heading
+    assert "narrow for CPU (%), Memory (%) and" in narrow.text
 
 
 def test_what_a_gate_waits_for_is_shown_until_it_opens(shown: Shown, notices: Any) -> None:

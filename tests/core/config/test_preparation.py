@@ -246,3 +246,38 @@ class RobotRunnerConfig(ExperimentConfig):
         import sys
 
         sys.modules["robot_runner_config"].OVER.set()
+
+
+def test_a_robot_whose_name_has_a_slip_is_one_finding_and_the_plugins_are_asked_about_the_one_that_was_meant(
+    write_config: Write,
+) -> None:
+    head = (
+        "from robot_runner import *\nfrom robot_runner.plugins.profilers import Ina219, PsUtil\n\n\n"
+        "class RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'slip'\n    plugins = [Ina219(), PsUtil()]\n"
+    )
+    (finding,) = findings_of(write_config(head=head), robot="simulatd")
+    assert finding.fix == "Did you mean 'simulated'?"
+    (none_near,) = findings_of(write_config(head=head), robot="zzz")
+    assert none_near.problem == "robot is 'zzz', which is no link of this version"
+    # What is wrong beside the slip is said all the same.
+    clashing = head.replace("Ina219()", "Ina219(port='/dev/none')")
+    problems = [finding.problem for finding in findings_of(write_config(head=clashing), robot="simulatd")]
+    assert problems[0].startswith("robot is 'simulatd'")
+    assert len(problems) == 2
+
+
+@pytest.mark.parametrize(
+    ("line", "fix"),
+    [
+        (
+            "operation_type = 'semi'",
+            " Write operation_type = OperationType.SEMI (from robot_runner import OperationType).",
+        ),
+        ("time_between_runs_in_ms = '500'", " Write time_between_runs_in_ms = 500."),
+        ("operation_type = 'neither'", "OperationType.SEMI."),
+    ],
+)
+def test_a_text_in_the_place_of_a_value_says_what_to_write(write_config: Write, line: str, fix: str) -> None:
+    (finding,) = findings_of(write_config(line))
+    assert finding.fix.startswith("It must be ")
+    assert finding.fix.endswith(fix)

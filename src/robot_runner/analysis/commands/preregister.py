@@ -204,7 +204,9 @@ def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     design, plan = content["design"], content["analysis"]
     yield "Experiment", f"{content['experiment']} ({content['config']['file']})"
     factors = " x ".join(f"{name} ({', '.join(texts)})" for name, texts in design["factors"].items())
-    left_out = f", less {counted(len(design['excluded']), 'combination')}" if design["excluded"] else ""
+    left_out = f", less {counted(len(design['excluded']), 'combination')}" if design.get("excluded") else ""
+    if "parameters" in design:
+        left_out = f", {counted(len(design['combinations']), 'combination')} of a {design['facts']['kind']} design"
     yield (
         "Design",
         f"{factors}{left_out}; {counted(design['repetitions'], 'repetition')}, {counted(design['runs'], 'run')}",

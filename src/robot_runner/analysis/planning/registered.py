@@ -88,7 +88,7 @@ def _made_too_late(changes: Any) -> Registered | None:
 def _deviations(found: Registration, results: Results, statistics: ExperimentStatistics) -> Iterator[str]:
     manifest, content = results.manifest, found.content
     now: dict[str, Any] = {
-        "design": {**_first_design(manifest), "excluded": content["design"].get("excluded", [])},
+        "design": {**_first_design(manifest), **_not_in_manifest(content["design"])},
         "seed": manifest.get("seed"),
         "analysis": manifest.get("analysis"),
         "repeat_until": manifest.get("repeat_until"),
@@ -100,6 +100,11 @@ def _deviations(found: Registration, results: Results, statistics: ExperimentSta
     yield from _of_execution(found, results)
     yield from _of_runs(results)
     yield from _of_analysis(statistics, results)
+
+
+def _not_in_manifest(design: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a registration alone has: combinations are compared with those of the run table."""
+    return {"excluded": design["excluded"]} if "excluded" in design else {}
 
 
 def _first_design(manifest: Mapping[str, Any]) -> dict[str, Any]:
@@ -118,8 +123,11 @@ def _of_combinations(design: Mapping[str, Any], results: Results) -> Iterator[st
     names = list(design.get("factors") or {})
     if not names or any(name not in results.all_runs for name in names):
         return  # told as factors
-    left_out = {tuple(each) for each in design.get("excluded", ())}
-    planned = {cell for cell in product(*design["factors"].values()) if cell not in left_out}
+    if "combinations" in design:
+        planned = {tuple(map(str, each)) for each in design["combinations"]}
+    else:
+        left_out = {tuple(each) for each in design.get("excluded", ())}
+        planned = {cell for cell in product(*design["factors"].values()) if cell not in left_out}
     present = {tuple(map(str, row)) for row in results.all_runs[names].itertuples(index=False)}
     treatments = [set(texts) for texts in design["factors"].values()]
     # Combinations with treatments that were not registered are told as treatments.

@@ -75,10 +75,10 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
     print_findings(console, preparation.findings)
     experiment = preparation.experiment
     if experiment is None:
-        console.print(f"{config} is refused: {tally(preparation.findings)}.", style="bold", soft_wrap=True)
+        console.tell(f"{config} is refused: {tally(preparation.findings)}.", style="bold")
         return
     doubts = f", with {tally(preparation.findings)}" if preparation.findings else ""
-    console.print(f"{config} can be executed{doubts}.", style="bold", soft_wrap=True)
+    console.tell(f"{config} can be executed{doubts}.", style="bold")
     print_facts(
         console,
         [

@@ -41,7 +41,7 @@ def execute(arguments: Namespace) -> int:
     text = template("new").replace("{file}", path.name)
     write_new_file(path, text, instead="Choose another name: robot-runner new NAME.py")
     console = output()
-    console.print(f"{arguments.file} is written: 6 runs on the embedded robot, ready to be executed.", soft_wrap=True)
+    console.tell(f"{arguments.file} is written: 6 runs on the embedded robot, ready to be executed.")
     print_facts(
         console,
         [

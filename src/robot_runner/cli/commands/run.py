@@ -8,30 +8,34 @@ from __future__ import annotations
 
 import shlex
 import sys
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from robot_runner.cli.console import no_byte_code, output
+from robot_runner.cli.console import no_byte_code, output, print_json
 from robot_runner.cli.executing import execute_on_screen, read_or_not
-from robot_runner.cli.findings import show_findings
+from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import RUNS_HELP, add_config, add_set
+from robot_runner.cli.parser import RUNS_HELP, add_config, add_json, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
 from robot_runner.core.secret_names import shown_assignments
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Sequence
 
     from robot_runner.cli.executing import Execution
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.errors import Finding
 
-__all__ = ["add_arguments", "execute"]
+__all__ = ["add_arguments", "apply_shortcuts", "execute"]
 
 
 #: The options that choose runs, and what becomes of those that are chosen.
@@ -76,21 +80,57 @@ def add_arguments(parser: Parser) -> None:
         help="execute the runs on the workers of a Dask cluster: the address of its scheduler, such as "
         "tcp://scheduler:8786 or tls://scheduler:8786; the same as --set cluster=ADDRESS",
     )
+    parser.add_argument(
+        "--wait",
+        action="store_true",
+        help="wait where another experiment has claimed the same robot or meter, instead of being refused",
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
+    add_json(parser)
+
+
+def apply_shortcuts(arguments: Namespace) -> None:
+    """Take options that stand for a static parameter as what is set."""
+    for name in ("cluster", "workers"):
+        if (given := getattr(arguments, name)) is not None:
+            arguments.set = [*arguments.set, f"{name}={given}"]
 
 
 def execute(arguments: Namespace) -> int:
     """Execute every run that is not done."""
-    if arguments.cluster is not None:
-        arguments.set = [*arguments.set, f"cluster={arguments.cluster}"]
-    if arguments.workers is not None:
-        arguments.set = [*arguments.set, f"workers={arguments.workers}"]
+    if not arguments.json:
+        return _executed(arguments)[0]
+    # What is told on the way is not what a program reads.
+    with redirect_stdout(sys.stderr):
+        try:
+            code, facts = _executed(arguments)
+        except RobotRunnerError as error:
+            show_findings(error.findings)
+            code, facts = REFUSED, _refused(error.findings)
+    with read_or_not():
+        print_json({"config": arguments.config, "exit_code": code, **facts})
+    return code
+
+
+def _executed(arguments: Namespace) -> tuple[int, dict[str, Any]]:
+    """Execute the experiment on a screen; returns the exit code, and how it went as plain data."""
+    apply_shortcuts(arguments)
     with no_byte_code():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
     if preparation.experiment is None:
         show_findings(preparation.findings)
-        return REFUSED
-    experiment = preparation.experiment
+        return REFUSED, _refused(preparation.findings)
+    execution = _execution(arguments, preparation.experiment, preparation.findings)
+    settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
+    command = shlex.join(["robot-runner", arguments.config, *settings])
+    with read_or_not():
+        if execution.finished:
+            print_outcome(output(), execution.finished, execution.progress, command=command)
+    return execution.exit_code, _facts(preparation.experiment, execution)
+
+
+def _execution(arguments: Namespace, experiment: Experiment, findings: Sequence[Finding]) -> Execution:
+    """Execute the experiment, and once more where somebody says what counts of two tables that disagree."""
     resumption = Resumption(
         accept_changes=arguments.accept_changes or _changes_are_accepted(experiment),
         **{option[2:]: tuple(getattr(arguments, option[2:])) for option in _CHOICES},
@@ -99,21 +139,46 @@ def execute(arguments: Namespace) -> int:
     )
 
     def executed(asked: Resumption) -> Execution:
-        return execute_on_screen(experiment, preparation.findings, plain=arguments.plain, resumption=asked)
+        return execute_on_screen(
+            experiment,
+            findings,
+            plain=arguments.plain or arguments.json,
+            resumption=asked,
+            waits_for_claims=arguments.wait,
+        )
 
     try:
-        execution = executed(resumption)
+        return executed(resumption)
     except TableDisagreementError as disagreement:
         chosen = _chosen_table(disagreement)
         if chosen is None:
             raise
-        execution = executed(replace(resumption, table=chosen))
-    settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
-    command = shlex.join(["robot-runner", arguments.config, *settings])
-    with read_or_not():
-        if execution.finished:
-            print_outcome(output(), execution.finished, execution.progress, command=command)
-    return execution.exit_code
+        return executed(replace(resumption, table=chosen))
+
+
+def _refused(findings: Sequence[Finding]) -> dict[str, Any]:
+    return {"was_executed": False, "findings": as_json(findings)}
+
+
+def _facts(experiment: Experiment, execution: Execution) -> dict[str, Any]:
+    """Return how an execution went, as plain data."""
+    named = {"experiment": experiment.parameters.experiment_name, "folder": str(experiment.folder.root)}
+    finished = execution.finished
+    if finished is None:
+        return {"was_executed": True, **named}
+    return {
+        "was_executed": True,
+        **named,
+        "run_table": str(finished.run_table),
+        "runs": {"done": finished.done_count, "failed": finished.failed_count, "to_do": finished.todo_count},
+        "failed": list(finished.failed),
+        "failures": list(finished.failures),
+        "excluded": list(finished.excluded),
+        "is_interrupted": finished.interrupted,
+        "stopped_by": finished.stopped_by if finished.stopped_by_policy else None,
+        "seconds": finished.seconds,
+        "findings": as_json(finished.findings),
+    }
 
 
 def _changes_are_accepted(experiment: Experiment) -> bool:

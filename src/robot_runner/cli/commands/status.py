@@ -10,19 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from robot_runner.cli.commands.continue_ import questions_of
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.cli.screens.plain import continue_command
-from robot_runner.core.execution.experiment_status import ExperimentStatus, Session, read_status
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
+from robot_runner.core.execution.person_requests import questions_of
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
+    from robot_runner.core.execution.experiment_history import Session
 
 __all__ = ["add_arguments", "execute"]
 
@@ -63,9 +64,11 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Excluded", _excluded(status)),
             ("Repeated", status.repeated),
             ("Precision", "; ".join(status.precision)),
+            ("Decided", status.decided),
             ("Order", status.order),
             ("Sessions", _sessions(status)),
-            ("Started", status.started_at or ""),
+            ("Started", status.sessions[0].started_at if status.sessions else status.started_at or ""),
+            ("Resumed", status.sessions[-1].started_at if len(status.sessions) > 1 else ""),
             ("Chosen", _chosen(status)),
             ("Ended", status.finished_at or ""),
             ("Results", shown_path(status.folder)),
@@ -139,7 +142,7 @@ def _sessions(status: ExperimentStatus) -> str:
     executed = shown_duration(sum(session.seconds for session in status.sessions))
     broken = sum(not session.is_whole for session in status.sessions) - (status.holder is not None)
     killed = f", {broken} of them broken off" if broken else ""
-    return f"{len(status.sessions)}{killed}; the first began {status.sessions[0].started_at}; {executed} in all"
+    return f"{len(status.sessions)}{killed}; {executed} in all"
 
 
 def _chosen(status: ExperimentStatus) -> str:

@@ -1,18 +1,13 @@
-"""Try a profiler without an experiment.
+"""Try a profiler or a system without an experiment.
 
-One run of it alone is executed, and everything that the framework sees of it is shown. PROFILER is the name of an
-installed one (`robot-runner plugins` lists them), a class as `module:Class`, or a file that holds one, as `my_meter.py`
-or `my_meter.py:Meter`.
+One run of it alone is executed, and everything that the framework sees of it is shown. The mission of a profiler is to
+wait, that of a system its own. PLUGIN is the name of an installed one (`robot-runner plugins` lists them), a class as
+`module:Class`, or a file that holds one, as `my_meter.py` or `my_meter.py:Meter`.
 """
 
 from __future__ import annotations
 
-import ast
-import importlib
-import importlib.util
-import inspect
 import shutil
-import sys
 import tempfile
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,174 +15,79 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
+from robot_runner.cli.chosen_plugin import make_plugin, parsed_value
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json, quiet_loading
 from robot_runner.cli.findings import as_json, print_findings, show_findings
 from robot_runner.cli.guard import REFUSED, SOME_FAILED
 from robot_runner.cli.parser import add_json
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.errors import PluginError, RobotRunnerError, did_you_mean
+from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.task import AttemptStatus
-from robot_runner.core.execution.trial import try_plugin
-from robot_runner.core.plugin import Plugin, Profiler, find_plugin
+from robot_runner.core.execution.trial import has_mission, try_plugin
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.plugin import System
 from robot_runner.core.words import enumerated, one_line, shown_duration, shown_value
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator, Mapping, Sequence
-    from types import ModuleType
+    from collections.abc import Iterator, Sequence
 
     from robot_runner.cli.parser import Parser
     from robot_runner.core.execution.trial import CalledEvent, RawFile, Trial
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["add_arguments", "execute", "make_plugin", "profiler_class"]
-
-
-# A profiler as a user names it on the command line, made with the parameters that were set there.
-
-_ROBOT = "robot"
-
-
-def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | None]:
-    """Return an instance of the profiler, and how a robot is reached if `robot` was set.
-
-    Args:
-        chosen: as `profiler_class` takes it.
-        values: the parameters, by name, each as it was typed: a Python literal, or else a text.
-
-    Raises:
-        PluginError: there is no such profiler or parameter, or it cannot be made; what its code raises is told.
-    """
-    kind = profiler_class(chosen)
-    parameters = inspect.signature(kind).parameters
-    takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
-    robot = None if _ROBOT in parameters else values.get(_ROBOT)
-    own = {name: text for name, text in values.items() if name in parameters or name != _ROBOT}
-    for name in own:
-        if name not in parameters and not takes_any:
-            raise PluginError(
-                f"the profiler has no parameter {name!r}",
-                where=kind.__name__,
-                fix=did_you_mean(name, [*parameters, _ROBOT]),
-            )
-    try:
-        plugin = kind(**{name: _value(text) for name, text in own.items()})
-    except PluginError:
-        raise
-    except Exception as error:
-        raise _raised(kind.__name__, "when it was made", error) from error
-    if not hasattr(plugin, "name"):
-        fix = "Call super().__init__(name=name) in its __init__."
-        raise PluginError("the profiler has no name", where=kind.__name__, fix=fix)
-    return plugin, robot
-
-
-def profiler_class(chosen: str) -> type[Plugin]:
-    """Return the class of an installed profiler, or that of `module:Class`, `file.py` or `file.py:Class`.
-
-    Raises:
-        PluginError: there is no such profiler, or it cannot be imported.
-
-    Example:
-        >>> profiler_class("robot_runner.plugins.profilers:PsUtil").__name__
-        'PsUtil'
-    """
-    source, _, name = chosen.partition(":")
-    if source.endswith(".py"):
-        module = _imported_file(Path(source))
-        return _class_in(module, name, where=source)
-    if name:
-        return _class_in(_imported_module(source), name, where=source)
-    return find_plugin("profilers", chosen).load()
-
-
-def _imported_module(name: str) -> ModuleType:
-    try:
-        return importlib.import_module(name)
-    except Exception as error:
-        raise _raised(name, "when it was imported", error) from error
-
-
-def _imported_file(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise PluginError("there is no such file", where=str(path), fix="Name a file that is there.")
-    sys.path.insert(0, str(path.parent.resolve()))  # what it imports beside it is found
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise PluginError("the file cannot be imported", where=str(path), fix="Name a Python file.")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise _raised(str(path), "when it was imported", error) from error
-    return module
-
-
-def _class_in(module: ModuleType, name: str, *, where: str) -> type[Plugin]:
-    own = {
-        each: found
-        for each, found in vars(module).items()
-        if isinstance(found, type) and issubclass(found, Profiler) and found.__module__ == module.__name__
-    }
-    if not name:
-        if len(own) == 1:
-            return next(iter(own.values()))
-        found_here = (
-            f"the module holds {len(own)} profilers" if own else "the module holds no class that derives from Profiler"
-        )
-        raise PluginError(found_here, where=where, fix=f"Name one: {where}:{next(iter(own), 'MyProfiler')}.")
-    found = getattr(module, name, None)
-    if found is None:
-        raise PluginError(f"the module has no class {name!r}", where=where, fix=did_you_mean(name, own))
-    if not (isinstance(found, type) and issubclass(found, Profiler)):
-        raise PluginError(f"{name} is no Profiler", where=where, fix="Derive it from robot_runner.plugins.Profiler.")
-    return found
-
-
-def _value(text: str) -> Any:
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
-
-
-def _raised(where: str, when: str, error: BaseException) -> PluginError:
-    problem = f"the code raised {type(error).__name__} {when}: {error}"
-    return PluginError(problem, where=where, fix="Mend it, or tell its author; --debug shows the traceback.")
-
+__all__ = ["add_arguments", "execute"]
 
 _SECONDS = 5.0
+#: A mission of a system is longer than most measurements, and breaks off by itself only where it hangs.
+_LONGEST_MISSION_S = 600.0
 _MOST_LINES = 20
 
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     parser.add_argument(
-        "profiler", metavar="PROFILER", help="the profiler's name, `module:Class`, `file.py` or `file.py:Class`"
+        "plugin", metavar="PLUGIN", help="the plugin's name, `module:Class`, `file.py` or `file.py:Class`"
     )
     parser.add_argument(
-        "--seconds", metavar="S", type=float, default=_SECONDS, help="how long it measures, in seconds (%(default)g)"
+        "--seconds",
+        metavar="S",
+        type=float,
+        help=f"how long it measures, in seconds ({_SECONDS:g}); of a system with a mission of its own, how long that "
+        f"may take ({_LONGEST_MISSION_S:g})",
     )
     parser.add_argument(
         "--set",
         metavar="NAME=VALUE",
         action="append",
         default=[],
-        help="set a parameter of the profiler, or robot=simulated; may be given several times",
+        help="set a parameter of the plugin, or robot=simulated; may be given several times",
     )
+    parser.add_argument(
+        "--factor",
+        metavar="NAME=VALUE",
+        action="append",
+        default=[],
+        help="give the run a treatment that the plugin reads, such as Task=Video; may be given several times",
+    )
+    parser.add_argument("--yes", action="store_true", help="let a system operate a robot that is not simulated")
     parser.add_argument("--keep", metavar="FOLDER", help="keep its raw data in this folder, which must not exist")
     add_json(parser)
 
 
 def execute(arguments: Namespace) -> int:
-    """Try the profiler; 0 where its run went well, 1 where it failed or yielded no value, 2 where it was refused."""
+    """Try the plugin; 0 where its run went well, 1 where it failed or yielded no value, 2 where it was refused."""
     _check(arguments)
     values = parse_assignments(arguments.set)
+    treatments = {name: parsed_value(text) for name, text in parse_assignments(arguments.factor).items()}
     with quiet_loading():
-        plugin, robot = make_plugin(arguments.profiler, values)
+        plugin, robot = make_plugin(arguments.plugin, values)
+    if isinstance(plugin, System) and robot is not None and not is_simulated(robot) and not arguments.yes:
+        fix = "See that nothing is in its way, and add --yes. Or: --set robot=simulated."
+        raise RobotRunnerError(f"it operates the robot {robot!r}, which may move", where=plugin.name, fix=fix)
+    seconds = arguments.seconds or (_LONGEST_MISSION_S if has_mission(plugin) else _SECONDS)
     with tempfile.TemporaryDirectory(prefix="robot-runner-try-") as folder, quiet_loading():
-        trial = try_plugin(plugin, Path(folder), seconds=arguments.seconds, robot=robot)
+        trial = try_plugin(plugin, Path(folder), seconds=seconds, robot=robot, treatments=treatments)
         kept = _kept(trial, arguments.keep)
     if arguments.json:
         print_json(_as_json(plugin, trial, kept))
@@ -201,7 +101,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _check(arguments: Namespace) -> None:
-    if not 0 < arguments.seconds < float("inf"):
+    if arguments.seconds is not None and not 0 < arguments.seconds < float("inf"):
         raise RobotRunnerError(f"--seconds is {arguments.seconds:g}", where="try", fix="Give a number above 0.")
     if arguments.keep is not None and Path(arguments.keep).exists():
         raise RobotRunnerError(
@@ -308,12 +208,12 @@ def _print_verdict(console: UserConsole, trial: Trial) -> None:
     failure = trial.outcome.failure if trial.outcome else None
     if trial.missing:
         missing = f"it measured nothing: no value of {enumerated(trial.missing)}"
-        console.print(Text("failed: ", style="bold red").append(missing, "not bold default"), soft_wrap=True)
+        print_folded(console, "failed: ", missing, style="bold red")
     elif failure is None:
         console.print("It went well." if not trial.findings else "It went through; look at the warnings.", style="bold")
     else:
         said = one_line(str(failure))
-        console.print(Text("failed: ", style="bold red").append(said, "not bold default"), soft_wrap=True)
+        print_folded(console, "failed: ", said, style="bold red")
         for line in failure.traceback.splitlines():
             console.print(Text(f"  {line}", style="dim"), soft_wrap=True)
 

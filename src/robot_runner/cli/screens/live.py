@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from rich.cells import cell_len
@@ -13,6 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from robot_runner.cli.findings import print_findings
+from robot_runner.cli.screens.giving_way import input_gives_way
 from robot_runner.cli.screens.plain import (
     RunRows,
     announced,
@@ -40,6 +41,7 @@ from robot_runner.core.execution.notices import (
     GatePassed,
     HostRestarts,
     InterruptionNoticed,
+    NextDecided,
     Notice,
     Paused,
     PrecisionJudged,
@@ -65,6 +67,8 @@ if TYPE_CHECKING:
 __all__ = ["LiveScreen"]
 
 _BAR = 40
+#: The arrow and the id of a run.
+_LEAST_OF_RUN = 12
 #: Where more runs end between two refreshes than this, only those that failed get a row.
 _MOST_ROWS = 4
 
@@ -95,16 +99,21 @@ class LiveScreen:
         self._drawn = float("-inf")
         self._printed = float("-inf")
         self._rows: RunRows | None = None
+        self._headed = 0
+        self._keyboard = ExitStack()
         self._finished: list[AttemptFinished] = []
         self._hidden = 0
         self._last: AttemptFinished | None = None
 
     def __enter__(self) -> Self:
+        """Draw from here on; what a callback reads of the keyboard is typed beneath the table."""
+        if self.user_input is not None:
+            self._keyboard.enter_context(input_gives_way(self._give_way))
         return self
 
     def __exit__(self, *raised: object) -> None:
         """Take the live part away; the table stays."""
-        with suppress(OSError):  # the terminal is gone
+        with self._keyboard, suppress(OSError):  # the terminal is gone
             self._print_finished()
             self._print_hidden()
             self._take_live_part_away()
@@ -115,7 +124,7 @@ class LiveScreen:
         match notice:
             case PreparationStarted() | ProbeStarted() | HostRestarts():
                 self._print_finished()
-                self._console.print(Text(announced(notice), style="dim"))
+                self._console.tell(announced(notice), style="dim")
             case ExperimentStarted():
                 self._begin(notice)
             case AttemptStarted():
@@ -123,7 +132,7 @@ class LiveScreen:
                 self.refresh()
             case AttemptFinished():
                 self._take_end(notice)
-            case PrecisionJudged():
+            case PrecisionJudged() | NextDecided():
                 self._print_finished()
                 self._print_lines([Text(f"  {notice.in_words()}")])
             case FindingsNoticed(findings):
@@ -145,7 +154,8 @@ class LiveScreen:
             case QuestionAsked(question):
                 self._console.print(Text(question_asked(question), style="bold cyan"), end="", soft_wrap=True)
             case AnswersRefused():
-                self._console.print(Text("\n".join(refusals(notice)), style="bold yellow"), soft_wrap=True)
+                for line in refusals(notice):
+                    self._console.tell(line, style="bold yellow")
             case UserHasContinued():
                 self._show_live_part()
                 self.refresh()
@@ -171,11 +181,20 @@ class LiveScreen:
     def _begin(self, started: ExperimentStarted) -> None:
         self._rows = RunRows(self._experiment, started.columns, started.run_count)
         first, *more = opening(started)
-        self._console.print(Text(first, style="bold"), *map(Text, more), sep="\n", soft_wrap=True)
+        self._console.tell(first, style="bold")
+        for line in more:
+            self._console.tell(line)
         print_findings(self._console, started.findings)
         if started.done_count < started.run_count:
-            self._console.print(self._rows.header(self._console.width), no_wrap=True, overflow="ellipsis")
+            self._print_header(self._rows)
             self._show_live_part()
+
+    def _print_header(self, rows: RunRows) -> None:
+        """Print the headings that fit, and say which do not: again where the terminal has another width since then."""
+        self._headed = self._console.width
+        self._console.print(rows.header(self._headed), no_wrap=True, overflow="ellipsis")
+        if left_out := rows.left_out(self._headed):
+            self._console.tell(f"  {left_out}", style="dim")
 
     def _show_live_part(self) -> None:
         if self._live is None:
@@ -187,12 +206,16 @@ class LiveScreen:
             self._live.stop()
             self._live = None  # a new one next time: this one would draw over what was printed meanwhile
 
-    def _ask(self, *asked: str) -> None:
-        # The live part is taken away while it waits: the ENTER that the terminal echoes would tear it.
+    def _give_way(self) -> None:
+        # The live part is taken away while somebody types: what the terminal echoes would tear it.
         self._print_finished()
         self._take_live_part_away()
+
+    def _ask(self, *asked: str) -> None:
+        self._give_way()
         forget_typed(self.user_input)
-        self._console.print(Text("\n".join(asked), style="bold cyan"), soft_wrap=True)
+        for line in asked:
+            self._console.tell(line, style="bold cyan")
 
     def _print_finished(self) -> None:
         if not self._finished or self._rows is None:
@@ -204,6 +227,8 @@ class LiveScreen:
         if shown:
             self._print_hidden()
             width = self._console.width
+            if self._rows.left_out(width) != self._rows.left_out(self._headed):
+                self._print_header(self._rows)
             self._print_lines([self._rows.row(each, width) for each in shown])
         self._hidden += len(finished) - len(shown)
 
@@ -220,7 +245,12 @@ class LiveScreen:
 
     def _now(self) -> RenderableType:
         progress = self.progress
-        bar = ProgressBar(progress.run_count, progress.done + progress.failed, width=_BAR, complete_style="green")
+        bar = ProgressBar(
+            progress.run_count,
+            progress.done + progress.failed,
+            width=min(_BAR, self._console.width // 4),
+            complete_style="green",
+        )
         line = Table.grid(padding=(0, 2, 0, 0))
         line.add_row("", bar, self._counts())
         last = [self._rows.row(self._last, self._console.width)] if self._hidden and self._last and self._rows else []
@@ -248,7 +278,10 @@ class LiveScreen:
 
     def _at_place(self, current: CurrentRun, width: int) -> Text:
         line = Text(f"  {current.task.place.ljust(width)}", style="dim", no_wrap=True, overflow="ellipsis")
-        return line.append(self._run(current, with_count=False)).append(self._event(current, ""))
+        run, event = self._run(current, with_count=False), self._event(current, "")
+        # What happens now is worth more than the last treatments.
+        run.truncate(max(_LEAST_OF_RUN, self._console.width - line.cell_len - event.cell_len), overflow="ellipsis")
+        return line.append(run).append(event)
 
     def _run(self, current: CurrentRun, *, with_count: bool) -> Text:
         task = current.task

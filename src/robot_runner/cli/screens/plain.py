@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from rich.cells import cell_len
 from rich.text import Text
 
-from robot_runner.cli.console import Column, aligned, fitting, shown_path
+from robot_runner.cli.console import Column, aligned, fitting, folded, shown_path
 from robot_runner.cli.design_words import run_cells, run_columns
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.screens.progress import Progress
@@ -27,6 +27,7 @@ from robot_runner.core.execution.notices import (
     GateWaiting,
     HostRestarts,
     InterruptionNoticed,
+    NextDecided,
     Notice,
     Paused,
     PrecisionJudged,
@@ -133,6 +134,11 @@ class RunRows:
         """Return the headings."""
         columns = self._fitting(width)
         return Text(_INDENT + aligned(columns, [column.heading for column in columns]), style="bold")
+
+    def left_out(self, width: int) -> str:
+        """Return which columns do not fit, in words; nothing where all do."""
+        hidden = [column.heading for column in [*self._what, *self._yields][len(self._fitting(width)) :]]
+        return f"too narrow for {enumerated(hidden)}; run_table.csv has all measures" if hidden else ""
 
     def row(self, finished: AttemptFinished, width: int) -> Text:
         """Return the row of an attempt that has ended."""
@@ -320,7 +326,7 @@ class PlainScreen:
                 self._print(f"{_named(task)} starts{f': {treatments}' if treatments else ''}")
             case AttemptFinished(task, outcome, is_last):
                 self._print(f"{_named(task)} {self._ended(outcome, is_last=is_last)}")
-            case PrecisionJudged():
+            case PrecisionJudged() | NextDecided():
                 self._print(notice.in_words())
             case FindingsNoticed(findings):
                 print_findings(self._console, findings)
@@ -365,6 +371,8 @@ class PlainScreen:
         """Do nothing: a line that was printed stays as it is."""
 
     def _print(self, *lines: str) -> None:
+        if self._console.is_terminal:
+            lines = tuple(part for line in lines for part in folded(line, self._console.width))
         self._console.lines.write("".join(f"{line}\n" for line in lines))
         self._console.lines.flush()
 

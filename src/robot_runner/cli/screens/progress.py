@@ -13,6 +13,7 @@ from robot_runner.core.execution.notices import (
     ExperimentStarted,
     GatePassed,
     GateWaiting,
+    NextDecided,
     Paused,
     PrecisionJudged,
     RunRecord,
@@ -131,7 +132,7 @@ class Progress:
             case AttemptFinished():
                 self._take_end(notice)
                 self._take_left(notice.left)
-            case PrecisionJudged():
+            case PrecisionJudged() | NextDecided():
                 self.run_count = notice.run_count
             case WaitingForUser() | Paused() | UserHasContinued():
                 self.is_waiting = not isinstance(notice, UserHasContinued)

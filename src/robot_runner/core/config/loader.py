@@ -12,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.misspelt_keywords import misspelt_keyword
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
@@ -211,7 +212,7 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
         raise ConfigError(
             f"the config raised {type(error).__name__} {when}: {error}",
             where=place_in(path, error),
-            fix=_fix_of(error) or "Mend this line.",
+            fix=_fix_of(error) or misspelt_keyword(path, error) or "Mend this line.",
         ) from error
 
 

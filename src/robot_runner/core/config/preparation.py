@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.checks import (
     announced_checks,
@@ -42,7 +42,7 @@ from robot_runner.core.events.measure import (
     resolve_columns,
     with_phases,
 )
-from robot_runner.core.links.connect import found_robot, is_simulated, link_findings, looks_for_robot
+from robot_runner.core.links.connect import found_robot, is_simulated, link_findings, looks_for_robot, meant_robot
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -194,10 +194,9 @@ def _check_machine(
 ) -> Iterator[Finding]:
     yield from loaded.lacking
     robot = parameters.robot if parameters is not None else getattr(loaded.config, "robot", None)
-    yield from check_plugins(plugins, model, robot)
+    yield from _robot_first(loaded, parameters, plugins, model, robot)
     if parameters is not None:
         runs = _most_runs(model, parameters) if model is not None else 0
-        yield from check_robot(loaded, parameters, plugins)
         if model is not None:
             yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
         yield from check_notify(f"{loaded.where}.notify", parameters.notify)
@@ -205,9 +204,28 @@ def _check_machine(
         yield from check_disk_space(loaded, parameters, plugins, runs)
 
 
+def _robot_first(
+    loaded: LoadedConfig,
+    parameters: Parameters | None,
+    plugins: tuple[Plugin, ...],
+    model: RunTableModel | None,
+    robot: Any,
+) -> Iterator[Finding]:
+    """Yield what stands in the way of the robot, then of the plugins, which are asked about the robot that was meant.
+
+    Otherwise each of them would say in its own words that it does not know a robot whose name has a slip.
+    """
+    if parameters is not None:
+        yield from check_robot(loaded, parameters, plugins)
+    if not isinstance(robot, str):
+        yield from check_plugins(plugins, model, robot)
+    elif (meant := meant_robot(robot)) is not None:
+        yield from check_plugins(plugins, model, meant)
+
+
 def _most_runs(model: RunTableModel, parameters: Parameters) -> int:
-    """Return how many runs there are at most: combinations may be repeated until the experiment is precise."""
-    runs = len(model.plan())
+    """Return how many runs there are at most: some may follow from results."""
+    runs = max(len(model.plan()), int(model.design_facts.get("most_runs", 0)))
     return max(runs, runs * most_repetitions(parameters.repeat_until) // model.repetitions)
 
 

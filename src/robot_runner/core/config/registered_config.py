@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from importlib.metadata import version
+from itertools import filterfalse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,8 +72,6 @@ def registration_content(
     """
     own, plan = as_configured(model), parameters.analysis
     runs = len(own.plan())
-    kept = set(map(_texts, own.combinations_of(own.factors)))
-    left_out = [list(texts) for each in full_factorial(own.factors) if (texts := _texts(each)) not in kept]
     path = loaded.source.path
     settings = {name: text for name, text in shown_settings(loaded.overrides).items() if name not in _UNREGISTERED}
     return {
@@ -85,13 +84,22 @@ def registration_content(
             "modules": {each.relative_to(path.parent).as_posix(): _digest(each) for each in loaded.local_modules},
             "settings": settings,
         },
-        "design": {**described_design(own), "excluded": left_out, "runs": runs},
+        "design": {**described_design(own), **_combinations(own), "runs": runs},
         "seed": own.seed,
         "seed_is_given": own.seed_is_given,
         "measures": [{"name": each.name, "unit": each.measure.unit} for each in columns.in_table if not each.tells_of],
         "analysis": None if plan is None else plan.as_mapping(),
         "repeat_until": rules_as_mapping(parameters.repeat_until, own.repetitions),
     }
+
+
+def _combinations(model: RunTableModel) -> dict[str, list[list[str]]]:
+    """Return what a full factorial leaves out, or what another design chooses, which leaves out nearly everything."""
+    kept = list(map(_texts, model.combinations_of(model.factors)))
+    if not model.is_full_factorial:
+        return {"combinations": list(map(list, kept))}
+    every = map(_texts, full_factorial(model.factors))
+    return {"excluded": list(map(list, filterfalse(set(kept).__contains__, every)))}
 
 
 def _texts(combination: Mapping[str, Any]) -> tuple[str, ...]:

@@ -11,7 +11,10 @@ from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["Batch", "BatchRun", "plain_treatment"]
+__all__ = ["CONFIRMATION", "Batch", "BatchRun", "plain_treatment"]
+
+#: What the role of a batch is called that confirms what the runs before have found.
+CONFIRMATION = "confirmation"
 
 _PLAIN = (bool, int, float, str, type(None))
 
@@ -67,7 +70,8 @@ class Batch:
         factors: all factors with all treatments from this batch on, in order, as `plain_treatment` makes them plain.
         chosen: the treatments among them that were added on the command line, so that a config need not have them.
         defaults: the treatment that earlier runs count as having had, of each factor that this batch added, as text.
-        repeated: the runs of each repetition that was added while the experiment was executed, until it was precise.
+        confirms: whether it confirms what the runs before have found, of a design that decides on its runs.
+        added: what was added to it while the experiment was executed, such as `repetition 4`, with the ids of its runs.
         runs: in the order of execution.
         at: when the batch was added (UTC); empty for the first plan.
     """
@@ -80,17 +84,32 @@ class Batch:
     chosen: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
     defaults: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     at: str = ""
-    repeated: tuple[tuple[str, ...], ...] = ()
+    confirms: bool = False
+    added: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     @property
     def run_ids(self) -> list[str]:
         """The ids of the runs that count: warm-up runs are left out."""
         return [run.run_id for run in self.runs if not run.is_warm_up]
 
-    def with_repetition(self, repetitions: int, runs: Sequence[BatchRun]) -> Self:
-        """Return the batch with a repetition more, with which each combination is executed so often."""
-        repeated = (*self.repeated, tuple(run.run_id for run in runs)) if runs else self.repeated
-        return replace(self, repetitions=repetitions, runs=[*self.runs, *runs], repeated=repeated)
+    def with_runs(
+        self,
+        name: str,
+        runs: Sequence[BatchRun],
+        repetitions: int,
+        factors: Mapping[str, Sequence[Any]] | None = None,
+    ) -> Self:
+        """Return the batch with runs that were added while the experiment was executed.
+
+        Args:
+            name: what they are, such as `repetition 4`.
+            runs: none where the plan was only written down.
+            repetitions: how often each combination is executed from now on.
+            factors: all factors with the treatments from now on; None where none came up.
+        """
+        added = (*self.added, (name, tuple(run.run_id for run in runs))) if runs else self.added
+        factors = self.factors if factors is None else factors
+        return replace(self, repetitions=repetitions, runs=[*self.runs, *runs], added=added, factors=factors)
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the batch as plain data, for a record of the journal."""
@@ -115,6 +134,7 @@ class Batch:
             "repetitions": self.repetitions,
             **({"chosen": {name: list(texts) for name, texts in self.chosen.items()}} if self.chosen else {}),
             **({"defaults": dict(self.defaults)} if self.defaults else {}),
+            **({"role": CONFIRMATION} if self.confirms else {}),
             **({"at": self.at} if self.at else {}),
         }
 
@@ -132,6 +152,7 @@ class Batch:
             chosen=plain.get("chosen", {}),
             defaults=plain.get("defaults", {}),
             at=str(plain.get("at", "")),
+            confirms=plain.get("role") == CONFIRMATION,
         )
 
 

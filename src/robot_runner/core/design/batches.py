@@ -25,6 +25,7 @@ from robot_runner.core.errors import DesignError, Finding
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from robot_runner.core.design.asking import Decision
     from robot_runner.core.design.growing import Begun, GrownDesign
     from robot_runner.core.design.warm_up import WarmUp
 
@@ -35,9 +36,10 @@ __all__ = [
     "as_configured",
     "batches_of",
     "first_batch",
+    "grown_batch",
+    "missing_runs",
     "next_batch",
     "records_of",
-    "repetition_record",
 ]
 
 #: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
@@ -59,12 +61,19 @@ def batches_of(records: Iterable[Mapping[str, Any]]) -> tuple[Batch, ...]:
             if "batch" in record:
                 batches.append(Batch.of_mapping(record))
             else:
-                runs = [BatchRun.of_mapping(run) for run in record["runs"]]
-                batches[-1] = batches[-1].with_repetition(int(record["repetition"]), runs)
+                batches[-1] = _grown_by(batches[-1], record)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             problem = f"a record of an extension is damaged: {type(error).__name__}: {error}"
             raise DesignError(problem, where="journal", fix="Restore the journal from a backup.") from error
     return tuple(batches)
+
+
+def _grown_by(batch: Batch, record: Mapping[str, Any]) -> Batch:
+    runs = [BatchRun.of_mapping(run) for run in record["runs"]]
+    is_repetition = "repetition" in record
+    repetitions = int(record["repetition"]) if is_repetition else batch.repetitions
+    name = f"repetition {repetitions}" if is_repetition else str(record["name"])
+    return batch.with_runs(name, runs, repetitions, record.get("factors"))
 
 
 def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
@@ -73,22 +82,30 @@ def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
     A plan that has grown by repetitions only is one batch: of it, a `repeated` record is made that adds no run.
     """
     if len(batches) == 1:
-        yield repetition_record(batches[0], [], is_first=True)
+        yield {"repetition": batches[0].repetitions, "runs": [], "base": batches[0].as_mapping()}
     for batch in batches[1:]:
         base = {"base": batches[0].as_mapping()} if batch is batches[1] else {}
         yield batch.as_mapping() | base
 
 
-def repetition_record(batch: Batch, runs: Sequence[BatchRun], *, is_first: bool) -> dict[str, Any]:
-    """Return the fields of the journal's `repeated` record that adds a repetition to a batch.
+def grown_batch(batch: Batch, decision: Decision, planned: Batch, *, is_first: bool) -> tuple[Batch, dict[str, Any]]:
+    """Return a batch with the runs that were decided on, and the fields of the journal's record of it.
 
     Args:
         batch: the last one, as it was before.
-        runs: those of the repetition; none where the plan is only written down.
+        decision: what was decided.
+        planned: its runs, in the order of execution, and the factors with the treatments that these need.
         is_first: whether the journal does not have the plan before it yet.
     """
-    base = {"base": batch.as_mapping()} if is_first else {}
-    return {"repetition": batch.repetitions + bool(runs), "runs": [run.as_mapping() for run in runs], **base}
+    is_repetition = decision.kind == REPEATED
+    record: dict[str, Any] = {"repetition": planned.repetitions} if is_repetition else {"name": decision.name}
+    record["runs"] = [run.as_mapping() for run in planned.runs]
+    factors = planned.as_mapping()["factors"]
+    if factors != batch.as_mapping()["factors"]:
+        record["factors"] = factors
+    if is_first:
+        record["base"] = batch.as_mapping()
+    return _grown_by(batch, record), record
 
 
 class GrownRunTableModel(RunTableModel):
@@ -132,6 +149,8 @@ class GrownRunTableModel(RunTableModel):
             data_columns=model.data_columns,
             warnings=model.warnings,
             warm_up=model.warm_up,
+            design=model.design,
+            design_facts=model.design_facts,
         )
         self.as_configured = model
         self.batches = tuple(batches)
@@ -173,7 +192,8 @@ def as_configured(model: RunTableModel) -> RunTableModel:
 
 def _factor(own: Factor | None, name: str, recorded: Sequence[Any]) -> Factor:
     """Return a factor with the treatments that were recorded: the config's own objects, where it has them."""
-    return Factor(name, [_own_treatment(own, name, each) for each in recorded])
+    treatments = [_own_treatment(own, name, each) for each in recorded]
+    return own.with_treatments(treatments) if own else Factor(name, treatments)
 
 
 def _own_treatment(own: Factor | None, name: str, recorded: Any) -> Any:
@@ -211,7 +231,14 @@ def first_batch(begun: Begun, order: RunOrder) -> Batch:
 
 
 def next_batch(
-    begun: Begun, design: GrownDesign, warm_up: WarmUp | None, *, order: RunOrder, number: int, at: str
+    begun: Begun,
+    design: GrownDesign,
+    warm_up: WarmUp | None,
+    *,
+    order: RunOrder,
+    number: int,
+    at: str,
+    wanted: Iterable[tuple[Combination, int]] | None = None,
 ) -> Batch:
     """Return the batch of runs that are missing; it has none where nothing is.
 
@@ -222,8 +249,10 @@ def next_batch(
         order: how the new runs are put in order among themselves.
         number: of the batch.
         at: when it is added (UTC).
+        wanted: the combination and repetition of each run, in the order as written, where not all that is missing is
+            wanted.
     """
-    missing = list(_missing(begun, design))
+    missing = list(missing_runs(begun.counted_runs, design) if wanted is None else wanted)
     places = arranged(len(missing), _block_of(missing, order.blocks), order) if missing else ()
     first = len(begun.runs) + 1
     last_block = max((run.block or 0 for run in begun.runs), default=0)
@@ -253,12 +282,12 @@ def next_batch(
     )
 
 
-def _missing(begun: Begun, design: GrownDesign) -> Iterator[tuple[Combination, int]]:
+def missing_runs(runs: Iterable[PlannedRun], design: GrownDesign) -> Iterator[tuple[Combination, int]]:
     """Yield each run that is missing, as its combination and repetition, in the order as written."""
     names = [factor.name for factor in design.factors]
     places = factor_places(names)
     there: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
-    for run in begun.counted_runs:
+    for run in runs:
         if not run.is_warm_up:
             treatments = {**design.defaults, **run.combination}
             there[tuple(str(treatments[name]) for name in names)].add(run.repetition)

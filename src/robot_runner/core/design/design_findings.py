@@ -9,7 +9,9 @@ from math import prod
 from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION, WARM_UP, column_name, name_findings
+from robot_runner.core.design.design import CombinationDesign, Design, FullFactorial
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.factor_conditions import condition_findings
 from robot_runner.core.design.warm_up import warm_up_of
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
@@ -47,6 +49,7 @@ def design_findings(
     seed: object,
     blocks: object,
     warm_up: object = None,
+    design: object = None,
 ) -> Iterator[Finding]:
     """Say everything that is wrong with a design, its exclusions left aside.
 
@@ -58,6 +61,7 @@ def design_findings(
         seed: what is to be the seed, or None.
         blocks: what is to be what runs are kept together by, or None.
         warm_up: what is to be how the experiment warms up, or None.
+        design: what is to be the design, or None for the full factorial.
 
     Yields:
         An error finding for each problem.
@@ -72,8 +76,17 @@ def design_findings(
         problem = f"{shuffle!r} is of type {type(shuffle).__name__}"
         yield Finding.error("shuffle", problem, "Give True or False.")
     yield from order_findings(seed, blocks, known, repeated)
-    if not _ARE_LISTED.get():
-        yield from size_findings(known, repeated)
+    if design is None or isinstance(design, FullFactorial):
+        if not _ARE_LISTED.get():
+            yield from size_findings(known, repeated)
+    elif isinstance(design, type) or not isinstance(design, Design | CombinationDesign):
+        fix = "Give a design of robot_runner.designs, such as CoveringArray(strength=2), or leave it out."
+        yield Finding.error("design", f"{design!r} is of type {type(design).__name__}", fix)
+    elif known:
+        if blocks is not None and not isinstance(design, CombinationDesign):
+            problem = f"blocks={_name_of(blocks)!r}, and the design makes blocks of its own"
+            yield Finding.error("blocks", problem, "Leave blocks out.")
+        yield from design.findings(known, max(repeated, 1))
 
 
 def _factor_findings(factors: object) -> Iterator[Finding]:
@@ -92,6 +105,7 @@ def _factor_findings(factors: object) -> Iterator[Finding]:
             yield Finding.error(f"factors[{place}]", f"factor {factor.name!r} is given twice", "Rename or remove it.")
         else:
             seen.add(factor.name)
+    yield from condition_findings([factor for factor in factors if isinstance(factor, Factor)])
 
 
 def _repetition_findings(repetitions: object, factors: Sequence[Factor]) -> Iterator[Finding]:
@@ -153,9 +167,13 @@ def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repe
     known = [factor.name for factor in factors]
     if repetitions > 1:
         known.append(REPETITION)
-    name = blocks.name if isinstance(blocks, Factor) else blocks
+    name = _name_of(blocks)
     if name not in known:
         yield Finding.error("blocks", f"there is nothing called {name!r} to make blocks of", _blocks_fix(name, known))
+
+
+def _name_of(blocks: object) -> object:
+    return blocks.name if isinstance(blocks, Factor) else blocks
 
 
 def size_findings(factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:

@@ -8,12 +8,13 @@ from operator import and_, or_
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.factor import Combination, Factor
-from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.design.factor_conditions import identified, impossible_treatments
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Exclusion", "Exclusions", "apply_exclusions"]
+__all__ = ["Allowed", "Exclusion", "Exclusions", "apply_exclusions"]
 
 #: `{"Task": ["Video", "Network"], "Speed": 0.2}` leaves out what matches in *all* named factors;
 #: a predicate leaves out the combinations for which it returns True.
@@ -51,6 +52,64 @@ class _Matching:
     cause: Exception | None = None
 
 
+class Allowed:
+    """Whether the exclusions of a design leave a combination; nothing is enumerated.
+
+    Attributes:
+        forbidden: treatments that exclude each other, by the conditions of the factors and by each exclusion that is a
+            mapping: the places of the treatments, by factor.
+        predicates: the exclusions that only a whole combination answers.
+
+    Example:
+        >>> factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [0.1, 0.2])]
+        >>> is_allowed = Allowed(factors, [{"Task": "Network", "Speed": 0.2}])
+        >>> is_allowed.forbidden
+        ({'Task': frozenset({1}), 'Speed': frozenset({1})},)
+    """
+
+    def __init__(self, factors: Sequence[Factor], exclusions: object) -> None:
+        """Check the exclusions.
+
+        Raises:
+            DesignError: one names what there is not; `findings` lists everything that was found.
+        """
+        findings: list[Finding] = []
+        forbidden: list[Mapping[str, frozenset[int]]] = []
+        predicates: list[tuple[str, Callable[[Combination], object]]] = []
+        for place, exclusion in enumerate(_checked(exclusions, findings)):
+            where = f"{_WHERE}[{place}]"
+            if isinstance(exclusion, Mapping):
+                named, errors = _named(where, factors, exclusion)
+                findings += errors
+                forbidden.append(named)
+            elif callable(exclusion):
+                predicates.append((where, exclusion))
+            else:
+                findings.append(_no_exclusion(where, exclusion))
+        if findings:
+            raise DesignError.of_findings(findings)
+        self.forbidden = (*impossible_treatments(factors), *forbidden)
+        self.predicates = tuple(predicates)
+        self._forbidden = identified(factors, self.forbidden)
+
+    def __call__(self, combination: Combination) -> bool:
+        """Return whether no exclusion matches.
+
+        Raises:
+            DesignError: a predicate raised.
+        """
+        for each in self._forbidden:
+            if all(id(combination[name]) in treatments for name, treatments in each):
+                return False
+        for where, predicate in self.predicates:
+            matching = _matching_predicate(where, [combination], predicate)
+            if matching.errors:
+                raise DesignError.of_findings(matching.errors) from matching.cause
+            if matching.flags[0]:
+                return False
+        return True
+
+
 def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combination], exclusions: object) -> Exclusions:
     """Find out which combinations are left out.
 
@@ -59,14 +118,11 @@ def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combinati
         combinations: every combination of the factors' treatments.
         exclusions: mappings and predicates, see `Exclusion`.
     """
-    if not isinstance(exclusions, Sequence) or isinstance(exclusions, str | bytes):
-        problem = f"{exclusions!r} is of type {type(exclusions).__name__}"
-        return Exclusions([], (Finding.error(_WHERE, problem, "Give a list of exclusions."),))
     left_out = [False] * len(combinations)
     errors: list[Finding] = []
     warnings: list[Finding] = []
     cause = None
-    for place, exclusion in enumerate(exclusions):
+    for place, exclusion in enumerate(_checked(exclusions, errors)):
         where = f"{_WHERE}[{place}]"
         matching = _matching(where, factors, combinations, exclusion)
         if matching.errors:
@@ -81,6 +137,19 @@ def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combinati
     return Exclusions(kept, tuple(errors), tuple(warnings), cause)
 
 
+def _checked(exclusions: object, findings: list[Finding]) -> Sequence[object]:
+    if isinstance(exclusions, Sequence) and not isinstance(exclusions, str | bytes):
+        return exclusions
+    problem = f"{exclusions!r} is of type {type(exclusions).__name__}"
+    findings.append(Finding.error(_WHERE, problem, "Give a list of exclusions."))
+    return ()
+
+
+def _no_exclusion(where: str, exclusion: object) -> Finding:
+    problem = f"{exclusion!r} is of type {type(exclusion).__name__}"
+    return Finding.error(where, problem, "Give a mapping from factors to treatments, or a function of a combination.")
+
+
 def _matching(
     where: str, factors: Sequence[Factor], combinations: Sequence[Combination], exclusion: object
 ) -> _Matching:
@@ -88,48 +157,46 @@ def _matching(
         return _matching_treatments(where, factors, combinations, exclusion)
     if callable(exclusion):
         return _matching_predicate(where, combinations, exclusion)
-    problem = f"{exclusion!r} is of type {type(exclusion).__name__}"
-    fix = "Give a mapping from factors to treatments, or a function of a combination."
-    return _Matching([], (Finding.error(where, problem, fix),))
+    return _Matching([], (_no_exclusion(where, exclusion),))
 
 
 def _matching_treatments(
     where: str, factors: Sequence[Factor], combinations: Sequence[Combination], exclusion: Mapping[Any, Any]
 ) -> _Matching:
+    named, errors = _named(where, factors, exclusion)
+    flags = [True] * len(combinations)
+    by_name = {factor.name: factor for factor in factors}
+    for name, places in named.items():
+        # By identity, as combinations hold the factor's own objects: True equals 1, and some objects have no equality.
+        chosen = {id(by_name[name].treatments[place]) for place in places}
+        flags = list(map(and_, flags, [id(combination[name]) in chosen for combination in combinations]))
+    return _Matching(flags, tuple(errors))
+
+
+def _named(
+    where: str, factors: Sequence[Factor], exclusion: Mapping[Any, Any]
+) -> tuple[dict[str, frozenset[int]], list[Finding]]:
+    """Return the places of the treatments that an exclusion names, by factor, and what is no factor or treatment."""
     if not exclusion:
         fix = "Name a factor and its treatments, or remove it."
-        return _Matching([], (Finding.error(where, "the exclusion names no factor", fix),))
+        return {}, [Finding.error(where, "the exclusion names no factor", fix)]
     by_name = {factor.name: factor for factor in factors}
+    named: dict[str, frozenset[int]] = {}
     errors: list[Finding] = []
-    flags = [True] * len(combinations)
     for key, wanted in exclusion.items():
         name = key.name if isinstance(key, Factor) else key
         if name not in by_name:
             errors.append(Finding.error(where, f"there is no factor {name!r}", did_you_mean(str(name), by_name)))
             continue
-        chosen, unknown = _chosen(by_name[name], wanted)
+        factor = by_name[name]
+        places = [(value, factor.position_of(value)) for value in _values(factor, wanted)]
         errors += [
-            Finding.error(where, f"{value!r} is no treatment of factor {name!r}", by_name[name].suggestion(value))
-            for value in unknown
+            Finding.error(where, f"{value!r} is no treatment of factor {name!r}", factor.suggestion(value))
+            for value, place in places
+            if place is None
         ]
-        flags = list(map(and_, flags, [id(combination[name]) in chosen for combination in combinations]))
-    return _Matching(flags, tuple(errors))
-
-
-def _chosen(factor: Factor, wanted: Any) -> tuple[set[int], list[Any]]:
-    """Return the identities of the treatments of `factor` that are wanted, and what is no treatment of it.
-
-    By identity, as combinations hold the factor's own objects: True equals 1, and some objects have no equality.
-    """
-    chosen: set[int] = set()
-    unknown = []
-    for value in _values(factor, wanted):
-        place = factor.position_of(value)
-        if place is None:
-            unknown.append(value)
-        else:
-            chosen.add(id(factor.treatments[place]))
-    return chosen, unknown
+        named[name] = frozenset(place for _, place in places if place is not None)
+    return named, errors
 
 
 def _values(factor: Factor, wanted: Any) -> Sequence[Any]:

@@ -6,11 +6,15 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import islice, product, repeat
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import name_findings
+from robot_runner.core.design.factor_conditions import identified, impossible_treatments
+from robot_runner.core.design.numeric_range import Range
 from robot_runner.core.design.revision import Revision, is_revision_name
 from robot_runner.core.errors import DesignError, Finding, nearest
+from robot_runner.core.inactive import INACTIVE
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
@@ -21,6 +25,7 @@ __all__ = [
     "Factor",
     "factor_places",
     "full_factorial",
+    "full_size",
     "treatment_findings",
     "treatment_text",
     "treatments_are_equal",
@@ -136,8 +141,12 @@ class Factor:
 
     Attributes:
         name: the column of the run table.
-        treatments: the values, of any type; an object is written as its `str()` and comes back as the object.
+        treatments: the values, of any type; an object is written as its `str()` and comes back as the object. Of a
+            range the two ends, until a design chooses others. With `when`, the last one is `INACTIVE`.
         texts: how each treatment is written in the run table.
+        range: what a numeric factor may be set to; None where the treatments are listed.
+        unit: of the treatments; empty where they have none.
+        when: where the factor applies: for each other factor that decides it, the treatments under which it does.
 
     Raises:
         DesignError: the name or a treatment cannot be; `findings` lists everything that was found.
@@ -145,24 +154,53 @@ class Factor:
     Example:
         >>> Factor("Repetition", range(1, 4)).treatments
         (1, 2, 3)
+        >>> Factor("Speed", Range(0.05, 0.22, unit="m/s")).treatments
+        (0.05, 0.22)
+        >>> Factor("Resolution", ["720p", "1080p"], when={"Sensor": "camera"}).treatments
+        ('720p', '1080p', inactive)
     """
 
     name: str
     treatments: tuple[Any, ...]
     texts: tuple[str, ...] = field(repr=False, compare=False)
+    range: Range | None = field(repr=False)
+    unit: str = field(repr=False)
+    when: Mapping[str, tuple[Any, ...]] = field(repr=False)
     _positions: Mapping[str, int] = field(repr=False, compare=False)
 
-    def __init__(self, name: str, treatments: Iterable[Any]) -> None:
+    def __init__(
+        self,
+        name: str,
+        treatments: Iterable[Any] | Range,
+        *,
+        unit: str = "",
+        when: Mapping[Any, Any] | None = None,
+    ) -> None:
         where = f"factor {name!r}"
-        listed, findings = _listed(where, treatments)
+        span = treatments if isinstance(treatments, Range) else None
+        listed, findings = _listed(where, (span.lower, span.upper) if span else treatments)
         findings = [*name_findings(name, kind="factor"), *findings, *treatment_findings(where, listed)]
+        findings += _unit_findings(where, unit, span)
+        conditions, wrong = _conditions(where, when)
+        findings += wrong
+        if conditions and INACTIVE not in listed:
+            listed = (*listed, INACTIVE)
         if findings:
             raise DesignError.of_findings(findings)
         texts = tuple(map(treatment_text, listed))
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "treatments", listed)
         object.__setattr__(self, "texts", texts)
+        object.__setattr__(self, "range", span)
+        object.__setattr__(self, "unit", span.unit if span else unit)
+        object.__setattr__(self, "when", conditions)
         object.__setattr__(self, "_positions", {text: place for place, text in enumerate(texts)})
+
+    def with_treatments(self, treatments: Iterable[Any]) -> Factor:
+        """Return the factor with other treatments, and with its range, unit and condition."""
+        changed = Factor(self.name, treatments, unit=self.unit, when=self.when or None)
+        object.__setattr__(changed, "range", self.range)
+        return changed
 
     @classmethod
     def revisions(cls, name: str, repository: Any, revisions: Iterable[str], *, build: str = "") -> Factor:
@@ -215,6 +253,29 @@ class Factor:
         shown = ", ".join(map(repr, self.treatments[:_SHOWN]))
         more = len(self.treatments) - _SHOWN
         return f"Choose one of: {shown}{f' and {more} more' if more > 0 else ''}."
+
+
+def _unit_findings(where: str, unit: object, span: Range | None) -> Iterator[Finding]:
+    if not isinstance(unit, str):
+        yield Finding.error(where, f"the unit {unit!r} is no text", "Give it as in unit='m/s'.")
+    elif unit and span is not None:
+        yield Finding.error(where, f"the unit {unit!r} is given beside a range", f"Give Range(..., unit={unit!r}).")
+
+
+def _conditions(where: str, when: object) -> tuple[dict[str, tuple[Any, ...]], list[Finding]]:
+    """Return the treatments of other factors under which a factor applies, and what is wrong with them."""
+    if when is None:
+        return {}, []
+    fix = 'Give it as in when={"Sensor": "camera"}.'
+    if not isinstance(when, Mapping) or not when:
+        return {}, [Finding.error(where, f"when={when!r} names no other factor", fix)]
+    named: dict[str, tuple[Any, ...]] = {}
+    for key, wanted in when.items():
+        name = key.name if isinstance(key, Factor) else key
+        if not isinstance(name, str):
+            return {}, [Finding.error(where, f"when={when!r} names {key!r}, which is no factor", fix)]
+        named[name] = tuple(wanted) if isinstance(wanted, list | tuple | range) else (wanted,)
+    return named, []
 
 
 def _no_revision(name: str, value: object) -> Finding:
@@ -277,6 +338,16 @@ def factor_places(names: Iterable[str]) -> dict[str, int]:
 
 
 def full_factorial(factors: Sequence[Factor]) -> list[Combination]:
-    """Return every combination of the factors' treatments; the first factor changes slowest."""
+    """Return every combination of the factors' treatments that their conditions allow; the first changes slowest."""
     places = factor_places(factor.name for factor in factors)
-    return list(map(Combination, repeat(places), product(*(factor.treatments for factor in factors))))
+    every = list(map(Combination, repeat(places), product(*(factor.treatments for factor in factors))))
+    for excluded in identified(factors, impossible_treatments(factors)):
+        every = [each for each in every if not all(id(each[name]) in treatments for name, treatments in excluded)]
+    return every
+
+
+def full_size(factors: Sequence[Factor]) -> int:
+    """Return how many combinations the full factorial has; only factors that conditions tie together are multiplied."""
+    tied = {name for factor in factors if factor.when for name in (factor.name, *factor.when)}
+    free = prod(len(factor.treatments) for factor in factors if factor.name not in tied)
+    return free * (len(full_factorial([each for each in factors if each.name in tied])) if tied else 1)

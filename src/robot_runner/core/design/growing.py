@@ -190,7 +190,7 @@ class _Growing:
         for text in (*(own.texts if own else ()), *chosen):
             if text not in listed:
                 listed[text] = typed(like, text)
-        return Factor(name, listed.values())
+        return like.with_treatments(listed.values())
 
     def _combinations(self, factors: tuple[Factor, ...], chosen: Mapping[str, Sequence[str]]) -> Sequence[Combination]:
         if self._begun.is_by_hand:
@@ -320,7 +320,7 @@ def _only(factor: Factor, own: Factor | None, chosen: Sequence[str]) -> Factor:
     """Return a factor with the treatments that get further runs: the config's, and those of the command line."""
     wanted = {*(own.texts if own else ()), *chosen}
     kept = [each for each, text in zip(factor.treatments, factor.texts, strict=True) if text in wanted]
-    return Factor(factor.name, kept)
+    return factor.with_treatments(kept)
 
 
 def _texts(run: PlannedRun) -> tuple[str, ...]:

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from itertools import chain
 from itertools import combinations as pairs_of
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.precision import PreciseOf
+from robot_runner.core.design.asking import Decision
+from robot_runner.core.design.batches import REPEATED, missing_runs
+from robot_runner.core.design.growing import GrownDesign
+from robot_runner.core.design.precision import PreciseOf, most_repetitions
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from robot_runner.core.design.asking import Told
+    from robot_runner.core.design.factor import Combination, Factor
+    from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.precision import Precision
 
-__all__ = ["Judgement", "Known", "Observed", "judge"]
+__all__ = ["JudgedPrecision", "Judgement", "Known", "Observed", "UntilPrecise", "judge"]
 
 #: One run of a combination, as its treatments, by the name of the factor, and as text.
 Treatments = tuple[tuple[str, str], ...]
@@ -207,3 +214,101 @@ def _known(rule: Precision, level: float, of: str, values: Sequence[float], whol
     half_width = half_width_of(values, level)
     oddity = f"all {len(values)} values are {values[0]:g}, so that nothing tells their spread" if not half_width else ""
     return Known(of=of, n=len(values), mean=mean, half_width=half_width, wanted=wanted, oddity=oddity)
+
+
+# What follows from it: another repetition, or the end.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedPrecision(Decision):
+    """What was decided, with what it was decided on.
+
+    Attributes:
+        repetitions: how often each combination is planned by now.
+        judgements: what is known, for each rule.
+    """
+
+    repetitions: int
+    judgements: tuple[Judgement, ...]
+
+
+class UntilPrecise:
+    """Asks for one repetition after another until all rules are content, or give up.
+
+    Args:
+        rules: one or more.
+        factors: of the design, with all treatments that there are by now.
+        least: how many repetitions there are at the first look.
+    """
+
+    def __init__(self, rules: Sequence[Precision], factors: Sequence[Factor], least: int) -> None:
+        self._rules = rules
+        self._factors = factors
+        self._looks = (least, most_repetitions(rules))
+        self.measures = tuple(dict.fromkeys(rule.measure for rule in rules))
+
+    def may_add(self, runs: Sequence[PlannedRun]) -> bool:
+        """Return whether there may be a repetition more."""
+        return _repetitions(runs) < self._looks[1]
+
+    def ask(self, told: Sequence[Told]) -> JudgedPrecision:
+        """Return the next repetition of all combinations, or why there is none."""
+        runs = [each.run for each in told]
+        now = _repetitions(runs)
+        judged = tuple(judge(rule, self._looks, now, _observed(told, rule.measure)) for rule in self._rules)
+        wanted = list(self._next(runs, now + 1)) if any(each.needs_more for each in judged) else []
+        return JudgedPrecision(
+            name=f"repetition {now + 1}",
+            in_words="; ".join(each.in_words() for each in judged),
+            runs=wanted,
+            kind=REPEATED,
+            facts={"precision": list(map(_facts, judged))},
+            findings=() if wanted else tuple(chain.from_iterable(map(_ending_findings, judged))),
+            repetitions=now,
+            judgements=judged,
+        )
+
+    def _next(self, runs: Sequence[PlannedRun], repetitions: int) -> Iterator[tuple[Combination, int]]:
+        combinations = {tuple(map(str, run.combination.treatments)): run.combination for run in runs}
+        design = GrownDesign(tuple(self._factors), list(combinations.values()), repetitions, {}, {})
+        return missing_runs(runs, design)
+
+
+def _repetitions(runs: Sequence[PlannedRun]) -> int:
+    return max(run.repetition for run in runs)
+
+
+def _observed(told: Sequence[Told], measure: str) -> Iterator[Observed]:
+    """Yield what each run yielded; those that were excluded are left out."""
+    for each in told:
+        if not each.is_excluded:
+            treatments = {name: str(treatment) for name, treatment in each.run.combination.items()}
+            yield Observed(each.run.run_id, treatments, each.run.repetition, each.values.get(measure))
+
+
+def _facts(judgement: Judgement) -> dict[str, Any]:
+    """Return a judgement as plain data, for the journal."""
+    return {
+        **judgement.rule.as_mapping(),
+        "is_precise": judgement.is_precise,
+        "level": judgement.level,
+        "in_words": judgement.in_words(),
+        "known": [{name: value for name, value in asdict(each).items() if value} for each in judgement.known],
+    }
+
+
+def _ending_findings(judgement: Judgement) -> Iterator[tuple[str, str]]:
+    """Yield what is to be told at the end of an experiment that is repeated no further, as problem and fix."""
+    measure = judgement.rule.measure
+    for problem in judgement.problems:
+        yield f"{measure}: {problem}", _SEE_WHY
+    for each in judgement.known:
+        if each.oddity:
+            yield f"{measure} of {each.of}: {each.oddity}", "Look whether it is resolved."
+    if not judgement.is_precise and not judgement.problems:
+        often = counted(judgement.repetitions, "repetition")
+        problem = f"not as precise as wanted after {often}, which is at_most. {judgement.in_words()}"
+        yield problem, "Report the interval that there is: more was not planned."
+
+
+_SEE_WHY = "See why, or ask for a half width in the measure's unit. It was not repeated for this."

@@ -9,9 +9,16 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, overload
 
 from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.design import (
+    ChosenCombinations,
+    CombinationDesign,
+    Design,
+    DesignedRuns,
+    FullFactorial,
+)
 from robot_runner.core.design.design_findings import design_findings, order_findings, size_findings
-from robot_runner.core.design.exclusions import apply_exclusions
-from robot_runner.core.design.factor import Factor, full_factorial
+from robot_runner.core.design.exclusions import Allowed, apply_exclusions
+from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial, treatment_text
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
@@ -22,7 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.batch import Batch
     from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
-    from robot_runner.core.design.factor import Combination
 
 __all__ = ["RunTable", "RunTableModel"]
 
@@ -70,15 +76,17 @@ class RunTable(Sequence[PlannedRun]):
 
 
 class RunTableModel:
-    """The plan of all runs: the full factorial less the exclusions, each combination repeated, in some order.
+    """The plan of all runs: the combinations that a design chooses, each of them repeated, in some order.
 
-    Runs are in the order as written (the first factor changes slowest; all combinations once, then all again),
-    or randomised with `shuffle`. `blocks` keeps runs together: `"Repetition"` makes a block of each repetition of
-    all combinations, the name of a factor makes one of each of its treatments. Blocks stay in the order as written;
-    `shuffle` randomises within them.
+    Without a `design` it is the full factorial less the exclusions. Runs are in the order as written (the first factor
+    changes slowest; all combinations once, then all again), or randomised with `shuffle`. `blocks` keeps runs
+    together: `"Repetition"` makes a block of each repetition of all combinations, the name of a factor makes one of
+    each of its treatments. Blocks stay in the order as written; `shuffle` randomises within them.
 
     Attributes:
         factors: what is varied.
+        design: what chooses the combinations, or the runs with their blocks and order.
+        design_facts: what the design says of its runs; see `DesignedRuns.facts`.
         repetitions: how often each combination is executed; from two on the table has a column `Repetition`.
         data_columns: the measures that the run table has columns for, by name, or as a `Measure` where it is the
             config's own; None stands for all measures of all plugins.
@@ -102,11 +110,13 @@ class RunTableModel:
     warm_up: WarmUp | None = None
     seed_is_registered: bool = False
     batches: tuple[Batch, ...] = ()
+    design: Design | CombinationDesign = FullFactorial()
+    design_facts: Mapping[str, Any] = MappingProxyType(FullFactorial().as_mapping())
     defaults: Mapping[str, Any] = MappingProxyType({})
     _too_large: Finding | None = None
     _listed_runs: tuple[PlannedRun, ...] | None = None
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - all that there is to say of a plan, each with a default
         self,
         factors: Iterable[Factor],
         exclude_combinations: Sequence[Exclusion] = (),
@@ -116,6 +126,8 @@ class RunTableModel:
         seed: int | None = None,
         blocks: str | Factor | None = None,
         warm_up: int | WarmUp | None = None,
+        *,
+        design: Design | CombinationDesign | None = None,
     ) -> None:
         """Check the whole design.
 
@@ -123,15 +135,18 @@ class RunTableModel:
             DesignError: it cannot be; `findings` lists everything that was found.
         """
         listed = _as_tuple(factors)
-        findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks, warm_up))
+        is_full = design is None or isinstance(design, FullFactorial)
+        findings = list(design_findings(listed, repetitions, data_columns, shuffle, seed, blocks, warm_up, design))
         if any(finding.where.startswith("factors") for finding in findings):
             raise DesignError.of_findings(findings)  # without factors there is nothing to exclude from
         too_large = next(size_findings(listed, repetitions if isinstance(repetitions, int) else 1), None)
-        exclusions = None if too_large else _applied(listed, exclude_combinations)
+        exclusions = None if too_large or not is_full else _applied(listed, exclude_combinations)
         findings += exclusions.errors if exclusions else ()
+        findings += () if is_full else _refused(listed, exclude_combinations)
         if findings:
             raise DesignError.of_findings(findings) from (exclusions.cause if exclusions else None)
         self.factors: Final = listed
+        self.design = design or FullFactorial()
         self.repetitions: Final = repetitions
         self.data_columns: Final = None if data_columns is None else tuple(data_columns)
         self.warm_up = warm_up_of(warm_up)
@@ -140,7 +155,9 @@ class RunTableModel:
         self._kept = exclusions.kept if exclusions else None
         self._order = _ordered(RunOrder(shuffle=shuffle), seed, blocks)
         self._planned: RunTable | None = None
-        self._too_large = too_large
+        self._too_large = too_large if is_full else None
+        if not is_full:
+            self.plan()  # what only choosing finds out is found here, with the config's line
 
     @property
     def shuffle(self) -> bool:
@@ -162,12 +179,21 @@ class RunTableModel:
         """What runs are kept together by: `Repetition`, the name of a factor, or None."""
         return self._order.blocks
 
+    @property
+    def is_full_factorial(self) -> bool:
+        """Whether every combination that is not excluded is executed, in an order of the model's own."""
+        return isinstance(self.design, FullFactorial)
+
     def combinations_of(self, factors: Sequence[Factor]) -> list[Combination]:
         """Return the combinations of other factors that the design's exclusions leave, in order.
 
+        A design other than the full factorial chose its combinations from the factors of the model, and gives these.
+
         Raises:
-            DesignError: an exclusion does not fit these factors.
+            DesignError: an exclusion does not fit these factors, or the design did not choose from them.
         """
+        if not self.is_full_factorial:
+            return self._combinations_in_plan(factors)
         exclusions = _applied(factors, self._exclusions)
         if exclusions is None:
             return full_factorial(factors)
@@ -237,13 +263,42 @@ class RunTableModel:
         return self._planned
 
     def _arranged(self, order: RunOrder) -> Sequence[PlannedRun]:
-        runs = planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
-        return with_warm_ups(runs, self.warm_up)
+        if isinstance(self.design, CombinationDesign):
+            runs = planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
+            designed = DesignedRuns(runs, self._chosen.facts)
+        else:
+            designed = self.design.runs(self.factors, self.allowed, self.repetitions, order.seed, order.shuffle)
+        self.design_facts = designed.facts
+        return with_warm_ups(designed.runs, self.warm_up)
 
     @cached_property
+    def _chosen(self) -> ChosenCombinations:
+        """What the design chooses; made when it is first asked for, as a table on disk needs none."""
+        if not isinstance(self.design, CombinationDesign) or isinstance(self.design, FullFactorial):
+            kept = full_factorial(self.factors) if self._kept is None else self._kept
+            return ChosenCombinations(kept, self.design_facts)
+        return self.design.choose(self.factors, self.allowed)
+
+    @property
     def _combinations(self) -> list[Combination]:
-        """The combinations that are executed; made when they are first asked for, as a table on disk needs none."""
-        return full_factorial(self.factors) if self._kept is None else self._kept
+        return self._chosen.combinations
+
+    @property
+    def allowed(self) -> Allowed:
+        """Whether the exclusions leave a combination."""
+        return Allowed(self.factors, self._exclusions)
+
+    def _combinations_in_plan(self, factors: Sequence[Factor]) -> list[Combination]:
+        """Return the combinations of the plan, each once; `factors` are the model's, perhaps in another order."""
+        if {factor.name: set(factor.texts) for factor in factors} != {
+            factor.name: set(factor.texts) for factor in self.factors
+        }:
+            problem = "the design chose its combinations from the factors as the config has them"
+            fix = "Add repetitions, or execute an experiment of its own with the other factors."
+            raise DesignError(problem, where="design", fix=fix)
+        places = factor_places(factor.name for factor in factors)
+        found = {tuple(map(treatment_text, run.combination.values())): run.combination for run in self.plan()}
+        return [Combination(places, tuple(each[name] for name in places)) for each in found.values()]
 
     def _block_of(self, blocks: str | None) -> list[int] | None:
         """Return the number of each run's block in the order as written, from 0 without gaps."""
@@ -269,6 +324,15 @@ def _applied(factors: Sequence[Factor], exclusions: Any) -> Exclusions | None:
         return None
     with garbage_collection_paused():
         return apply_exclusions(factors, full_factorial(factors), exclusions)
+
+
+def _refused(factors: Sequence[Factor], exclusions: Any) -> tuple[Finding, ...]:
+    """Return what is wrong with what is to be excluded, without a look at any combination."""
+    try:
+        Allowed(factors, exclusions)
+    except DesignError as error:
+        return tuple(error.findings)
+    return ()
 
 
 def _ordered(order: RunOrder, seed: int | None, blocks: str | Factor | None) -> RunOrder:

@@ -18,6 +18,7 @@ from robot_runner.core.execution.notices import (
     AttemptStarted,
     ExperimentFinished,
     ExperimentStarted,
+    NextDecided,
     PrecisionJudged,
     SilentObserver,
 )
@@ -225,7 +226,7 @@ class _Teller(SilentObserver):
         match notice:
             case ExperimentStarted():
                 self._say(f"{notice.experiment_name}: {notice.run_count} runs, {notice.done_count} of them done before")
-            case PrecisionJudged():
+            case PrecisionJudged() | NextDecided():
                 self._say(notice.in_words())
             case AttemptStarted(task):
                 treatments = ", ".join(f"{name}={value}" for name, value in task.combination.items())

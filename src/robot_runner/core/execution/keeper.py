@@ -103,6 +103,7 @@ class Keeper:
         self._start = start
         self._grace = grace
         self._folder = folder
+        self._spared = _Spared(folder)
         self._standby = standby
         self._numbers = b""
         self._status: int | None = None
@@ -111,6 +112,8 @@ class Keeper:
     def __enter__(self) -> Self:
         sys.stdout.flush()  # or the run would print it once more
         sys.stderr.flush()
+        # Made here and not by the keeper: each page that a forked process is the first to touch is copied.
+        mark = None if self._folder is None else RunMark(self._folder)
         requests, self._requests = os.pipe()
         self.told, tell = os.pipe()
         self.records, records = os.pipe()
@@ -119,10 +122,14 @@ class Keeper:
             for descriptor in (self._requests, self.told, self.records):
                 os.close(descriptor)
             report = RecordWriter(records)
-            process = _KeeperProcess(requests, tell, report, self._start, self._grace, self._folder, self._standby)
+            process = _KeeperProcess(
+                requests, tell, report, self._start, self._grace, mark, self._spared, self._standby
+            )
             leave_after(process.keep, report)
         for descriptor in (requests, tell, records):
             os.close(descriptor)
+        if mark is not None:
+            mark.close()
         os.set_blocking(self.told, False)
         _in_flight.add(self)
         return self
@@ -170,7 +177,7 @@ class Keeper:
             grace: how long the run may take to close what it opened, s.
         """
         if self.run is not None:  # else the run had not begun, and does not begin without a keeper
-            yield from group_ended(self.run, grace, _spared(self._folder))
+            yield from group_ended(self.run, grace, self._spared())
         if self._folder is not None:
             yield from left_over_ended(self._folder, [])
 
@@ -215,10 +222,12 @@ class _KeeperProcess:
         report: RecordWriter,
         start: Callable[[RecordWriter], None],
         grace: float,
-        folder: ExperimentFolder | None,
+        mark: RunMark | None,
+        spared: _Spared,
         standby: Standby | None,
     ) -> None:
-        self._folder = folder
+        self._mark = mark
+        self._spared = spared
         self._standby = standby
         self._requests = requests
         self._tell = tell
@@ -232,14 +241,13 @@ class _KeeperProcess:
         os.setsid()  # what happens to the orchestrator's terminal does not reach us
         use_no_streams()
         adopt_orphans()
-        self._mark = None if self._folder is None else RunMark(self._folder)
         self._fork_run()
         self._report.close()  # the run's alone from here on
         if self._standby is not None:
             marks = [] if self._mark is None else [self._mark.descriptor]  # it may outlive us, and is not of the run
             self._standby.begin(self._run, let_go=[self._requests, self._tell, *marks])
         status = self._watch()
-        kill_group(self._run, _spared(self._folder))
+        kill_group(self._run, self._spared())
         if self._standby is not None:
             self._standby.wait()
             self._standby.look_after(self._run)  # it may have been killed, and the orchestrator as well
@@ -282,7 +290,7 @@ class _KeeperProcess:
                 if descriptor == self._requests and not self._obey():
                     poll.unregister(self._requests)
             if self._kill_at is not None and time.monotonic() >= self._kill_at:
-                kill_group(self._run, _spared(self._folder))
+                kill_group(self._run, self._spared())
                 self._kill_at = time.monotonic() + self._grace
         return status
 
@@ -315,16 +323,21 @@ class _KeeperProcess:
         """Kill what the run left behind, also what has a session or a process group of its own, and reap it."""
         deadline = time.monotonic() + _REAPING
         while has_children() and time.monotonic() < deadline:
-            spared = _spared(self._folder)
+            spared = self._spared()
             orphans = [orphan for orphan in children() if not is_spared(orphan, spared) and is_killed(orphan)]
             if not orphans:
                 return
             time.sleep(_LOOK)
 
 
-def _spared(folder: ExperimentFolder | None) -> frozenset[int]:
-    """Return the processes that may outlive the run that started them."""
-    return frozenset() if folder is None else outliving(folder.outliving)
+class _Spared:
+    """Tells which processes may outlive the run that started them."""
+
+    def __init__(self, folder: ExperimentFolder | None) -> None:
+        self._path = None if folder is None else folder.outliving
+
+    def __call__(self) -> frozenset[int]:
+        return frozenset() if self._path is None else outliving(self._path)
 
 
 def _bytes(number: int) -> bytes:

@@ -40,7 +40,7 @@ _DIGITS = 20
 
 
 class RunMark:
-    """The marks of one run: its keeper makes them before it forks the run, which inherits them.
+    """The marks of one run: made before its keeper is forked, so that keeper and run inherit them.
 
     Args:
         folder: the experiment's.
@@ -50,17 +50,21 @@ class RunMark:
     """
 
     def __init__(self, folder: ExperimentFolder) -> None:
-        self._folder = folder
+        self._mark = _mark(folder)
         self.descriptor = open_to_lock(folder.alive, folder.root)
         # Unlike that of the experiment, this lock is held by every process that has the descriptor, inherited or not.
         fcntl.flock(self.descriptor, fcntl.LOCK_SH)
 
     def sign(self) -> None:
         """Mark this process as the run, and the programs that it starts from now on."""
-        os.environ[_VARIABLE] = _mark(self._folder)
+        os.environ[_VARIABLE] = self._mark
         if sys.platform != "linux":  # there, a run whose parent dies is not told
             os.ftruncate(self.descriptor, 0)
             os.pwrite(self.descriptor, str(os.getpid()).encode(), 0)
+
+    def close(self) -> None:
+        """Let go of the lock in this process: the others still hold it."""
+        os.close(self.descriptor)
 
 
 def _mark(folder: ExperimentFolder) -> str:

@@ -28,6 +28,7 @@ __all__ = [
     "GateWaiting",
     "HostRestarts",
     "InterruptionNoticed",
+    "NextDecided",
     "Notice",
     "Observer",
     "Paused",
@@ -134,6 +135,25 @@ class PrecisionJudged:
         known = "; ".join(judgement.in_words() for judgement in self.judgements)
         follows = f"once more, {counted(self.added, 'run')}" if self.added else "repeated no further"
         return f"after {counted(self.repetitions, 'repetition')}, {known}: {follows}"
+
+
+@dataclass(frozen=True, slots=True)
+class NextDecided:
+    """All runs are done that were planned, and it was decided from their results what follows.
+
+    Attributes:
+        told: what was decided and why, for people.
+        run_count: all runs of the table, with those that were added.
+        added: how many runs were added; 0 where it ends.
+    """
+
+    told: str
+    run_count: int
+    added: int = 0
+
+    def in_words(self) -> str:
+        """Return what was decided and why."""
+        return self.told
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,6 +306,7 @@ Notice = (
     | AttemptFinished
     | FindingsNoticed
     | PrecisionJudged
+    | NextDecided
     | WaitingForUser
     | HostRestarts
     | Paused

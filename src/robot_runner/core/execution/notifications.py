@@ -24,6 +24,7 @@ from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
     GateWaiting,
+    NextDecided,
     PrecisionJudged,
     WaitingForUser,
 )
@@ -109,7 +110,7 @@ class Notifications:
         match notice:
             case ExperimentStarted():
                 self._run_count, self._done = notice.run_count, notice.done_count
-            case PrecisionJudged():
+            case PrecisionJudged() | NextDecided():
                 self._run_count = notice.run_count
             case AttemptFinished(task, outcome, is_last=True) if outcome.status is not AttemptStatus.INTERRUPTED:
                 has_failed = outcome.status is AttemptStatus.FAILED

@@ -9,15 +9,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
-from robot_runner.core.design.batches import REPEATED
 from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
 from robot_runner.core.execution.called_programs import CALLED, ReportedFacts
 from robot_runner.core.execution.circumstances import keep_config
+from robot_runner.core.execution.deciding import Deciding
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.left_over import await_left_over
 from robot_runner.core.execution.recovery import selected_places, with_session_warm_ups
-from robot_runner.core.execution.repeating import Repeating
 from robot_runner.core.execution.run_findings import UnreadFactors, missing_measures
 from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.execution.table_on_disk import TableOnDisk
@@ -27,7 +26,7 @@ from robot_runner.core.execution.turns import Turns, turns_of
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, put_earlier_attempt_away
-from robot_runner.core.storage.lock import ExperimentLock, forget_pause
+from robot_runner.core.storage.lock import ExperimentLock, forget_pause, forget_stop
 from robot_runner.core.storage.manifest import write_manifest
 
 if TYPE_CHECKING:
@@ -35,12 +34,12 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.deciding import Growth
     from robot_runner.core.execution.durations import Durations, TimeLeft
-    from robot_runner.core.execution.notices import PrecisionJudged
+    from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
     from robot_runner.core.execution.probe import Probe
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.execution.recovery import Resumption
-    from robot_runner.core.execution.repeating import Growth
 
 __all__ = ["ProgressManager"]
 
@@ -86,8 +85,9 @@ class ProgressManager:
         with ExitStack() as opened:
             self._left_behind = made_folder(self._folder)
             opened.enter_context(ExperimentLock(self._folder.lock))
-            opened.callback(forget_pause, self._folder.pause)  # of no use to the next session
-            forget_pause(self._folder.pause)  # of one that was killed
+            for forget, request in ((forget_pause, self._folder.pause), (forget_stop, self._folder.stop)):
+                opened.callback(forget, request)  # of no use to the next session
+                forget(request)  # of one that was killed
             left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
             self._findings += [each for each in (left_over, await_standby(self._folder)) if each is not None]
             accept_changes = self._resumption.accept_changes
@@ -103,7 +103,7 @@ class ProgressManager:
                 self._experiment, self._manifest, recovered, self._selected, accept_changes=accept_changes
             )
             self._take(recovered)
-            self._repeating = Repeating(self._experiment, self._manifest)
+            self._deciding = Deciding(self._experiment, self._manifest)
             prepared = self._prepare(known_treatments(self._folder))
             self._manifest |= prepared
             self._durations = self._expected_durations()
@@ -219,25 +219,28 @@ class ProgressManager:
         """Yield the runs to execute from this one on: those to do, those that failed, those asked for again."""
         return (PendingRun(self._rows.run_id(place), place) for place in self._selected[first:])
 
-    def repeat(self) -> PrecisionJudged | None:
-        """Add a repetition where the experiment is not precise yet; it is in the journal when this returns.
+    def decide(self) -> PrecisionJudged | NextDecided | None:
+        """Add the runs that follow from the results, where some do; they are in the journal when this returns.
 
         Returns:
-            what is known by now; None where nothing is to be known, or runs are left to do.
+            what was decided and why; None where nothing is to be decided, or runs are left to do.
         """
         is_partial = self._resumption.only or self._resumption.skip or self.todo_count
-        return None if is_partial else self._repeating.judge(self, self._table)
+        return None if is_partial else self._deciding.decide(self, self._table)
 
     def grow(self, growth: Growth) -> None:
-        """Add the runs of a repetition, and write down why."""
-        self.note(REPEATED, flush=True, **growth.record)
+        """Add runs that were decided on, and write down why."""
+        self.note(growth.kind, flush=True, **growth.record)
         # A session that begins with it warms up as it would for what is left to do.
         warm_up = None if self._selected else self._experiment.model.warm_up
         places = with_session_warm_ups(growth.rows, list(growth.places), warm_up)
         self._selected += places
+        has_new_columns = growth.rows.layout.columns != self._table.rows.layout.columns
         self._rows = self._table.rows = growth.rows
+        if has_new_columns:
+            self._table.write_schema(self._folder.schema)
         self._file.take(growth.rows)
-        self._durations.plan(map(growth.rows.combination, places), may_repeat=self._repeating.may_add)
+        self._durations.plan(map(growth.rows.combination, places), may_repeat=self._deciding.may_add(self._rows))
         self._manifest["design"] |= described_design(growth.model)
         write_manifest(self._folder.manifest, self._manifest)
 
@@ -381,7 +384,8 @@ class ProgressManager:
         self._findings += recovered.findings
 
     def _probed(self) -> Probe | None:
-        of_table = PendingRun(self._rows.run_id(0), 0) if self._repeating.may_add else None  # as a run more may come
+        # Runs may follow that are decided on once those of the table are done.
+        of_table = PendingRun(self._rows.run_id(0), 0) if self._deciding.may_add(self._rows) else None
         first = next(self.pending(), of_table)
         return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
 
@@ -390,7 +394,7 @@ class ProgressManager:
         combinations = [run.combination for run in self._rows.planned]
         journal = self._folder.journal
         durations = durations_of(each.config, each.plugins, each.events, each.parameters, combinations, journal)
-        durations.plan(map(combinations.__getitem__, self._selected), may_repeat=self._repeating.may_add)
+        durations.plan(map(combinations.__getitem__, self._selected), may_repeat=self._deciding.may_add(self._rows))
         return durations
 
     def _left(self) -> dict[str, Any]:

@@ -70,12 +70,11 @@ def with_later_batches(path: Path, plan: RunTable, rows: RunTableRows) -> tuple[
 
 
 def _added(plan: RunTable) -> Iterator[tuple[str, set[str]]]:
-    """Yield the name and the runs of each batch and of each repetition that the journal added at once."""
+    """Yield the name and the runs of each batch and of each later addition that the journal added at once."""
     for batch in plan.model.batches:
-        later = set(chain.from_iterable(batch.repeated))
+        later = set(chain.from_iterable(ids for _, ids in batch.added))
         yield f"batch {batch.number}", {run.run_id for run in batch.runs} - later
-        first = batch.repetitions - len(batch.repeated) + 1
-        yield from ((f"repetition {number}", set(ids)) for number, ids in enumerate(batch.repeated, first))
+        yield from ((name, set(ids)) for name, ids in batch.added)
 
 
 def lacks_runs(plan: RunTable, rows: RunTableRows) -> bool:

@@ -180,12 +180,17 @@ class RunOutcome:
 
 #: The last record of a run that ended by itself.
 FINISHED = "finished"
+#: The event in which a run is evaluated: its last.
+_POPULATE = "populate_run_data"
 
 _encode = json.JSONEncoder(ensure_ascii=True, separators=(",", ":"), default=str).encode
 
 
 class RecordWriter:
     """The run's end of the pipe. Plugins may report from threads of their own.
+
+    Measures that are published while the run is evaluated cross the pipe in one write, with the next record of another
+    kind; there always is one. Those of a longer event are sent at once, as a mission may last for hours.
 
     Attributes:
         descriptor: of the pipe.
@@ -194,14 +199,22 @@ class RecordWriter:
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
         self._lock = threading.Lock()
+        self._event = ""
+        self._held: list[str] = []
 
     def __call__(self, kind: str, fields: dict[str, Any]) -> None:
         """Send one record, without what the environment keeps secret.
 
         An orchestrator that is gone is no reason for the run not to close what it opened.
         """
-        data = memoryview(f"{_encode([kind, sentences_without_secrets(fields)])}\n".encode())
+        line = f"{_encode([kind, sentences_without_secrets(fields)])}\n"
         with self._lock:
+            self._event = fields["event"] if kind == "event" else self._event
+            self._held.append(line)
+            if kind == "measure" and self._event == _POPULATE:
+                return
+            data = memoryview("".join(self._held).encode())
+            self._held.clear()
             try:
                 while data:
                     data = data[os.write(self.descriptor, data) :]
@@ -246,9 +259,6 @@ def _decoded(line: bytes) -> tuple[str, dict[str, Any]] | None:
     except (ValueError, TypeError):  # somebody else wrote into the pipe
         return None
     return (kind, fields) if isinstance(kind, str) and isinstance(fields, dict) else None
-
-
-_POPULATE = "populate_run_data"
 
 
 class OutcomeBuilder:

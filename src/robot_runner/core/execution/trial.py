@@ -1,10 +1,11 @@
-"""One run of one profiler, without an experiment: what the framework sees of it, for its author."""
+"""One run of one plugin, without an experiment: what the framework sees of it, for its author."""
 
 from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass, field
 from datetime import datetime
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.loader import LoadedConfig
@@ -14,7 +15,7 @@ from robot_runner.core.config.source import CONFIG_CLASS, ConfigSource
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, StorageError
-from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RUN_EVENTS
+from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.execution.notices import AttemptFinished, Notice, RunRecord
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.probe import without_values
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.execution.task import RunOutcome
 
-__all__ = ["CalledEvent", "RawFile", "Trial", "try_plugin"]
+__all__ = ["CalledEvent", "RawFile", "Trial", "has_mission", "try_plugin"]
 
 _NAME = "try"
 #: How long a callback may take beyond the time that is measured, s; a plugin that hangs is ended then.
@@ -116,18 +117,33 @@ class _Witness:
         """Do nothing: there is no screen."""
 
 
-def try_plugin(plugin: Plugin, folder: Path, *, seconds: float, robot: str | None = None) -> Trial:
-    """Execute one run in a process of its own, in which this plugin is the only one and the mission is to wait.
+def has_mission(plugin: Plugin) -> bool:
+    """Whether a plugin has something to do between the start and the stop of the measurement."""
+    return hasattr(plugin, RobotRunnerEvents.LAUNCH_MISSION.callback_name)
+
+
+def try_plugin(
+    plugin: Plugin,
+    folder: Path,
+    *,
+    seconds: float,
+    robot: str | None = None,
+    treatments: Mapping[str, Any] = MappingProxyType({}),
+) -> Trial:
+    """Execute one run in a process of its own, in which this plugin is the only one.
+
+    The mission is the plugin's own, or else to wait.
 
     Args:
         plugin: the plugin that is tried.
         folder: where the run's folder is made.
-        seconds: how long it measures, s on the run's clock.
+        seconds: how long it measures, s on the run's clock; how long a mission of its own may take, s of real time.
         robot: how a robot is reached, or None.
+        treatments: what the run has of each factor that the plugin reads.
     """
     config = folder / "trial.py"
     config.write_text(f"# One run of {type(plugin).__name__}, {seconds:g} s long, robot={robot!r}.\n", encoding="utf-8")
-    preparation = prepare(config, load=lambda path, _: _loaded(path, plugin, seconds, robot))
+    preparation = prepare(config, load=lambda path, _: _loaded(path, plugin, seconds, robot, treatments))
     own = tuple(_misspelt(plugin))
     experiment = preparation.experiment
     if experiment is None:
@@ -137,7 +153,9 @@ def try_plugin(plugin: Plugin, folder: Path, *, seconds: float, robot: str | Non
     return _trial(experiment, plugin, witness, (*preparation.findings, *own, *finished.findings))
 
 
-def _loaded(path: Path, plugin: Plugin, seconds: float, robot: str | None) -> LoadedConfig:
+def _loaded(
+    path: Path, plugin: Plugin, seconds: float, robot: str | None, treatments: Mapping[str, Any]
+) -> LoadedConfig:
     class RobotRunnerConfig(ExperimentConfig):
         """The experiment of a trial."""
 
@@ -149,11 +167,12 @@ def _loaded(path: Path, plugin: Plugin, seconds: float, robot: str | None) -> Lo
 
         def launch_mission(self, context: RobotRunnerContext) -> None:
             """Let time go by."""
-            context.clock.sleep(seconds)
+            if not has_mission(plugin):
+                context.clock.sleep(seconds)
 
         def create_run_table(self) -> RunTableModel:
             """Return one run."""
-            return RunTableModel([Factor("Trial", [1])])
+            return RunTableModel([Factor(name, [value]) for name, value in (treatments or {"Trial": 1}).items()])
 
     config: Any = RobotRunnerConfig()
     config.robot, config.plugins = robot, [plugin]

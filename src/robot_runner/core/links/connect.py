@@ -42,6 +42,7 @@ __all__ = [
     "link_findings",
     "lives_by_simulation",
     "looks_for_robot",
+    "meant_robot",
     "open_clock",
     "open_serial_line",
     "preload_robot",
@@ -73,6 +74,19 @@ def link_findings(robot: str | None) -> list[Finding]:
         return kind.findings(name)
     except (LinkError, PluginError) as error:
         return [error.as_finding()]
+
+
+def meant_robot(robot: str) -> str | None:
+    """Return the robot that a name stands for: itself, or the nearest if there is no such link; None if none is near.
+
+    Example:
+        >>> meant_robot("simulatd:initial_charge=40")
+        'simulated:initial_charge=40'
+    """
+    link, colon, options = robot.partition(":")
+    known = installed_links()
+    near = link if link.strip() in known else nearest(link, known)
+    return None if near is None else f"{near}{colon}{options}"
 
 
 def looks_for_robot(robot: str | None) -> bool:

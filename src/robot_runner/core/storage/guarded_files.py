@@ -31,6 +31,9 @@ from robot_runner.core.storage.guarded_paths import (
     kind_of,
     make_experiment_folder,
     make_folder,
+    open_folder,
+    parts_below,
+    refusal_of,
     refusals,
     rights_of,
 )
@@ -243,8 +246,17 @@ def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR
         StorageError: it is no regular file inside the folder, another user's by a hard link, or cannot be opened.
     """
     action = "written" if flags & _WRITING else "read"
-    with refusals(path, root, action) as (top, (*folders, name)), folder_inside(top, folders) as folder:
-        return _open_regular(path, folder, name, flags, mode or rights_of(top) & 0o666)
+    # Without context managers: every process of a run comes by here, and each page of code that it touches is copied.
+    top = root or path.parent
+    try:
+        *folders, name = parts_below(path, top)
+        folder = open_folder(top, folders)
+        try:
+            return _open_regular(path, folder, name, flags, mode or rights_of(top) & 0o666)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise refusal_of(path, top, action, error) from error
 
 
 @contextmanager

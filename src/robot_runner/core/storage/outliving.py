@@ -71,6 +71,8 @@ def is_spared(pid: int, spared: frozenset[int]) -> bool:
 
 
 def _read(path: Path) -> Iterator[tuple[int, str]]:
+    if not os.path.lexists(path):  # nearly always; every keeper asks, and a refusal costs twenty times that
+        return
     with suppress(MissingFileError):
         for line in read_text(path, errors="replace").splitlines():
             with suppress(ValueError, TypeError):  # a line that was torn when the power failed

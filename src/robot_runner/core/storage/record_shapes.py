@@ -143,6 +143,8 @@ class _Estimate(TypedDict):
 
 class _Judged(_Dated):
     precision: NotRequired[list[_Estimate]]
+    why: NotRequired[str]
+    known: NotRequired[dict[str, Any]]
 
 
 class _PlannedRun(TypedDict):
@@ -158,6 +160,15 @@ class _Repeated(_Judged):
     base: NotRequired[dict[str, Any]]
 
 
+class _Decided(_Dated):
+    name: str
+    why: str
+    runs: list[_PlannedRun]
+    factors: NotRequired[dict[str, list[Any]]]
+    base: NotRequired[dict[str, Any]]
+    known: NotRequired[dict[str, Any]]
+
+
 class _Extended(_Dated):
     batch: int
     repetitions: int
@@ -169,6 +180,9 @@ class _Extended(_Dated):
     base: NotRequired[dict[str, Any]]
     chosen: NotRequired[dict[str, list[str]]]
     defaults: NotRequired[dict[str, str]]
+    role: NotRequired[str]
+    why: NotRequired[str]
+    known: NotRequired[dict[str, Any]]
 
 
 class _Waiting(Record):
@@ -223,6 +237,7 @@ RECORDS: dict[str, Any] = {
     "attempt_started": _AttemptStarted,
     "bound": _Bound,
     "clock": _Clock,
+    "decided": _Decided,
     "deviation": _Deviation,
     "event": _Event,
     "excluded": _Excluded,
@@ -238,6 +253,7 @@ RECORDS: dict[str, Any] = {
     "operator_step": _OperatorStep,
     "prepared": _Prepared,
     "repeated": _Repeated,
+    "stop_requested": _Dated,
     "subject": _Subject,
     "table_written": _TableWritten,
     "waited": _Waited,

@@ -184,6 +184,7 @@ _DESIGN_WORDS = {
     "blocks": "blocks of the order",
     "warm_up": "warm-up runs",
     "excluded": "combinations left out of the design",
+    "parameters": "what chooses the combinations",
 }
 
 

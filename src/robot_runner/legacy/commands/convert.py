@@ -51,13 +51,11 @@ def execute(arguments: Namespace) -> int:
     console = output()
     if any(finding.is_error for finding in findings):
         show_findings(findings)
-        console.print(f"{shown_path(new)} is written, and has to be mended by hand.", soft_wrap=True)
+        console.tell(f"{shown_path(new)} is written, and has to be mended by hand.")
         return REFUSED
     print_findings(console, (*conversion.findings, *findings))
-    console.print(
-        f"{shown_path(new)} is written: it plans the same {counted(len(conversion.before.model.plan()), 'run')}.",
-        soft_wrap=True,
-    )
+    runs = counted(len(conversion.before.model.plan()), "run")
+    console.tell(f"{shown_path(new)} is written: it plans the same {runs}.")
     print_facts(
         console,
         [

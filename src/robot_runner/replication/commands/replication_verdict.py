@@ -6,8 +6,6 @@ import json
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from rich.text import Text
-
 from robot_runner.analysis.libraries import MissingLibraryError, require_libraries
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, shown_path
 from robot_runner.cli.findings import show_error
@@ -179,7 +177,7 @@ class Comparing:
             beside = f" It does not count: {each.secondary_because}." if each.secondary_because else ""
             print_folded(console, "  ", one_line(f"{each.sentence}{beside}"), style="")
         style = f"bold {_STYLES[verdict.conclusion]}"
-        console.print(Text(one_line(verdict.sentence), style=style), soft_wrap=True)
+        console.tell(one_line(verdict.sentence), style=style)
 
 
 def _differs(same: Sameness | None) -> bool:

@@ -1,0 +1,67 @@
+"""Conditional factors: which treatments of other factors decide that a factor applies, and what that excludes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.inactive import INACTIVE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.factor import Factor
+
+__all__ = ["condition_findings", "identified", "impossible_treatments"]
+
+
+def condition_findings(factors: Sequence[Factor]) -> Iterator[Finding]:
+    """Say which conditions of factors name what there is not, or go in a circle."""
+    by_name = {factor.name: factor for factor in factors}
+    for factor in factors:
+        where = f"factors: {factor.name!r} applies when"
+        for name, wanted in factor.when.items():
+            other = by_name.get(name)
+            if other is None or name == factor.name:
+                known = [each for each in by_name if each != factor.name]
+                yield Finding.error(where, f"there is no other factor {name!r}", did_you_mean(name, known))
+                continue
+            for value in wanted:
+                if other.position_of(value) is None:
+                    yield Finding.error(where, f"{value!r} is no treatment of {name!r}", other.suggestion(value))
+        seen, open_names = set[str](), list(factor.when)
+        while open_names:
+            name = open_names.pop()
+            if name not in seen and name in by_name:
+                seen.add(name)
+                open_names += by_name[name].when
+        if factor.name in seen:
+            yield Finding.error(where, "its conditions depend on itself", "Remove one of the conditions.")
+
+
+def impossible_treatments(factors: Sequence[Factor]) -> Iterator[dict[str, frozenset[int]]]:
+    """Yield what the conditions of factors exclude: places of treatments that are never together, by factor."""
+    by_name = {factor.name: factor for factor in factors}
+    for factor in factors:
+        if not factor.when:
+            continue
+        inactive = frozenset({factor.treatments.index(INACTIVE)})
+        active = frozenset(range(len(factor.treatments))) - inactive
+        applies = {
+            name: frozenset(filter(None.__ne__, map(by_name[name].position_of, wanted)))
+            for name, wanted in factor.when.items()
+        }
+        yield {**applies, factor.name: inactive}
+        for name, places in applies.items():
+            yield {name: frozenset(range(len(by_name[name].treatments))) - places, factor.name: active}
+
+
+def identified(
+    factors: Sequence[Factor], excluded: Iterable[Mapping[str, frozenset[int]]]
+) -> list[list[tuple[str, set[int]]]]:
+    """Return exclusions with the identities of treatments for their places: combinations hold the factors' own."""
+    by_name = {factor.name: factor for factor in factors}
+    return [
+        [(name, {id(by_name[name].treatments[place]) for place in places}) for name, places in each.items()]
+        for each in excluded
+    ]

@@ -1,0 +1,108 @@
+"""What a numeric factor may be set to: everything from a lower to an upper end, in steps, with a unit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from decimal import Decimal
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import DesignError, Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["Range"]
+
+#: Without a step of its own a range has about a thousand: finer than a robot can be set, and short in the table.
+_STEPS = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """What a numeric factor may be set to; a design chooses the values, and without one they are the two ends.
+
+    No design ever goes beyond the ends: what a robot must not do is outside.
+
+    Attributes:
+        lower: the least value.
+        upper: the greatest value.
+        unit: of the values, such as `m/s`.
+        step: what it can be set to: the lower end and multiples of the step above it. None for a thousandth of the
+            width, or less; 1 where both ends are whole numbers.
+
+    Raises:
+        DesignError: the ends or the step cannot be.
+
+    Example:
+        >>> Range(0.05, 0.22, unit="m/s").at(0.5)
+        0.135
+    """
+
+    lower: float
+    upper: float
+    unit: str = ""
+    step: float | None = None
+
+    def __post_init__(self) -> None:
+        findings = list(self._findings())
+        if findings:
+            raise DesignError.of_findings(findings)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it has whole numbers only."""
+        return all(isinstance(each, int) for each in (self.lower, self.upper, 1 if self.step is None else self.step))
+
+    def at(self, share: float) -> float:
+        """Return the value that can be set nearest to a share of the way from the lower end to the upper one.
+
+        Args:
+            share: from 0 to 1.
+        """
+        step = self._step
+        exact = self.lower + (self.upper - self.lower) * share
+        value = self.lower + round((exact - self.lower) / step) * step
+        value = min(max(value, self.lower), self.upper)
+        if self.is_whole:
+            return round(value)
+        return round(value, max(_digits(self.lower), _digits(self.upper), _digits(step)))
+
+    def share_of(self, value: float) -> float:
+        """Return where a value is between the lower end, 0, and the upper one, 1."""
+        return (value - self.lower) / (self.upper - self.lower)
+
+    @property
+    def _step(self) -> float:
+        if self.step is not None:
+            return self.step
+        if self.is_whole:
+            return 1
+        return float(10.0 ** math.floor(math.log10((self.upper - self.lower) / _STEPS)))
+
+    def _findings(self) -> Iterator[Finding]:
+        numbers = {"lower": self.lower, "upper": self.upper} | ({} if self.step is None else {"step": self.step})
+        wrong = [name for name, value in numbers.items() if not _is_number(value)]
+        for name in wrong:
+            problem = f"{name} is {numbers[name]!r}, of type {type(numbers[name]).__name__}"
+            yield Finding.error("Range", problem, "Give a finite number.")
+        if not isinstance(self.unit, str):
+            yield Finding.error("Range", f"the unit {self.unit!r} is no text", "Give it as in unit='m/s'.")
+        if wrong:
+            return
+        if self.lower >= self.upper:
+            problem = f"the lower end {self.lower} is not below the upper end {self.upper}"
+            yield Finding.error("Range", problem, "Give the lower end first.")
+        elif self.step is not None and not 0 < self.step <= self.upper - self.lower:
+            problem = f"the step {self.step} does not fit between {self.lower} and {self.upper}"
+            yield Finding.error("Range", problem, "Give a step above 0 that is no wider than the range.")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _digits(value: float) -> int:
+    """Return how many digits a number has behind the point, as Python writes it."""
+    exponent = Decimal(repr(value)).normalize().as_tuple().exponent
+    return max(0, -exponent) if isinstance(exponent, int) else 0

@@ -1,0 +1,198 @@
+"""What is executed next, once all that was planned is done: the question, the answer, and its runs in the plan.
+
+An answer is in the journal, run by run, before any run of it is begun, so that an experiment that was killed goes on
+with the same plan; where the kill came before, the same is asked again, and answered in the same way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+from robot_runner.core.design.asking import AdaptiveDesign, Told
+from robot_runner.core.design.batches import (
+    EXTENDED,
+    GrownRunTableModel,
+    as_configured,
+    first_batch,
+    grown_batch,
+    next_batch,
+    records_of,
+)
+from robot_runner.core.design.columns import WARM_UP
+from robot_runner.core.design.growing import Begun, GrownDesign
+from robot_runner.core.design.outliers import Doubtful
+from robot_runner.core.design.planned_runs import RunOrder
+from robot_runner.core.design.precise_estimates import JudgedPrecision, UntilPrecise
+from robot_runner.core.design.precision import LEAST_REPETITIONS
+from robot_runner.core.errors import Finding
+from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
+from robot_runner.core.execution.task import seed_of_run
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.journal import utc_now
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.asking import Asking, Decision
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.execution.recovered_table import RecoveredTable
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+__all__ = ["Bookkeeper", "Deciding", "Growth"]
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """Runs that are to be added.
+
+    Attributes:
+        kind: of their record in the journal.
+        record: its fields.
+        model: the design with them.
+        rows: the run table with them.
+        places: of them, in the order of execution.
+    """
+
+    kind: str
+    record: Mapping[str, Any]
+    model: RunTableModel
+    rows: RunTableRows
+    places: Sequence[int]
+
+
+class Bookkeeper(Protocol):
+    """Takes down what is decided: the progress manager."""
+
+    def grow(self, growth: Growth) -> None:
+        """Add the runs that were decided on."""
+
+    def note(self, kind: str, *, flush: bool = False, **fields: Any) -> None:
+        """Keep what was known when it ended."""
+
+    def find(self, finding: Finding) -> None:
+        """Take down what is to be told at the end."""
+
+
+class Deciding:
+    """Decides, whenever all planned runs are done, whether and which runs follow.
+
+    Args:
+        experiment: what is executed.
+        manifest: tells the seed, and whether the run table was written by hand: then it is executed as it is.
+    """
+
+    def __init__(self, experiment: Experiment, manifest: Mapping[str, Any]) -> None:
+        model = experiment.model
+        self._experiment = experiment
+        self._where = f"{experiment.config_path}, {'repeat_until' if model.is_full_factorial else 'design'}"
+        self._config = as_configured(model)
+        self._model = model
+        plan = experiment.parameters.analysis
+        self._leaves_out = plan is not None and plan.doubtful is Doubtful.LEAVE_OUT
+        self._seed = int(manifest["seed"])
+        asking = self._asking(experiment)
+        is_by_hand = manifest["design"]["source"] != "config"
+        self._is_passed_over = is_by_hand and asking is not None
+        self._asks = None if is_by_hand else asking
+
+    def _asking(self, experiment: Experiment) -> Asking | None:
+        config = self._config
+        if isinstance(config.design, AdaptiveDesign):
+            return config.design.asking(config.factors, config.allowed, config.repetitions)
+        rules = experiment.parameters.repeat_until
+        least = self._config.repetitions  # one run that is only tried is not repeated
+        return UntilPrecise(rules, self._model.factors, least) if rules and least >= LEAST_REPETITIONS else None
+
+    def may_add(self, rows: RunTableRows) -> bool:
+        """Whether runs may follow those of this table."""
+        return self._asks is not None and self._asks.may_add(list(rows.planned))
+
+    def decide(self, progress: Bookkeeper, table: RecoveredTable) -> PrecisionJudged | NextDecided | None:
+        """Have runs added where some follow, and else take down why not.
+
+        Args:
+            progress: takes it down.
+            table: a run table of which no run is to do.
+
+        Returns:
+            what was decided and why; None where nothing is to be decided.
+        """
+        if self._is_passed_over:
+            problem = "the run table was written by hand and is executed as it is: nothing is repeated"
+            progress.find(
+                Finding.warning(self._where, problem, "Have the config plan the runs, or leave the rule out.")
+            )
+        if self._asks is None:
+            return None
+        decision = self._asks.ask(list(self._told(self._asks.measures, table)))
+        if not decision.runs:
+            facts = decision.facts
+            if isinstance(decision, JudgedPrecision):
+                facts = {"repetition": decision.repetitions, **facts}
+            progress.note("judged", **facts)
+            for finding in decision.warnings(self._where):
+                progress.find(finding)
+            return _notice(decision, len(table.rows), 0)
+        growth = self._grown(table.rows, decision)
+        progress.grow(growth)
+        return _notice(decision, len(growth.rows), len(growth.places))
+
+    def _told(self, measures: Sequence[str], table: RecoveredTable) -> Iterator[Told]:
+        rows = table.rows
+        values = {name: list(rows.values(name)) for name in measures}
+        doubtful = {name: table.reasons[name] if self._leaves_out else () for name in measures}
+        for place, run in enumerate(rows.planned):
+            if run.is_warm_up:
+                continue
+            is_excluded = rows.excluded(place) is not None
+            has_values = rows.status(place) is RunStatus.DONE and not is_excluded
+            own = {
+                name: values[name][place]
+                for name in measures
+                if has_values and values[name][place] is not None and run.run_id not in doubtful[name]
+            }
+            yield Told(run, own, is_excluded)
+
+    def _grown(self, rows: RunTableRows, decision: Decision) -> Growth:
+        begun = Begun(
+            factors=self._model.factors,
+            runs=list(rows.planned),
+            chosen={},
+            has_repetition=rows.layout.has_repetition,
+            is_by_hand=False,
+        )
+        batches = self._model.batches or (first_batch(begun, self._order(self._seed)),)
+        repetitions = max(batches[-1].repetitions, *(repetition for _, repetition in decision.runs))
+        design = GrownDesign(self._model.factors, [], repetitions, {}, {})
+        order = self._order(seed_of_run(self._seed, decision.name), decision.blocks)
+        number, at = (batches[-1].number + 1, utc_now()) if decision.confirms else (batches[-1].number, "")
+        planned = next_batch(begun, design, None, order=order, number=number, at=at, wanted=decision.runs)
+        is_first = not self._model.batches
+        if decision.confirms:
+            kind, batches = EXTENDED, (*batches, replace(planned, confirms=True))
+            *_, record = records_of(batches)
+        else:
+            kind = decision.kind
+            grown, record = grown_batch(batches[-1], decision, planned, is_first=is_first)
+            batches = (*batches[:-1], grown)
+        self._model = GrownRunTableModel(self._config, batches)
+        new = {run.run_id for run in planned.runs}
+        added = [run for run in self._model.plan() if run.run_id in new]
+        was = rows.layout
+        layout = replace(self._experiment, model=self._model).table_layout(was.types, warms_up=WARM_UP in was.marks)
+        layout = replace(layout, extras=was.extras, has_exclusions=was.has_exclusions)
+        places = range(len(rows), len(rows) + len(added))
+        grown_rows = rows.with_plan([*rows.planned, *added], layout)
+        return Growth(kind, {**record, **decision.facts}, self._model, grown_rows, places)
+
+    def _order(self, seed: int, blocks: str | None = None) -> RunOrder:
+        blocks = blocks or self._config.blocks
+        return RunOrder(shuffle=self._config.shuffle, blocks=blocks, seed=seed, seed_is_given=True)
+
+
+def _notice(decision: Decision, run_count: int, added: int) -> PrecisionJudged | NextDecided:
+    if isinstance(decision, JudgedPrecision):
+        return PrecisionJudged(decision.repetitions, decision.judgements, run_count, added)
+    return NextDecided(decision.in_words, run_count, added)

@@ -1,0 +1,267 @@
+"""What the journal and the run table of an experiment tell of how far it has come, taken in record by record."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.measure import Quality, quality_of_value
+from robot_runner.core.execution.durations import TimeLeft
+from robot_runner.core.execution.places import InFlight
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.excluded_runs import ExcludedRuns
+from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_schema import read_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from robot_runner.core.storage.layout import ExperimentFolder
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+__all__ = ["ExperimentHistory", "Session"]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One execution of the experiment, from its start to its end.
+
+    Attributes:
+        started_at: UTC.
+        ended_at: when it ended, or, where it was killed or goes on, when something was last recorded of it (UTC).
+        is_whole: whether it came to its end.
+        selection: the runs that were chosen for it, by option.
+    """
+
+    started_at: str
+    ended_at: str
+    is_whole: bool = False
+    selection: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def seconds(self) -> float:
+        """How long it took, in seconds."""
+        return max(0.0, (_moment(self.ended_at) - _moment(self.started_at)).total_seconds())
+
+
+def _moment(stamp: str) -> datetime:
+    return datetime.fromisoformat(stamp).astimezone(UTC)
+
+
+class ExperimentHistory:
+    """What the journal and then the run table tell: read at once, or record by record by who follows an experiment.
+
+    Who follows gives each record to `take`, calls `read_table` once the journal was read, and `settle` after each later
+    record; `experiment_status.status_of` tells how far the experiment is then.
+    """
+
+    def __init__(self) -> None:
+        self.statuses: dict[str, RunStatus] = {}
+        self.failures: dict[str, str] = {}
+        self.findings: list[Finding] = []
+        self.waiting_for: dict[str, Any] | None = None
+        self.warm_ups: set[str] = set()
+        self.precision: tuple[str, ...] = ()
+        self.decided = ""
+        self.is_paused = False
+        self.sessions: list[Session] = []
+        self._begun: dict[str, None] = {}
+        self._excluded = ExcludedRuns()
+        self.gate: dict[str, Any] | None = None
+        self.gate_seconds = 0.0
+        self._in_flight: dict[str, InFlight] = {}
+        self.started_at: str | None = None
+        self.finished_at: str | None = None
+        self.combinations: dict[str, Mapping[str, Any]] = {}
+        self.left: TimeLeft | None = None
+        self._left_at = ""
+        self._since_table: dict[str, RunStatus] = {}
+        self._ends: dict[str, RunStatus] = {}
+        self._planned = 0
+        #: How many runs were never begun and are listed nowhere, as the run table is missing.
+        self.unlisted = 0
+        self._measures: Collection[str] = ()
+        self._qualities: dict[str, dict[str, Quality]] = {}
+
+    def read(self, files: ExperimentFolder) -> None:
+        """Read all that is on disk.
+
+        Raises:
+            StorageError: it cannot be read.
+        """
+        # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
+        for record in read_journal(files.journal):
+            self.take(record)
+        self.read_table(files)
+
+    def take(self, record: Mapping[str, Any]) -> None:
+        """Take a record of the journal into account, the oldest first."""
+        if self.sessions:
+            self.sessions[-1] = replace(self.sessions[-1], ended_at=record.get("at", self.sessions[-1].ended_at))
+        self._excluded.take(record)
+        take = getattr(self, f"_take_{record['kind']}", None)
+        if take is not None:
+            take(record)
+
+    def settle(self) -> None:
+        """Have the statuses be what the journal told since the run table was written."""
+        self.statuses |= self._since_table
+
+    def read_table(self, files: ExperimentFolder) -> None:
+        """Read the run table, and add what the journal told since it was written.
+
+        Raises:
+            StorageError: it cannot be read.
+        """
+        if files.run_table.exists() and files.schema.exists():
+            self.take_rows(read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema))))
+        elif self._ends and not files.run_table.exists():
+            self.statuses = dict(self._ends)
+            self.unlisted = max(0, self._planned - len(self._ends))
+            problem = "the run table is missing; the journal has what was executed"
+            fix = "It is made anew when the experiment is executed next."
+            self.findings.append(Finding.warning(str(files.run_table), problem, fix))
+        self.settle()
+
+    def take_rows(self, rows: RunTableRows) -> None:
+        """Take the rows of the run table into account, and beyond them what the journal told since it was written."""
+        layout = rows.layout
+        self._measures = layout.measures
+        self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
+        self.warm_ups = {run.run_id for run in rows.planned if run.is_warm_up}
+        self.combinations = {run.run_id: run.combination for run in rows.planned}
+        if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
+            todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
+            failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}
+            self.statuses |= dict.fromkeys(todo & failed, RunStatus.FAILED)
+        self.settle()
+
+    @property
+    def since_left(self) -> float:
+        """How long ago the time left was estimated, s."""
+        return max(0.0, time.time() - datetime.fromisoformat(self._left_at).timestamp())
+
+    @property
+    def in_flight(self) -> tuple[InFlight, ...]:
+        """The runs that are being executed, in the order in which they began."""
+        return tuple(self._in_flight.values())
+
+    @property
+    def executed(self) -> list[str]:
+        """The runs that have begun, in the order in which they did."""
+        return list(self._begun)
+
+    @property
+    def excluded(self) -> dict[str, str]:
+        """Why runs of the table are left out, by id."""
+        return {run: each.reason for run, each in self._excluded.present.items() if run in self.statuses}
+
+    @property
+    def bad_values(self) -> dict[str, dict[str, list[str]]]:
+        """The runs that are done whose values are not good, by measure and quality."""
+        bad: dict[str, dict[str, list[str]]] = {}
+        for run, qualities in self._qualities.items():
+            for name, quality in qualities.items() if self.statuses.get(run) is RunStatus.DONE else ():
+                if name in self._measures:
+                    bad.setdefault(name, {}).setdefault(quality.value, []).append(run)
+        return bad
+
+    def _take_experiment_started(self, record: Mapping[str, Any]) -> None:
+        self.started_at = record["at"]
+        self.finished_at = None
+        self._planned = int(record.get("runs", 0))
+        self.gate = self.waiting_for = None
+        self.is_paused = False
+        self._in_flight.clear()
+        self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
+
+    def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
+        self.finished_at = record["at"]
+        self.sessions[-1] = replace(self.sessions[-1], is_whole=True)
+
+    def _take_repeated(self, record: Mapping[str, Any]) -> None:
+        self._planned += len(record["runs"])
+        self._take_judged(record)
+
+    def _take_judged(self, record: Mapping[str, Any]) -> None:
+        self.precision = tuple(str(each["in_words"]) for each in record.get("precision", ()))
+        self.decided = str(record.get("why", ""))
+
+    def _take_decided(self, record: Mapping[str, Any]) -> None:
+        self._planned += len(record["runs"])
+        self._take_judged(record)
+
+    def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
+        self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))
+        self._take_left(record)
+        if record.get("repetition") != 0:  # a warm-up run comes before each session, whatever the table's order
+            self._begun.pop(record["run"], None)
+            self._begun[record["run"]] = None
+
+    def _take_event(self, record: Mapping[str, Any]) -> None:
+        run = self._in_flight.get(record.get("run", ""))
+        if run is not None:
+            self._in_flight[run.run] = replace(run, event=record["event"])
+
+    def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
+        ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
+        self.waiting_for = None
+        self._ends[record["run"]] = self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
+        self.failures[record["run"]] = record["failure"] or ""
+        told = {
+            name: quality_of_value(each["value"], each.get("doubts", ())) for name, each in record["measures"].items()
+        }
+        self._qualities[record["run"]] = {name: each for name, each in told.items() if each is not Quality.GOOD}
+        self._in_flight.pop(record["run"], None)
+        self._take_left(record)
+
+    def _take_left(self, record: Mapping[str, Any]) -> None:
+        if record.get("status") != "interrupted":  # then the run is to do again, and what was left at its beginning is
+            self.left = TimeLeft.of_facts(record.get("left"))
+            self._left_at = record["at"]
+
+    def _take_table_written(self, record: Mapping[str, Any]) -> None:
+        del record
+        self._since_table.clear()
+
+    def _take_deviation(self, record: Mapping[str, Any]) -> None:
+        problem = f"{record['column']} was changed by hand from {record['was']!r} to {record['is']!r}"
+        self.findings.append(Finding.warning(record["run"] or "run_table.csv", problem))
+
+    def _take_finding(self, record: Mapping[str, Any]) -> None:
+        where = f"{record['run']}, {record['owner']}"
+        self.findings.append(Finding.warning(where, record["problem"], record["fix"]))
+
+    def _take_gate(self, record: Mapping[str, Any]) -> None:
+        self.gate = None
+        if record["state"] == "waiting":
+            self.gate = {name: record[name] for name in ("run", "condition", "seen", "seconds", "at")}
+        else:
+            self.gate_seconds += record["seconds"]
+
+    def _take_waiting(self, record: Mapping[str, Any]) -> None:
+        if "next_run" in record:
+            asked = record.get("questions", ())
+            self.waiting_for = {"next_run": record["next_run"], "step": record.get("step", ""), "questions": asked}
+
+    def _take_asked(self, record: Mapping[str, Any]) -> None:
+        self.waiting_for = {"next_run": record["run"], "step": record["step"], "questions": ()}
+
+    def _take_answered(self, record: Mapping[str, Any]) -> None:
+        del record
+        self.waiting_for = None
+
+    def _take_continued(self, record: Mapping[str, Any]) -> None:
+        del record
+        self.waiting_for = None
+        self.is_paused = False
+
+    def _take_paused(self, record: Mapping[str, Any]) -> None:
+        del record
+        self.is_paused = True

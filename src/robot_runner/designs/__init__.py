@@ -1,0 +1,19 @@
+"""Designs: what chooses the combinations of an experiment, or its runs with their blocks and order.
+
+`RunTableModel(factors, design=CoveringArray(strength=2))` plans what a design chooses. Their libraries are in the extra
+`designs`, and are imported when a design is used.
+"""
+
+from __future__ import annotations
+
+from robot_runner.core.doors import open_door
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from robot_runner.core.design.design import ChosenCombinations as ChosenCombinations
+    from robot_runner.core.design.design import CombinationDesign as CombinationDesign
+    from robot_runner.core.design.design import Design as Design
+    from robot_runner.core.design.design import DesignedRuns as DesignedRuns
+    from robot_runner.core.design.design import FullFactorial as FullFactorial
+else:
+    __getattr__, __dir__ = open_door(__name__)

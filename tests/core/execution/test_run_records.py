@@ -1,0 +1,36 @@
+"""The records of a run on their way through the pipe."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+
+import pytest
+
+from robot_runner.core.execution.task import FINISHED, RecordWriter
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has pipes that keep writes apart")
+def test_what_a_run_publishes_in_its_evaluation_crosses_the_pipe_in_one_write_and_what_a_mission_says_at_once() -> None:
+    reading, writing = os.pipe2(os.O_DIRECT | os.O_NONBLOCK)  # a read returns one write, of at most 4096 bytes
+    report = RecordWriter(writing)
+    published = [("measure", {"name": f"Value {number}", "value": number}) for number in range(30)]
+
+    for kind, fields in (
+        ("event", {"event": "launch_mission"}),
+        published[0],
+        ("event", {"event": "populate_run_data"}),
+    ):
+        report(kind, fields)
+        assert os.read(reading, 4096).count(b"\n") == 1
+    for kind, fields in published:
+        report(kind, fields)
+    with pytest.raises(BlockingIOError):
+        os.read(reading, 4096)
+    report(FINISHED, {})
+
+    arrived = [tuple(json.loads(line)) for line in os.read(reading, 4096).splitlines()]
+    assert arrived == [*published, (FINISHED, {})]
+    os.close(writing)
+    os.close(reading)
