@@ -15,5 +15,10 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import Design as Design
     from robot_runner.core.design.design import DesignedRuns as DesignedRuns
     from robot_runner.core.design.design import FullFactorial as FullFactorial
+    from robot_runner.designs.blocks import Blocks as Blocks
+    from robot_runner.designs.crossover import Crossover as Crossover
+    from robot_runner.designs.split_plot import SplitPlot as SplitPlot
+    from robot_runner.designs.squares import GraecoLatinSquare as GraecoLatinSquare
+    from robot_runner.designs.squares import LatinSquare as LatinSquare
 else:
     __getattr__, __dir__ = open_door(__name__)
