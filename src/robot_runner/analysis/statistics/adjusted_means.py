@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_runner.analysis.statistics.covariate_design import AdjustmentError, CovariateDesign
 from robot_runner.analysis.statistics.design import VALUE
-from robot_runner.analysis.statistics.linear_model import coded_row
+from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
 
@@ -85,20 +84,16 @@ class AdjustedMeans:
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""
-        cells = np.stack(
-            [self._row(dict(zip(self.factors, each, strict=True))) for each in product(*self.factors.values())]
-        )
+        cells = math.prod(map(len, self.factors.values()))
         start = 0 if self.is_within else 1
         for factors in self.terms:
-            count = math.prod(len(self.factors[name]) - 1 for name in factors)
+            count = term_size(self.factors, factors)
             place = np.arange(start, start + count)
             start += count
-            effects = cells[:, place]
-            variance = float(np.mean((effects @ self.fit.beta[place]) ** 2))
+            squares, beta = mean_squares(self.factors, factors), self.fit.beta[place]
+            variance = float(beta @ squares @ beta)
             weights = np.zeros((count, len(self.fit.beta)))
-            rotation = np.linalg.qr(effects)[1]
-            # The sign of a rotation is arbitrary; that of t is to be that of the first treatment less the second.
-            weights[:, place] = rotation * np.sign(np.diag(rotation))[:, None]
+            weights[:, place] = np.linalg.cholesky(cells * squares).T  # orthonormal contrasts of cells
             if count == 1:
                 found = self.fit.contrast(weights[0])
                 yield EffectTest(factors, T, "t", found.t_value, (found.freedom,), found.p_value, variance)
@@ -139,12 +134,7 @@ class AdjustedMeans:
         return replace(data, frame=frame, every=frame, covariates=())
 
     def _marginal_row(self, treatments: Mapping[str, str]) -> Floats:
-        levels = [[treatments[name]] if name in treatments else of for name, of in self.factors.items()]
-        rows = [self._row(dict(zip(self.factors, each, strict=True))) for each in product(*levels)]
-        return np.asarray(np.mean(rows, axis=0))
-
-    def _row(self, treatments: Mapping[str, str]) -> Floats:
-        coded = coded_row(self.factors, self.terms, treatments)[1 if self.is_within else 0 :]
+        coded = marginal_row(self.factors, self.terms, treatments)[1 if self.is_within else 0 :]
         return np.concatenate([coded, np.zeros(len(self.fit.beta) - len(coded))])
 
 

@@ -16,6 +16,7 @@ from scipy import linalg, stats
 
 from robot_runner.analysis.statistics.batch_strata import batch_shares, run_counts, weights_in_blocks
 from robot_runner.analysis.statistics.contrasts import Moments
+from robot_runner.analysis.statistics.effect_coding import kron, marginal_row
 from robot_runner.core.design.analysis_plan import Estimand
 
 if TYPE_CHECKING:
@@ -24,11 +25,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.effect_coding import Term
 
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["MOST_FACTORS", "EffectContrast", "Layout", "kron", "layout_of", "relative_ranks"]
+__all__ = ["MOST_FACTORS", "EffectContrast", "Layout", "layout_of", "relative_ranks"]
 
 #: Interactions of more factors can hardly be interpreted.
 MOST_FACTORS = 3
@@ -80,6 +82,8 @@ class Layout:
         is_replicated: whether a cell of a block has several runs.
         batches: the batch of each of `rows`, where there are several; those of a cell are sorted by it.
         row_weights: of each of `rows` in the mean of its cell, where there are several batches.
+        terms, inverse: where combinations are listed, the effects of the model, and what makes its coefficients of
+            the means of combinations.
     """
 
     factors: dict[str, list[str]]
@@ -93,6 +97,8 @@ class Layout:
     is_replicated: bool = False
     batches: Numbers | None = None
     row_weights: Floats | None = None
+    terms: tuple[Term, ...] = ()
+    inverse: Floats | None = None
 
     @property
     def within(self) -> tuple[str, ...]:
@@ -102,7 +108,7 @@ class Layout:
     @property
     def cells(self) -> int:
         """How many combinations there are."""
-        return int(np.prod([len(levels) for levels in self.factors.values()]))
+        return len(self.sizes) * _size(self.factors, self.within)
 
     def moments(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> Moments:
         """Return the means of all cells with their errors.
@@ -152,6 +158,8 @@ class Layout:
         Args:
             treatments: by factor; over the treatments of all other factors the mean is taken.
         """
+        if self.inverse is not None:
+            return np.asarray((marginal_row(self.factors, self.terms, treatments) @ self.inverse)[:, None])
 
         def part(names: Sequence[str]) -> Floats:
             rows = [
@@ -163,13 +171,6 @@ class Layout:
             return kron(rows, np.ones(1))
 
         return np.outer(part(self.between), part(self.within))
-
-
-def kron(parts: Sequence[Floats], start: Floats) -> Floats:
-    """Return the Kronecker product of several arrays, the last one's index changing fastest."""
-    for part in parts:
-        start = np.asarray(np.kron(start, part), dtype=np.float64)
-    return start
 
 
 def relative_ranks(values: Floats, batches: Numbers | None = None) -> Floats:

@@ -95,6 +95,10 @@ class Contrast(NamedTuple):
         """Of both sides."""
         return np.asarray(2 * stats.t.sf(np.abs(self.t_value), self.freedom))
 
+    def reach(self, alpha: float) -> float:
+        """Return how far an interval of 1 - alpha reaches to either side of the difference."""
+        return float(self.error) * float(stats.t.ppf(1 - alpha / 2, float(self.freedom)))
+
 
 class Tested(NamedTuple):
     """An F statistic with its degrees of freedom."""

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.statistics.cell_layout import relative_ranks
-from robot_runner.analysis.statistics.linear_model import coded_row, estimable_terms
+from robot_runner.analysis.statistics.effect_coding import marginal_row
+from robot_runner.analysis.statistics.linear_model import estimable_terms
 from robot_runner.analysis.statistics.robust_covariance import fit_robustly
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.words import enumerated
@@ -106,7 +107,7 @@ class CovariateDesign:
             raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
         cell = np.asarray(texts.groupby(list(factors), sort=False).ngroup(), dtype=np.intp)
         levels = texts.iloc[np.unique(cell, return_index=True)[1]].to_dict("records")
-        rows = np.stack([coded_row(factors, terms, {str(name): each[name] for name in each}) for each in levels])
+        rows = np.stack([marginal_row(factors, terms, {str(name): each[name] for name in each}) for each in levels])
         values = data.values  # noqa: PD011 - no data frame
         if estimand is Estimand.RANK:
             values, raw = relative_ranks(values, number), relative_ranks(raw.T, number).T

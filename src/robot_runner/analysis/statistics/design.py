@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
+from robot_runner.analysis.statistics.aliasing import aliasing_of
+from robot_runner.analysis.statistics.designed_columns import designed_columns
+from robot_runner.analysis.statistics.known_design import PLAIN, KnownDesign
 from robot_runner.analysis.statistics.outcome import DesignSummary
 from robot_runner.core.design.analysis_plan import ELAPSED, ORDER
 from robot_runner.core.design.columns import RUN_ID
@@ -21,7 +25,18 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-__all__ = ["BATCH", "PLACE", "VALUE", "Design", "Group", "MeasureData", "covariate_column", "design_of"]
+__all__ = [
+    "BATCH",
+    "PLACE",
+    "VALUE",
+    "Design",
+    "Group",
+    "MeasureData",
+    "before_column",
+    "covariate_column",
+    "design_of",
+    "role_column",
+]
 
 #: Columns of a measure's data beside the factors. Names of factors never begin with a blank.
 VALUE = " value"
@@ -34,6 +49,16 @@ _STAMP = "start_measurement_at"
 def covariate_column(name: str) -> str:
     """Return the column that a covariate has in the data of each measure."""
     return f" covariate {name}"
+
+
+def role_column(name: str) -> str:
+    """Return the column that a block of the design (a row, a period, a subject) has in the data of each measure."""
+    return f" role {name}"
+
+
+def before_column(factor: str) -> str:
+    """Return the column that has the treatment of the period before, in a crossover."""
+    return f" before {factor}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +94,7 @@ class MeasureData:
         is_blocked: whether runs belong to blocks.
         is_extended: whether the runs with a value are of several batches.
         covariates: what values are adjusted for; `frame` has a column of each, and only the runs that have all of them.
+        known: the design, beyond factors and blocks.
     """
 
     name: str
@@ -78,6 +104,7 @@ class MeasureData:
     is_blocked: bool
     is_extended: bool = False
     covariates: tuple[str, ...] = ()
+    known: KnownDesign = PLAIN
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -93,6 +120,17 @@ class MeasureData:
     def batches(self) -> NDArray[np.intp]:
         """The number of the batch of each run that has a value."""
         return np.asarray(self.frame[BATCH].astype(int), dtype=np.intp)
+
+    @property
+    def plots(self) -> NDArray[np.intp]:
+        """The number of the whole plot of each run that has a value, of a split-plot design."""
+        names = [role_column(name) for name in (self.known.whole_plot, *self.known.plot_columns)]
+        return np.asarray(self.frame.groupby(names, observed=True).ngroup(), dtype=np.intp)
+
+    def with_plots_as_blocks(self) -> MeasureData:
+        """Return the same runs, with the whole plots of a split-plot design as blocks, and nothing else known of it."""
+        frame = self.frame.assign(**{_BLOCK: self.plots.astype(str)})
+        return replace(self, frame=frame, is_blocked=True, known=PLAIN)
 
     def covariate(self, name: str) -> NDArray[np.float64]:
         """Return a covariate of each run that has a value."""
@@ -140,7 +178,14 @@ class MeasureData:
         ]
 
     def residuals(self) -> NDArray[np.float64]:
-        """Return each value less the mean of its combination, and less what its batch and covariates add, if any."""
+        """Return each value less the mean of its combination, and less what its batch and covariates add, if any.
+
+        Of a design of its own it is what its effects and blocks leave.
+        """
+        if not self.known.is_plain:
+            levels = {name: self.levels(name) for name in self.factors}
+            columns = designed_columns(self.frame, levels, list(map(role_column, self.known.columns)), self.known)
+            return np.asarray(self.values - columns @ np.linalg.lstsq(columns, self.values)[0], dtype=np.float64)
         if not (self.is_extended or self.covariates):
             if not self.factors:
                 return np.asarray(self.values - np.mean(self.values), dtype=np.float64)
@@ -179,6 +224,7 @@ class Design:
         left_out: how many runs of the table are not done.
         without: runs whose values are not used.
         covariates: what the values of measures are adjusted for; of a covariate itself they are not.
+        known: the design, beyond factors and blocks.
     """
 
     results: Results
@@ -189,6 +235,7 @@ class Design:
     left_out: int
     without: frozenset[str] = frozenset()
     covariates: tuple[str, ...] = ()
+    known: KnownDesign = PLAIN
 
     def data(self, measure: str) -> MeasureData | None:
         """Return the data of a measure, or None where its values are no numbers."""
@@ -204,7 +251,7 @@ class Design:
         frame = every[every[[VALUE, *known]].notna().all(axis="columns")].reset_index(drop=True)
         factors = tuple(name for name in self.factors if _distinct(frame[name]) > 1)
         is_extended = BATCH in frame and _distinct(frame[BATCH]) > 1
-        return MeasureData(measure, frame, every, factors, self.block is not None, is_extended, covariates)
+        return MeasureData(measure, frame, every, factors, self.block is not None, is_extended, covariates, self.known)
 
     def _numbers(self, measure: str) -> NDArray[np.float64] | None:
         """Return the values of a measure, NaN where there is none; None where they are no numbers."""
@@ -226,8 +273,9 @@ class Design:
     def summary(self) -> DesignSummary:
         """Return the design in figures and in a sentence."""
         counts = self.frame.groupby(list(self.factors), observed=True).size() if self.factors else None
-        possible = int(np.prod([_distinct(self.frame[name]) for name in self.factors], dtype=np.int64))
         found = [len(self.frame)] if counts is None else [int(count) for count in counts]
+        # Of a design of its own, the combinations that it left out are none that lack runs.
+        possible = self._planned if self.known.is_plain else len(found)
         return DesignSummary(
             factors=self.factors,
             constant_factors=self.constant,
@@ -241,6 +289,10 @@ class Design:
             sentence=self._sentence(found),
         )
 
+    @property
+    def _planned(self) -> int:
+        return math.prod(_distinct(self.frame[name]) for name in self.factors)
+
     def _sentence(self, counts: Sequence[int]) -> str:
         if not len(self.frame):
             return "No run is done."
@@ -248,9 +300,10 @@ class Design:
         if not self.factors:
             return f"{runs}, all with the same treatments."
         named = [f"{name} ({counted(_distinct(self.frame[name]), 'treatment')})" for name in self.factors]
+        kind = "" if self.known.is_plain else f" ({self.known.in_words})"
         sizes = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
         blocks = f", in blocks of {self.block}" if self.block else ""
-        return f"{runs}; varied: {enumerated(named)}; {sizes} runs a combination{blocks}."
+        return f"{runs}; varied: {enumerated(named)}; {sizes} runs a combination{blocks}{kind}."
 
 
 def design_of(results: Results, *, blocks: str | None = None) -> Design:
@@ -262,12 +315,16 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
     """
     done = results.done
     column = blocks if blocks in results.runs.columns else results.block
+    known = KnownDesign.of_manifest(results.manifest, results.runs.columns)
+    if column is not None and known != PLAIN:  # complete blocks are those of a full factorial alone
+        known, column = known.with_blocks((column,)), None
     columns = {RUN_ID: done[RUN_ID], PLACE: _places(done)}
-    counted_only = {results.repetition, column}
+    counted_only = {results.repetition, column, *known.columns}
     names = [name for name in results.factors if name not in counted_only]
     for name in names:
         texts = treatment_texts(done[name])
         columns[name] = texts.cat.remove_unused_categories()
+    columns |= {role_column(name): done[name].astype("str") for name in known.columns}
     if column is not None:
         columns[_BLOCK] = done[column].astype("str")
     batches = None if results.batch in {None, column} else done[results.batch].fillna(1).astype(int)
@@ -275,12 +332,37 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
         columns[BATCH] = pd.Categorical(batches, ordered=True)
         if column is not None and column == results.repetition:  # it is counted on across batches
             columns[_BLOCK] = columns[_BLOCK] + " of batch " + batches.astype("str")
+    if known.period:
+        columns |= _treatments_before(results, known, names)
     frame = pd.DataFrame(columns)
     varied = tuple(name for name in names if _distinct(frame[name]) > 1)
     constant = tuple(name for name in names if name not in varied)
     has_blocks = column is not None and _distinct(frame[_BLOCK]) > 1
     block = column if has_blocks else None
-    return Design(results, frame, varied, constant, block, len(results.runs) - len(done))
+    known = _with_structure(known, results, frame, varied)
+    return Design(results, frame, varied, constant, block, len(results.runs) - len(done), known=known)
+
+
+def _treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:
+    """Return the treatment that each subject had in the period before, as planned; nothing in its first period."""
+    runs = results.runs.sort_values(known.period, key=treatment_texts, kind="stable")
+    before = runs.groupby(runs[known.subject].astype("str"), observed=True)[list(names)].shift()
+    found = before.astype("str").where(before.notna(), "").set_index(runs[RUN_ID])
+    return {before_column(name): results.done[RUN_ID].map(found[name]) for name in names}
+
+
+def _with_structure(known: KnownDesign, results: Results, frame: pd.DataFrame, varied: Sequence[str]) -> KnownDesign:
+    """Return a design with the effects that its planned combinations can tell, and how whole plots are numbered."""
+    if known == PLAIN or known.is_surface or not varied:
+        return known
+    planned = results.runs[list(varied)].astype("str").drop_duplicates()
+    codes = {name: np.unique(planned[name], return_inverse=True)[1] for name in varied}
+    known = known.with_aliasing(aliasing_of(codes, main_only=not known.has_interactions))
+    if known.whole_plot:
+        plots = frame.groupby(role_column(known.whole_plot), observed=True)
+        numbered_anew = tuple(name for name in known.blocks if plots[role_column(name)].nunique().max() > 1)
+        known = known.with_plot_columns(numbered_anew)
+    return known
 
 
 def _distinct(values: pd.Series) -> int:

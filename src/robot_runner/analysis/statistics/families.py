@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.statistics.outcome import HypothesisOutcome
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import TestMethod
-from robot_runner.analysis.wording import p_in_words, with_unit
+from robot_runner.analysis.wording import listed, p_in_words, with_unit
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family
 from robot_runner.core.words import counted, enumerated
 
@@ -194,19 +194,19 @@ def _worded(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs
 
 def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> str:
     figures = _figures(effect)
+    aliases = f", aliased with {listed([' x '.join(each) for each in effect.aliases])}," if effect.aliases else ""
+    named = f"{effect.factors[0]}{aliases}" if len(effect.factors) == 1 else ""
     if not effect.is_significant:
-        what = (
-            f"an interaction of {enumerated(effect.factors)}"
-            if len(effect.factors) > 1
-            else f"an effect of {effect.factors[0]}"
-        )
+        what = f"an effect of {named}" if named else f"an interaction of {enumerated(effect.factors)}{aliases}"
         return f"The data do not show {what} on {measure.name} ({figures}); that is no proof that there is none."
     size = next(iter(effect.effect_sizes), None)
     sized = "" if size is None else f"; the effect is {size.magnitude.value}, {size.name} = {size.value:.2f}"
-    if len(effect.factors) > 1:
+    if not named and aliases:
+        return f"{' x '.join(effect.factors)}{aliases} has an effect on {measure.name} ({figures}{sized})."
+    if not named:
         others = enumerated(effect.factors[1:])
         return f"The effect of {effect.factors[0]} on {measure.name} depends on {others} ({figures}{sized})."
-    return f"{effect.factors[0]} has an effect on {measure.name}{_difference(measure, test, pairs)} ({figures}{sized})."
+    return f"{named} has an effect on {measure.name}{_difference(measure, test, pairs)} ({figures}{sized})."
 
 
 def _figures(effect: Effect) -> str:

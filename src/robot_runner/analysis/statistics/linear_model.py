@@ -9,17 +9,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, product
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, kron
+from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
 from robot_runner.analysis.statistics.contrasts import Contrast
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.design import BATCH, VALUE
+from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["FittedModel", "coded_row", "estimable_terms", "fit_model"]
+__all__ = ["FittedModel", "estimable_terms", "fit_model"]
 
 #: A mean for each of more combinations takes long to fit, and nobody can read them.
 _MOST_CELLS = 500
@@ -82,7 +83,6 @@ class FittedModel:
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect: Wald's statistic as an F, with degrees of freedom by containment."""
-        cells = [self._row(dict(zip(self.factors, levels, strict=True))) for levels in product(*self.factors.values())]
         for factors in self.terms:
             place = self._place(factors)
             beta, covariance = self._beta[place], self._covariance[place, place]
@@ -90,7 +90,7 @@ class FittedModel:
             freedom = (float(len(beta)), self._freedom(factors))
             f_value = wald / freedom[0]
             p_value = float(stats.f.sf(f_value, *freedom)) if freedom[1] > 0 else math.nan
-            variance = float(np.mean((np.stack(cells)[:, place] @ beta) ** 2))
+            variance = float(beta @ mean_squares(self.factors, factors) @ beta)
             yield EffectTest(factors, self.method.value, "F", f_value, freedom, p_value, variance)
 
     def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
@@ -99,19 +99,12 @@ class FittedModel:
         Args:
             weights: treatments by factor, with the weight of their mean.
         """
-        row = np.sum([weight * self._marginal_row(treatments) for treatments, weight in weights], axis=0)
+        rows = [weight * marginal_row(self.factors, self.terms, treatments) for treatments, weight in weights]
+        row = np.sum(rows, axis=0)
         error = math.sqrt(max(0.0, float(row @ self._covariance @ row)))
         named = {name for treatments, _ in weights for name in treatments}
         freedom = min(self._freedom(factors) for factors in self.terms if set(factors) <= named)
         return Contrast(*map(np.asarray, (row @ self._beta, error, freedom)))
-
-    def _marginal_row(self, treatments: Mapping[str, str]) -> Floats:
-        levels = [[treatments[name]] if name in treatments else of for name, of in self.factors.items()]
-        rows = [self._row(dict(zip(self.factors, each, strict=True))) for each in product(*levels)]
-        return np.asarray(np.mean(rows, axis=0))
-
-    def _row(self, treatments: Mapping[str, str]) -> Floats:
-        return coded_row(self.factors, self.terms, treatments)
 
     def _place(self, factors: Sequence[str]) -> slice:
         """Return the columns of an effect in the design; the first is the mean of all combinations."""
@@ -170,7 +163,7 @@ class FittedModel:
         return bool(told < self._size(factors))
 
     def _size(self, factors: Sequence[str]) -> int:
-        return int(np.prod([len(self.factors[name]) - 1 for name in factors]))
+        return term_size(self.factors, factors)
 
 
 def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel | NotComputed:
@@ -192,7 +185,7 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
     if not terms:
         return NotComputed("the test", "there are too few runs for the number of treatments.")
     treatments = frame[list(factors)].to_dict("records")
-    exog = np.stack([coded_row(factors, terms, {str(name): each[name] for name in each}) for each in treatments])
+    exog = np.stack([marginal_row(factors, terms, {str(name): each[name] for name in each}) for each in treatments])
     exog = exog if batches is None else np.column_stack([exog, batches])
     values = frame[VALUE].to_numpy(dtype=np.float64)
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
@@ -242,16 +235,3 @@ def estimable_terms(
         why = f"there are {cells:,} combinations"
     note = f"Interactions cannot be estimated: {why}." if len(names) > 1 else ""
     return tuple((name,) for name in names), note
-
-
-def coded_row(
-    factors: Mapping[str, Sequence[str]], terms: Sequence[Sequence[str]], treatments: Mapping[str, str]
-) -> Floats:
-    """Return the row of the design of one combination, with effects coded to sum up to zero."""
-    coded = {name: _sum_code(len(levels), levels.index(treatments[name])) for name, levels in factors.items()}
-    parts = [kron([coded[name] for name in effect], np.ones(1)) for effect in terms]
-    return np.concatenate([np.ones(1), *parts])
-
-
-def _sum_code(count: int, place: int) -> Floats:
-    return np.full(count - 1, -1.0) if place == count - 1 else np.eye(count - 1)[place]

@@ -20,6 +20,7 @@ from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
+from robot_runner.analysis.statistics.response_surface import SurfaceModel
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
@@ -132,6 +133,7 @@ def measure_statistics(
         left_out=(*left_out, *_lacking(data)),
         rule_false_positives=_rule_false_positives(every, plan, left_out),
         adjustment=adjustment,
+        surface=model.surface(choices.alpha) if isinstance(model, SurfaceModel) else None,
     )
 
 
@@ -174,7 +176,7 @@ def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None
     if len(data.factors) > 1:
         why = f"power depends on the effects of all {len(data.factors)} factors; it is computed for one factor only."
         return gathered.take(NotComputed("power", why))
-    if not data.factors:
+    if not data.factors or not data.known.is_plain:
         return None
     return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
 

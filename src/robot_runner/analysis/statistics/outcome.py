@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from robot_runner.analysis.statistics.disclosed import Adjustment, LeftOut
+    from robot_runner.analysis.statistics.response_surface import Surface
     from robot_runner.analysis.statistics.tested import (
         AssumptionCheck,
         ContrastTest,
@@ -197,6 +198,7 @@ class MeasureStatistics:
         rule_false_positives: how often two combinations of so many runs (the smallest and the largest) differ at 5 % by
             chance alone where outliers are left out by the plan's rule, by simulation, percent; None where none was.
         adjustment: how the tests were adjusted for covariates; descriptions are of values as measured.
+        surface: how it depends on factors that are numbers, where the design is one of a response surface.
     """
 
     name: str
@@ -218,6 +220,7 @@ class MeasureStatistics:
     left_out: tuple[LeftOut, ...] = ()
     rule_false_positives: float | None = None
     adjustment: Adjustment | None = None
+    surface: Surface | None = None
 
 
 @dataclass(frozen=True, slots=True)

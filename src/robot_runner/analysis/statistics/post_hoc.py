@@ -16,7 +16,7 @@ from robot_runner.analysis.statistics.design import BATCH, VALUE
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_rank_biserial, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Interval, NotComputed, PostHoc, TestMethod
-from robot_runner.analysis.statistics.tests import check_estimand, planned_model_of
+from robot_runner.analysis.statistics.tests import check_estimand, levels_of, planned_model_of
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 
@@ -25,12 +25,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.cell_means import CellMeans
     from robot_runner.analysis.statistics.contrasts import Contrast
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectSize, MeasureTest
-    from robot_runner.analysis.statistics.tests import Choices
+    from robot_runner.analysis.statistics.tests import AnyModel, Choices
     from robot_runner.core.design.hypothesis import Hypothesis
+
+    #: The treatments of a group of runs, by factor.
+    Group = Mapping[str, str]
 
 __all__ = [
     "adjusted",
@@ -63,25 +65,30 @@ _PAIRED = {
     TestMethod.LINEAR_MODEL: "t-tests of the model's marginal means",
     TestMethod.MIXED_MODEL: "t-tests of the model's marginal means",
     TestMethod.COVARIANCE: "t-tests of adjusted means",
+    TestMethod.BESIDE_BLOCKS: "t-tests of means beside blocks",
+    TestMethod.CROSSOVER: "t-tests of means within subjects",
+    TestMethod.SPLIT_PLOT: "t-tests of means, each of its stratum",
+    TestMethod.LENTH: "Lenth's method",
 }
 
 
 def compare_pairs(
-    data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, test: MeasureTest, choices: Choices
+    data: MeasureData, model: AnyModel, test: MeasureTest, choices: Choices
 ) -> tuple[tuple[PostHoc, ...], tuple[NotComputed, ...]]:
     """Compare the treatments of each factor pair by pair; the combinations too, of factors that seem to interact."""
     beside = planned_model_of(data, check_estimand(choices.estimand), choices.statistic)
     found: list[PostHoc] = []
     missing: list[NotComputed] = []
-    for factors in _compared(test, choices.alpha):
+    for factors in _compared(data, test, choices.alpha):
         groups = [group.treatments for group in data.groups(factors)]
-        pairs = math.comb(len(groups), 2)
+        chosen = list(_chosen_pairs(data, groups))
+        pairs = len(chosen)
         if pairs > _MOST_PAIRS:
             what = f"pairwise comparisons of {' x '.join(factors)}"
             missing.append(NotComputed(what, f"{len(groups)} groups make {pairs:,} pairs: compare chosen ones."))
             continue
         with quiet():
-            every = [_comparison(data, model, beside, pair, choices) for pair in combinations(groups, 2)]
+            every = [_comparison(data, model, beside, pair, choices) for pair in chosen]
         after = iter(adjusted([each.p_value for each in every if each.p_value is not None], choices.correction))
         compared = tuple(
             each if each.p_value is None else _with_adjusted(each, next(after), choices.alpha) for each in every
@@ -129,9 +136,7 @@ def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
     return [float(value) for value in holm]
 
 
-def carry_out_contrast(
-    model: CellMeans | FittedModel | AdjustedMeans, hypothesis: Hypothesis, choices: Choices
-) -> ContrastTest | NotComputed:
+def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices) -> ContrastTest | NotComputed:
     """Test the contrast of a hypothesis, or that a difference is within its bound (two one-sided tests)."""
     found = contrast_of(model, hypothesis)
     if isinstance(found, NotComputed):
@@ -141,14 +146,14 @@ def carry_out_contrast(
         return NotComputed(_test_of(hypothesis), "the values of its treatments do not vary.")
     level = 1 - choices.alpha if hypothesis.within is None else 1 - 2 * choices.alpha
     p_value = float(p_value_of_contrast(found, hypothesis))
-    reach = error * float(stats.t.ppf((1 + level) / 2, freedom))
+    reach = found.reach(1 - level)
     interval = Interval(estimate - reach, estimate + reach, level, _T)
     return ContrastTest(hypothesis.statement, estimate, interval, estimate / error, freedom, p_value)
 
 
-def contrast_of(model: CellMeans | FittedModel | AdjustedMeans, hypothesis: Hypothesis) -> Contrast | NotComputed:
+def contrast_of(model: AnyModel, hypothesis: Hypothesis) -> Contrast | NotComputed:
     """Estimate the contrast of a hypothesis; of many experiments at once where the model is."""
-    levels = dict(model.factors if isinstance(model, FittedModel | AdjustedMeans) else model.layout.factors)
+    levels = dict(levels_of(model))
     (factor,) = hypothesis.factors
     weights = hypothesis.contrast
     if factor in levels and weights is None and len(levels[factor]) == 2:  # noqa: PLR2004
@@ -172,10 +177,23 @@ def _test_of(hypothesis: Hypothesis) -> str:
     return f"test of the hypothesis {hypothesis.statement!r}"
 
 
-def _compared(test: MeasureTest, alpha: float) -> Iterator[tuple[str, ...]]:
-    """Yield each factor, and the interactions that may turn out to be significant."""
+def _chosen_pairs(data: MeasureData, groups: Sequence[Group]) -> Iterator[tuple[Group, Group]]:
+    """Yield the pairs of treatments that the design compares: all, or each with the base."""
+    base = data.known.base if data.known.is_one_at_a_time else {}
+    for one, other in combinations(groups, 2):
+        if all(base.get(name, text) in {text, other[name]} for name, text in one.items()):
+            yield one, other
+
+
+def _compared(data: MeasureData, test: MeasureTest, alpha: float) -> Iterator[tuple[str, ...]]:
+    """Yield each factor, and the interactions that may turn out to be significant and are not aliased.
+
+    Nothing of a surface: its treatments are numbers of which any others could have been taken.
+    """
+    if data.known.is_surface:
+        return
     yield from (effect.factors for effect in test.effects if len(effect.factors) == 1)
-    for effect in test.effects:
+    for effect in test.effects if not data.known.aliases else ():
         if len(effect.factors) > 1 and effect.p_value is not None and effect.p_value < alpha:
             yield effect.factors
 
@@ -186,8 +204,8 @@ def _with_adjusted(pair: Comparison, adjusted_p_value: float, alpha: float) -> C
 
 def _comparison(
     data: MeasureData,
-    model: CellMeans | FittedModel | AdjustedMeans,
-    beside: CellMeans | FittedModel | AdjustedMeans | NotComputed,
+    model: AnyModel,
+    beside: AnyModel | NotComputed,
     pair: tuple[Mapping[str, str], Mapping[str, str]],
     choices: Choices,
 ) -> Comparison:
@@ -198,7 +216,7 @@ def _comparison(
     check = None if isinstance(beside, NotComputed) else _p_value(beside.difference(weights))
     interval = None
     if is_known:
-        reach = error * float(stats.t.ppf(1 - choices.alpha / 2, freedom))
+        reach = found.reach(choices.alpha)
         interval = Interval(estimate - reach, estimate + reach, 1 - choices.alpha, _T)
     return Comparison(
         first=" / ".join(pair[0].values()),
@@ -223,7 +241,7 @@ def _p_value(found: Contrast) -> float | None:
 
 def _sizes(
     data: MeasureData,
-    model: CellMeans | FittedModel | AdjustedMeans,
+    model: AnyModel,
     pair: tuple[Mapping[str, str], Mapping[str, str]],
     found: tuple[float, float, float],
     choices: Choices,
@@ -234,6 +252,8 @@ def _sizes(
         size = cohens_d(*found, float(model.spread), level=1 - choices.alpha, name=name)
         if size is not None:
             yield size
+    if not data.known.is_plain:  # most combinations of the others are not there, or runs lie in blocks of several kinds
+        return
     data = model.adjusted_data(data) if isinstance(model, AdjustedMeans) else data
     if data.is_blocked:
         differences = None if isinstance(model, FittedModel) else _within_blocks(data, pair)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from robot_runner.analysis.wording import listed
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -83,6 +85,11 @@ class TestMethod(Enum):
     LINEAR_MODEL = "linear model with one variance"
     MIXED_MODEL = "linear mixed model"
     COVARIANCE = "analysis of covariance"
+    BESIDE_BLOCKS = "analysis of variance beside blocks"
+    CROSSOVER = "analysis of variance of a crossover"
+    SPLIT_PLOT = "analysis of variance of a split-plot design"
+    LENTH = "Lenth's method"
+    SURFACE = "response surface"
 
 
 class EffectTest(NamedTuple):
@@ -218,6 +225,7 @@ class Effect:
         check: the test of ranks beside it.
         conclusion: one plain sentence, or two.
         parts: the tests whose p-values are combined; none where there is a single test.
+        aliases: the effects that the design cannot tell apart from it, by their factors.
     """
 
     factors: tuple[str, ...]
@@ -232,11 +240,13 @@ class Effect:
     check: Check | None
     conclusion: str
     parts: tuple[TestPart, ...] = ()
+    aliases: tuple[tuple[str, ...], ...] = ()
 
     @property
     def label(self) -> str:
-        """The effect in words, as in `Task` or `Task x Speed`."""
-        return " x ".join(self.factors)
+        """The effect in words, as in `Task` or `Task x Speed`; with what it cannot be told apart from."""
+        name = " x ".join(self.factors)
+        return f"{name} (aliased with {listed([' x '.join(each) for each in self.aliases])})" if self.aliases else name
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,8 +14,12 @@ from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans, fit_a
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, layout_of, relative_ranks
 from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.effect_sizes import omega_squared
+from robot_runner.analysis.statistics.lenth_test import LENTH, LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
+from robot_runner.analysis.statistics.response_surface import SurfaceModel
+from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod, TestPart
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
@@ -31,7 +35,10 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectTest
 
-__all__ = ["Choices", "Model", "carry_out", "check_estimand", "model_of", "planned_model_of"]
+__all__ = ["AnyModel", "Choices", "Model", "carry_out", "check_estimand", "levels_of", "model_of", "planned_model_of"]
+
+#: All that is fitted to a measure.
+AnyModel = CellMeans | FittedModel | AdjustedMeans | StrataModel | LenthModel | SurfaceModel
 
 _PAIR = 2
 
@@ -71,7 +78,7 @@ def check_estimand(estimand: Estimand) -> Estimand:
 
 def model_of(
     data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.COMBINED
-) -> CellMeans | FittedModel | NotComputed:
+) -> CellMeans | FittedModel | StrataModel | LenthModel | SurfaceModel | NotComputed:
     """Return the estimates of a measure as it is, whatever its covariates, or why there are none.
 
     Args:
@@ -82,6 +89,11 @@ def model_of(
     problem = _problem(data)
     if problem:
         return NotComputed("the test", problem)
+    designed = designed_model_of(data, estimand, statistic)
+    if designed is not None:
+        return designed
+    if data.known.whole_plot:  # some have lost a run, so that strata are not apart
+        return fit_model(data.with_plots_as_blocks(), _ranks(data) if estimand is Estimand.RANK else None)
     layout = layout_of(data)
     if layout is None or (layout.is_blocked and estimand is Estimand.TRIMMED_MEAN):
         if estimand is Estimand.TRIMMED_MEAN:
@@ -99,9 +111,9 @@ def model_of(
 
 def planned_model_of(
     data: MeasureData, estimand: Estimand, statistic: Statistic = Statistic.COMBINED
-) -> CellMeans | FittedModel | AdjustedMeans | NotComputed:
+) -> AnyModel | NotComputed:
     """Return the estimates of a measure, adjusted for its covariates where it has any, or why there are none."""
-    if not data.covariates or _problem(data):
+    if not data.covariates or not data.known.is_plain or _problem(data):
         return model_of(data, estimand, statistic)
     return fit_adjusted(data, estimand, statistic)
 
@@ -110,12 +122,18 @@ def _ranks(data: MeasureData) -> NDArray[np.float64]:
     return relative_ranks(data.values, data.batches if data.is_extended else None)
 
 
-def carry_out(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, choices: Choices) -> MeasureTest:
+def carry_out(data: MeasureData, model: AnyModel, choices: Choices) -> MeasureTest:
     """Return the tests of all effects, before p-values are adjusted and conclusions are drawn."""
     beside = planned_model_of(data, check_estimand(choices.estimand), choices.statistic)
     with quiet():
         checks = {} if isinstance(beside, NotComputed) else {each.factors: each for each in beside.effects()}
-        effects = tuple(_effect(model, each, checks.get(each.factors), choices) for each in model.effects())
+        effects = tuple(
+            replace(
+                _effect(model, each, checks.get(each.factors), choices),
+                aliases=data.known.aliases.get(each.factors, ()),
+            )
+            for each in model.effects()
+        )
     library = "statsmodels" if isinstance(model, FittedModel) else "scipy"
     return MeasureTest(
         method=model.method,
@@ -124,15 +142,15 @@ def carry_out(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans,
         effects=effects,
         family="",
         family_size=len(effects),
-        spread=float(model.spread) if choices.estimand is not Estimand.RANK else None,
+        spread=float(model.spread)
+        if choices.estimand is not Estimand.RANK and model.method is not _NO_SPREAD
+        else None,
         library=f"{library} {version(library)}",
         notes=tuple(_notes(data, model)),
     )
 
 
-def _effect(
-    model: CellMeans | FittedModel | AdjustedMeans, found: EffectTest, beside: EffectTest | None, choices: Choices
-) -> Effect:
+def _effect(model: AnyModel, found: EffectTest, beside: EffectTest | None, choices: Choices) -> Effect:
     statistic, p_value, variance = float(found.statistic), float(found.p_value), float(found.variance)
     freedom = tuple(map(float, found.freedom))
     is_known = all(map(math.isfinite, (statistic, p_value, *freedom)))
@@ -142,7 +160,7 @@ def _effect(
         f_value, both = (statistic**2, (1.0, *freedom)) if len(freedom) == 1 else (statistic, freedom)
         if found.parts or BOOTSTRAP in found.test:  # the interval is to belong to the p-value
             f_value = float(stats.f.isf(p_value, *both))
-        is_partial = len(_factors(model)) > 1
+        is_partial = len(levels_of(model)) > 1
         size = omega_squared(
             f_value, (both[0], both[1]), variance, float(model.spread), alpha=choices.alpha, is_partial=is_partial
         )
@@ -166,8 +184,9 @@ def _part(name: str, statistic: float, freedom: Sequence[float], p_value: float)
     return TestPart(name, float(statistic), tuple(map(float, freedom)), float(p_value))
 
 
-def _factors(model: CellMeans | FittedModel | AdjustedMeans) -> Sequence[str]:
-    return tuple(model.layout.factors if isinstance(model, CellMeans) else model.factors)
+def levels_of(model: AnyModel) -> Mapping[str, Sequence[str]]:
+    """Return the factors of a model, with their treatments."""
+    return model.layout.factors if isinstance(model, CellMeans) else model.factors
 
 
 def _check(beside: EffectTest, p_value: float | None, choices: Choices) -> Check:
@@ -192,12 +211,20 @@ def _problem(data: MeasureData) -> str:
     return ""
 
 
+#: Single runs tell no standard deviation.
+_NO_SPREAD = TestMethod.LENTH
+
 _COMPARED = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
 
 
-def _reason(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, estimand: Estimand) -> str:
+def _reason(data: MeasureData, model: AnyModel, estimand: Estimand) -> str:
     compared = _COMPARED[estimand]
     count = len(data.factors)
+    if isinstance(model, StrataModel | LenthModel | SurfaceModel):
+        return model.reason
+    if not data.known.is_plain and isinstance(model, CellMeans):
+        listed_of = f"{counted(count, 'factor')} in {len(model.layout.sizes)} combinations ({data.known.in_words})"
+        return f"{listed_of}, each run by itself: {compared} are compared, with a variance for each combination."
     of = f"{count} factors and their interactions" if count > 1 else "One factor"
     if count == 1:
         of += f" with {counted(len(data.levels(data.factors[0])), 'treatment')}"
@@ -230,9 +257,14 @@ _CONTAINMENT = (
 )
 
 
-def _notes(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans) -> Iterator[str]:
+def _notes(data: MeasureData, model: AnyModel) -> Iterator[str]:
     """Yield what a reader has to know besides."""
-    if isinstance(model, AdjustedMeans):
+    if isinstance(model, StrataModel | LenthModel | SurfaceModel):
+        yield from model.notes
+        yield from data.known.notes
+    elif not data.known.is_plain and isinstance(model, CellMeans):
+        yield from data.known.notes
+    elif isinstance(model, AdjustedMeans):
         yield from filter(None, (model.note,))
     elif isinstance(model, FittedModel):
         yield from filter(None, (model.note, _CONTAINMENT if model.blocks is not None else ""))
@@ -245,5 +277,5 @@ def _notes(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans) ->
             yield f"Their blocks do not hold all combinations, so these runs are left out of the tests: {runs}."
         if layout.is_replicated:
             yield "Runs of one combination in the same block are reduced to their mean: chance is how blocks differ."
-    if len({len(group.values) for group in data.groups(data.factors)}) > 1 and len(data.factors) > 1:
+    if data.known.is_plain and len({len(each.values) for each in data.groups(data.factors)}) > 1 < len(data.factors):
         yield "The combinations have unequal numbers of runs; in the means that are compared each counts the same."

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import chain, repeat
 from random import Random
 from secrets import randbits
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.design.columns import numbered_run_id
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.factor import Combination
 
-__all__ = ["PlannedRun", "RunOrder", "arranged", "garbage_collection_paused", "planned_runs"]
+__all__ = ["PlannedRun", "RunOrder", "arranged", "garbage_collection_paused", "planned_runs", "shuffle_in_place"]
 
 
 # The order of the runs: as written, randomised, or randomised within complete blocks. Always from a known seed.
@@ -58,7 +58,7 @@ def arranged(count: int, block_of: Sequence[int] | None, order: RunOrder) -> Seq
     if order.shuffle:
         draw = Random(order.seed).random  # noqa: S311 - reproducible, not secret
         for block in blocks:
-            _shuffle(block, draw)
+            shuffle_in_place(block, draw)
     return list(chain.from_iterable(blocks))
 
 
@@ -69,8 +69,12 @@ def _blocks(block_of: Sequence[int]) -> list[list[int]]:
     return blocks
 
 
-def _shuffle(places: list[int], draw: Callable[[], float]) -> None:
-    """Shuffle in place (Fisher and Yates).
+def shuffle_in_place(places: list[Any], draw: Callable[[], float]) -> None:
+    """Shuffle a list (Fisher and Yates).
+
+    Args:
+        places: what is put into another order.
+        draw: the method `random` of a random number generator.
 
     Only `random()` is promised to give the same numbers in every version of Python: `shuffle()` is not.
     """

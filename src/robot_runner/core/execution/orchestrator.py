@@ -35,6 +35,7 @@ from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.side_by_side import SideBySide
 from robot_runner.core.storage.claim_locks import HeldClaims
+from robot_runner.core.storage.lock import forget_stop, stop_is_requested
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
 __all__ = ["execute_experiment"]
 
 _log = logging.getLogger(__name__)
+#: How often a request to stop is looked for, in seconds: it is a file, which wakes nobody.
+_LISTEN = 0.5
 
 #: How often to look whether another experiment has let go of what it claimed, s.
 _LOOK_AT_CLAIMS = 0.5
@@ -141,7 +144,7 @@ class _Orchestrator:
         self._progress = progress
         self._interruption = interruption
         self._observer = observer
-        patience = Patience(interruption, self._refresh, observer.refresh_interval, progress.tend_table)
+        patience = Patience(interruption, self._refresh, observer.refresh_interval, self._tend)
         self._events = OrchestratorEvents(experiment, progress, patience)
         self._notifications = Notifications(experiment, progress.note)
         self._started = time.monotonic()
@@ -272,6 +275,16 @@ class _Orchestrator:
             seconds=time.monotonic() - self._started,
             excluded=progress.excluded,
         )
+
+    def _tend(self) -> float:
+        """Do what is due while something is awaited; returns in how many seconds it is again."""
+        stop = self._experiment.folder.stop
+        if stop_is_requested(stop) and not self._interruption.is_requested:
+            self._progress.note("stop_requested", flush=True)
+            forget_stop(stop)
+            self._interruption.request()
+        due = self._progress.tend_table()
+        return _LISTEN if due is None else min(due, _LISTEN)
 
     def _find(self, finding: Finding) -> None:
         self._progress.find(finding)

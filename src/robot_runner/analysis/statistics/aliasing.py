@@ -1,0 +1,105 @@
+"""Which effects the combinations of a design can tell apart: those that are tested, and what each is aliased with.
+
+Effects are taken in their order, main effects first. One that is orthogonal to all before it is tested; one that these
+explain completely is their alias; one in between is mixed with them in part, and not tested. For regular fractions that
+is the structure of the defining relation (Box and Hunter, The 2^(k-p) fractional factorial designs, Technometrics 3,
+1961); it needs no generators, and holds for factors of any number of treatments.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import comb
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from robot_runner.analysis.statistics.effect_coding import coded_columns
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.effect_coding import Term
+
+    Floats = NDArray[np.float64]
+    Numbers = NDArray[np.intp]
+
+__all__ = ["Aliasing", "aliasing_of"]
+
+#: Interactions of more factors can hardly be interpreted.
+_MOST_FACTORS = 3
+#: More interactions are not looked at: the list of aliases would not be read.
+_MOST_TERMS = 5_000
+#: Shares below this, or above 1 less this, are what rounding leaves of none and of all.
+_ROUNDING = 1e-8
+
+
+class Aliasing(NamedTuple):
+    """What the combinations can tell.
+
+    Attributes:
+        terms: the effects that are tested.
+        aliases: the effects that are completely explained by each of them.
+        mixed: the tested effects that others are mixed with in part.
+    """
+
+    terms: tuple[Term, ...]
+    aliases: Mapping[Term, tuple[Term, ...]]
+    mixed: frozenset[Term]
+
+
+def aliasing_of(codes: Mapping[str, Numbers], *, main_only: bool = False) -> Aliasing:
+    """Return what combinations can tell.
+
+    Args:
+        codes: the number of the treatment of each combination, by factor; each combination once.
+        main_only: whether interactions are left out, as of designs that are made for main effects.
+
+    Example:
+        >>> a, b = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
+        >>> found = aliasing_of({"A": a, "B": b, "C": (a + b + 1) % 2})
+        >>> found.terms, found.aliases[("A",)]
+        ((('A',), ('B',), ('C',)), (('B', 'C'),))
+    """
+    sizes = {name: int(code.max()) + 1 for name, code in codes.items()}
+    count = len(next(iter(codes.values())))
+    kept: dict[Term, Floats] = {}
+    basis: Floats = np.full((count, 1), count**-0.5)
+    aliases: dict[Term, list[Term]] = {}
+    mixed: set[Term] = set()
+    for term in _candidates(tuple(codes), main_only=main_only):
+        columns = coded_columns(codes, sizes, term)
+        told = basis.T @ columns
+        share = float(np.sum(told**2) / np.sum(columns**2))
+        # Of main effects those that others explain in part are estimated together with these.
+        if share < _ROUNDING or (len(term) == 1 and _leaves_all(basis, columns)):
+            kept[term] = columns
+            basis = np.column_stack([basis, _orthonormal(columns - basis @ told)])
+            continue
+        partners = [each for each, mine in kept.items() if np.sum((_orthonormal(mine).T @ columns) ** 2) > _ROUNDING]
+        if share > 1 - _ROUNDING:
+            for each in partners:
+                aliases.setdefault(each, []).append(term)
+        else:
+            mixed.update(partners)
+    return Aliasing(tuple(kept), {term: tuple(of) for term, of in aliases.items()}, frozenset(mixed))
+
+
+def _candidates(names: Sequence[str], *, main_only: bool) -> Iterator[Term]:
+    left = _MOST_TERMS
+    for size in range(1, 2 if main_only else _MOST_FACTORS + 1):
+        left -= comb(len(names), size)
+        if left < 0 and size > 1:
+            return
+        yield from combinations(names, size)
+
+
+def _leaves_all(basis: Floats, columns: Floats) -> bool:
+    rest = columns - basis @ (basis.T @ columns)
+    return bool(np.linalg.matrix_rank(rest, tol=_ROUNDING * len(rest)) == columns.shape[1])
+
+
+def _orthonormal(columns: Floats) -> Floats:
+    return np.asarray(np.linalg.qr(columns)[0], dtype=np.float64)

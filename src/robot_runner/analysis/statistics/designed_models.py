@@ -1,0 +1,243 @@
+"""The model of a measure that a design of its own asks for: fractions, squares, crossovers, split plots, surfaces.
+
+The design decides, and the values never do; what is left to a full factorial and complete blocks is in `tests`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, relative_ranks
+from robot_runner.analysis.statistics.cell_means import CellMeans
+from robot_runner.analysis.statistics.design import before_column, role_column
+from robot_runner.analysis.statistics.designed_columns import numbers_of_levels
+from robot_runner.analysis.statistics.effect_coding import coded_columns, mean_squares, term_size
+from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
+from robot_runner.analysis.statistics.listed_cells import listed_layout
+from robot_runner.analysis.statistics.response_surface import SurfaceModel, fit_surface
+from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataModel, fit_strata
+from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
+from robot_runner.analysis.wording import p_in_words
+from robot_runner.core.design.analysis_plan import Estimand
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.effect_coding import Term
+    from robot_runner.core.design.analysis_plan import Statistic
+
+    Floats = NDArray[np.float64]
+    Numbers = NDArray[np.intp]
+
+__all__ = ["DesignedModel", "designed_model_of"]
+
+#: The models that designs ask for, beside the means of combinations.
+DesignedModel = StrataModel | LenthModel | SurfaceModel
+
+_ONE_VARIANCE = "One variance serves all runs."
+
+
+def designed_model_of(
+    data: MeasureData, estimand: Estimand, statistic: Statistic, values: Floats | None = None
+) -> CellMeans | DesignedModel | NotComputed | None:
+    """Return the estimates of a measure as its design asks for them; None where it asks for nothing of its own.
+
+    Args:
+        data: the measure.
+        estimand: what is estimated.
+        statistic: which tests several contrasts at once.
+        values: in the place of the measure's own, (..., runs): of many experiments at once.
+    """
+    if data.known.is_plain:
+        return None
+    if estimand is Estimand.TRIMMED_MEAN:
+        return NotComputed("the test", "trimmed means are compared of runs of a full factorial without blocks.")
+    values = data.values if values is None else values  # noqa: PD011 - no data frame
+    if estimand is Estimand.RANK:
+        values = relative_ranks(values, data.batches if data.is_extended else None)
+    return _Fitting(data, values).model(estimand, statistic)
+
+
+@dataclass(frozen=True)
+class _Fitting:
+    """One measure that is fitted, with the parts that its models share."""
+
+    data: MeasureData
+    values: Floats
+
+    def model(self, estimand: Estimand, statistic: Statistic) -> CellMeans | DesignedModel | NotComputed | None:
+        known = self.data.known
+        if known.is_surface:
+            return self._surface()
+        if known.whole_plot:
+            return self._split_plot()
+        if not known.columns and not self.data.is_extended and not self.data.covariates:
+            layout = listed_layout(self.factors, self._codes, self._terms)
+            if layout is not None:
+                draws = {} if self.values.ndim == 1 else {"draws": 499}
+                found = CellMeans.of_values(layout, self.values, estimand, statistic, **draws)
+                return found if found.has_variation else NotComputed("the test", _NO_VARIATION)
+            single = fit_lenth(self.factors, self._codes, self._terms, self.values)
+            if single is not None:
+                return single
+        return self._beside_blocks()
+
+    @cached_property
+    def factors(self) -> dict[str, list[str]]:
+        return {name: self.data.levels(name) for name in self.data.factors}
+
+    @cached_property
+    def _codes(self) -> dict[str, Numbers]:
+        return {
+            name: self.data.frame[name]
+            .astype(str)
+            .map({text: place for place, text in enumerate(levels)})
+            .to_numpy(int)
+            for name, levels in self.factors.items()
+        }
+
+    @property
+    def _terms(self) -> tuple[Term, ...]:
+        """The effects that the planned combinations can tell, of factors that still vary."""
+        known = self.data.known
+        if known.terms:
+            return tuple(term for term in known.terms if set(term) <= set(self.factors))
+        most = min(len(self.factors), MOST_FACTORS)
+        return tuple(term for size in range(1, most + 1) for term in combinations(self.factors, size))
+
+    def _hypotheses(self, terms: tuple[Term, ...]) -> dict[Term, Hypothesis]:
+        sizes = {name: len(levels) for name, levels in self.factors.items()}
+        return {
+            term: Hypothesis(coded_columns(self._codes, sizes, term), mean_squares(self.factors, term))
+            for term in terms
+        }
+
+    def _dummies(self, name: str) -> Floats:
+        return pd.get_dummies(self.data.frame[role_column(name)].astype(str), dtype=np.float64).to_numpy()
+
+    @cached_property
+    def _blocks(self) -> Floats:
+        """The columns that are taken out: those of blocks, of batches, and covariates."""
+        parts = [self._dummies(name) for name in self.data.known.blocks]
+        if self.data.is_extended:
+            parts.append(pd.get_dummies(self.data.batches, dtype=np.float64).to_numpy())
+        for name in self.data.covariates:
+            covariate = self.data.covariate(name)
+            if np.isfinite(covariate).all() and np.ptp(covariate) > 0:
+                parts.append(((covariate - covariate.mean()) / covariate.std())[:, None])
+        return np.column_stack(parts) if parts else np.empty((len(self.data.frame), 0))
+
+    def _beside_blocks(self) -> StrataModel | NotComputed | None:
+        """Fit the effects that the runs suffice for, beside blocks; interactions are left out where they do not."""
+        known = self.data.known
+        rank = int(np.linalg.matrix_rank(np.column_stack([np.ones(len(self.data.frame)), self._blocks])))
+        terms, notes = self._terms, []
+        if len(self.data.frame) - rank - sum(term_size(self.factors, term) for term in terms) < 1:
+            terms = tuple(term for term in terms if len(term) == 1)
+            notes.append("Interactions cannot be estimated: there are too few runs.")
+        blocks = self._blocks
+        if known.period:
+            before = self._carried_over(blocks)
+            if before is None:
+                notes.append(
+                    "What is carried over from the treatment before cannot be told apart from subjects or periods here: "
+                    "the test takes it to be washed out."
+                )
+            else:
+                notes.append(self._carry_over_in_words(before, blocks, terms))
+                blocks = np.column_stack([blocks, before]) if known.carry_over else blocks
+        told = (TestMethod.CROSSOVER if known.period else self._method, self._reason, tuple(notes))
+        return fit_strata(self.factors, self._hypotheses(terms), self.values, blocks, None, told)
+
+    @property
+    def _method(self) -> TestMethod:
+        return TestMethod.BESIDE_BLOCKS if self.data.known.columns else TestMethod.LINEAR_MODEL
+
+    @property
+    def _reason(self) -> str:
+        known, of = self.data.known, "main effects and what else the combinations tell"
+        adjusted = f", adjusted for {enumerated(self.data.covariates)}" if self.data.covariates else ""
+        if known.period:
+            carried = ", the treatment before" if known.carry_over else ""
+            return (
+                f"Each subject has several treatments: means are compared beside {known.subject}, {known.period}"
+                f"{carried}{adjusted}. {_ONE_VARIANCE}"
+            )
+        if known.columns:
+            return f"Means are compared beside {enumerated(known.blocks)}{adjusted}. {_ONE_VARIANCE}"
+        return f"Some combinations have a single run: {of} are compared{adjusted}. {_ONE_VARIANCE}"
+
+    # Crossover.
+
+    def _carried_over(self, blocks: Floats) -> Floats | None:
+        """Return the columns of the treatment before, 0 in the first period; None where blocks tell them."""
+        parts = []
+        for name, levels in self.factors.items():
+            before = self.data.frame[before_column(name)].astype(str)
+            known = before.isin(levels).to_numpy()
+            codes = before.map({text: place for place, text in enumerate(levels)}).fillna(0).to_numpy(int)
+            parts.append(coded_columns({name: codes}, {name: len(levels)}, (name,)) * known[:, None])
+        columns = np.column_stack(parts)
+        main = [each.columns for each in self._hypotheses(tuple((name,) for name in self.factors)).values()]
+        others = np.column_stack([np.ones(len(columns)), blocks, *main])
+        told = np.linalg.matrix_rank(np.column_stack([others, columns])) - np.linalg.matrix_rank(others)
+        return columns if told == columns.shape[1] else None
+
+    def _carry_over_in_words(self, before: Floats, blocks: Floats, terms: tuple[Term, ...]) -> str:
+        """Say how large the carry-over is, beside everything else; nothing is chosen by it."""
+        known, values = self.data.known, np.atleast_2d(self.values)[0]
+        count = before.shape[1]
+        treatments = np.column_stack([each.columns for each in self._hypotheses(terms).values()])
+        spread = {("before",): Hypothesis(before, np.eye(count))}
+        told = (TestMethod.CROSSOVER, "", ())
+        found = fit_strata({}, spread, values, np.column_stack([blocks, treatments]), None, told)
+        what = "it is in the model" if known.carry_over else "a washout was planned, and it is not in the model"
+        if not isinstance(found, StrataModel):
+            return f"What is carried over from the treatment before could not be tested; {what}."
+        (effect,) = found.effects()
+        figures = (
+            f"F({count}, {effect.freedom[1]:g}) = {float(effect.statistic):.3g}, {p_in_words(float(effect.p_value))}"
+        )
+        return f"Carried over from the treatment before: {figures}; {what}, whatever this says."
+
+    # Split plot.
+
+    def _split_plot(self) -> StrataModel | NotComputed | None:
+        """Fit both strata; None where whole plots are unequal: a mixed model takes their place."""
+        plots = self.data.plots
+        terms = self._terms
+        reason = (
+            f"Some factors change from one {self.data.known.whole_plot} to the next only: they are compared with how "
+            "these vary, and the others with how runs vary within them. One variance serves each stratum."
+        )
+        told = (TestMethod.SPLIT_PLOT, reason, ())
+        found = fit_strata(self.factors, self._hypotheses(terms), self.values, self._blocks, plots, told)
+        if isinstance(found, NotComputed):
+            main = tuple(term for term in terms if len(term) == 1)
+            told = (TestMethod.SPLIT_PLOT, reason, ("Interactions cannot be estimated: there are too few runs.",))
+            found = fit_strata(self.factors, self._hypotheses(main), self.values, self._blocks, plots, told)
+        return found
+
+    # Response surface.
+
+    def _surface(self) -> SurfaceModel | NotComputed:
+        numeric = {name: levels for name, levels in self.factors.items() if numbers_of_levels(levels) is not None}
+        sizes = {name: len(levels) for name, levels in self.factors.items()}
+        others = {name: coded_columns(self._codes, sizes, (name,)) for name in self.factors if name not in numeric}
+        if not numeric:
+            return NotComputed("the test", "no factor is a number, so that there is no surface.")
+        levels = {name: self.data.frame[name].astype(str).tolist() for name in numeric}
+        return fit_surface(self.factors, levels, others, self._blocks, self.values, self.data.known.coding)
+
+
+_NO_VARIATION = "within each combination all values are equal, so that chance has no measure."

@@ -1,0 +1,172 @@
+"""What the analysis knows of the design: which columns are factors and which are blocks, and what it can estimate.
+
+It comes from the facts that the design wrote into the manifest; the aliases are computed from the combinations of the
+run table, so that they are right for a table that was made elsewhere, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.analysis.wording import listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from robot_runner.analysis.statistics.aliasing import Aliasing
+    from robot_runner.analysis.statistics.effect_coding import Term
+
+__all__ = ["PLAIN", "KnownDesign"]
+
+#: Kinds whose interactions are estimated, or are aliased in a way that is known.
+_WITH_INTERACTIONS = frozenset({"fractional_factorial", "split_plot", "full_factorial"})
+#: Facts that name one column each, or several, which are blocks of some kind: taken out, and not tested.
+_BLOCK_ROLES = ("row", "column", "rows", "columns", "greek", "square", "block", "replicate", "subject", "period", "day")
+_ONE_AT_A_TIME = "one_factor_at_a_time"
+
+
+@dataclass(frozen=True, slots=True)
+class KnownDesign:
+    """The design of an experiment, beyond its factors and repetitions.
+
+    Attributes:
+        kind: as the manifest names it.
+        blocks: columns whose effects are taken out and not tested: rows, columns, periods, subjects, replicates.
+        subject, period: of a crossover.
+        carry_over: whether the effect of the treatment before is in the model of a crossover: no washout was planned.
+        whole_plot: the column of the whole plots; some treatments change from one to the next alone.
+        plot_columns: blocks within which whole plots are numbered anew.
+        model: `quadratic` for a response surface.
+        coding: the middle and half the range of factors of a response surface.
+        base: the combination that one factor at a time departs from.
+        terms: the effects that are tested; none where the values decide how many there can be.
+        aliases: the effects that cannot be told apart from each tested one.
+        half_aliases: the tested effects that others are mixed with in part.
+    """
+
+    kind: str = "full_factorial"
+    blocks: tuple[str, ...] = ()
+    subject: str = ""
+    period: str = ""
+    carry_over: bool = False
+    whole_plot: str = ""
+    plot_columns: tuple[str, ...] = ()
+    model: str = ""
+    coding: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
+    base: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    terms: tuple[Term, ...] = ()
+    aliases: Mapping[Term, tuple[Term, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    half_aliases: frozenset[Term] = frozenset()
+
+    @classmethod
+    def of_manifest(cls, manifest: Mapping[str, Any], columns: Iterable[str]) -> KnownDesign:
+        """Return the design that a manifest tells of; that of a full factorial where it tells nothing.
+
+        Args:
+            manifest: of the experiment.
+            columns: of the run table; what names another column is passed over.
+        """
+        design = manifest.get("design")
+        facts = design.get("facts") if isinstance(design, dict) else None
+        if not isinstance(facts, dict):
+            return PLAIN
+        known = set(columns)
+        blocks = [name for role in _BLOCK_ROLES for name in _names(facts.get(role)) if name in known]
+        subject, period = (next((name for name in _names(facts.get(role)) if name in known), "") for role in _CROSSED)
+        whole_plot = next((name for name in _names(facts.get("whole_plot")) if name in known), "")
+        base = facts.get("base")
+        is_crossover = bool(subject and period)
+        return cls(
+            kind=str(facts.get("kind", "")),
+            blocks=tuple(name for name in dict.fromkeys(blocks) if name != whole_plot),
+            subject=subject,
+            period=period,
+            carry_over=is_crossover and not facts.get("washout"),
+            whole_plot=whole_plot,
+            model=str(facts.get("model", "")),
+            coding=dict(_coded(facts.get("coding"))),
+            base={str(name): str(text) for name, text in base.items()} if isinstance(base, dict) else {},
+        )
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The columns that are no factors: nothing of them is tested."""
+        return (*self.blocks, *filter(None, [self.whole_plot]))
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the combinations and blocks tell everything, as of a full factorial."""
+        return not (self.columns or self.terms or self.is_surface)
+
+    @property
+    def is_surface(self) -> bool:
+        """Whether a quadratic surface is fitted."""
+        return self.model == "quadratic"
+
+    @property
+    def is_one_at_a_time(self) -> bool:
+        """Whether each factor is compared with the base alone."""
+        return self.kind == _ONE_AT_A_TIME
+
+    @property
+    def has_interactions(self) -> bool:
+        """Whether interactions are estimated."""
+        return self.kind in _WITH_INTERACTIONS or bool(self.columns)
+
+    @property
+    def in_words(self) -> str:
+        """The kind of the design, as a reader knows it."""
+        return self.kind.replace("_", " ")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of its tests has to know."""
+        found = []
+        if self.aliases:
+            found.append(
+                "Effects that are aliased cannot be told apart: what is found is their sum. It is taken for the first "
+                "where interactions of several factors are smaller than effects of few."
+            )
+        if self.half_aliases:
+            names = listed([" x ".join(each) for each in sorted(self.half_aliases)])
+            found.append(f"Interactions that are not tested are mixed in part with {names}: they are taken to be none.")
+        if self.is_one_at_a_time:
+            found.append("Each factor is compared with the base alone: how factors act together is not known.")
+        elif not (self.has_interactions or self.is_surface):
+            found.append(
+                f"Interactions are taken to be none: a design of this kind ({self.in_words}) does not tell them."
+            )
+        return tuple(found)
+
+    def with_aliasing(self, found: Aliasing) -> KnownDesign:
+        """Return the same, with what its combinations can tell."""
+        return replace(self, terms=found.terms, aliases=found.aliases, half_aliases=found.mixed)
+
+    def with_blocks(self, names: tuple[str, ...]) -> KnownDesign:
+        """Return the same, with further columns that are blocks."""
+        return replace(self, blocks=tuple(dict.fromkeys([*self.blocks, *names])))
+
+    def with_plot_columns(self, names: tuple[str, ...]) -> KnownDesign:
+        """Return the same, with the blocks within which whole plots are numbered anew."""
+        return replace(self, plot_columns=names)
+
+
+_CROSSED = ("subject", "period")
+
+#: What is known where the manifest tells nothing.
+PLAIN = KnownDesign()
+
+
+def _names(fact: object) -> tuple[str, ...]:
+    if isinstance(fact, str):
+        return (fact,)
+    return tuple(map(str, fact)) if isinstance(fact, list | tuple) else ()
+
+
+def _coded(fact: object) -> Iterator[tuple[str, tuple[float, float]]]:
+    for name, ends in fact.items() if isinstance(fact, dict) else ():
+        match ends:
+            case [int() | float() as middle, int() | float() as half] if half:
+                yield str(name), (float(middle), float(half))

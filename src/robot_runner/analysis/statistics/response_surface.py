@@ -1,0 +1,357 @@
+"""A response surface: how a measure depends on factors that are numbers, by a polynomial of degree two.
+
+Sources: Box and Wilson, On the experimental attainment of optimum conditions (Journal of the Royal Statistical Society
+B 13, 1951); Myers, Montgomery and Anderson-Cook, Response Surface Methodology, 4th ed., 2016, chapters 2 and 6 (coded
+variables, lack of fit, canonical analysis); errors of eigenvalues: Bisgaard and Ankenman, Standard errors for the
+eigenvalues in second-order response surface models (Technometrics 38, 1996). The test of a factor is that of all its
+terms together, as SAS's RSREG prints it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from robot_runner.analysis.statistics.contrasts import Contrast
+from robot_runner.analysis.statistics.strata_model import StratumFit, fit_stratum
+from robot_runner.analysis.statistics.tested import EffectTest, Interval, NotComputed, TestMethod
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.effect_coding import Term
+
+    Floats = NDArray[np.float64]
+
+__all__ = ["Coefficient", "LackOfFit", "StationaryPoint", "Surface", "SurfaceModel", "fit_surface"]
+
+#: Residuals smaller than this, beside the values, are what rounding leaves behind.
+_NO_VARIATION = 1e-10
+_THREE = 3
+_LEVEL = 0.95
+#: The stationary point is looked at where the region that was explored ends, in coded units, but for rounding.
+_EDGE = 1 + 1e-9
+
+
+class Coefficient(NamedTuple):
+    """A coefficient of the polynomial, of coded factors.
+
+    Attributes:
+        term: the factors that are multiplied: one, one twice (its square), or two; none of the constant.
+        estimate: in the measure's unit.
+        interval: at 1 - alpha.
+        statistic, p_value: of the t-test that it is zero.
+    """
+
+    term: Term
+    estimate: float
+    interval: Interval
+    statistic: float
+    p_value: float
+
+    @property
+    def label(self) -> str:
+        """The term in words, as in `Speed^2` or `Speed x Load`."""
+        if len(self.term) == 2 and self.term[0] == self.term[1]:  # noqa: PLR2004 - a square
+            return f"{self.term[0]}^2"
+        return " x ".join(self.term) or "constant"
+
+
+class LackOfFit(NamedTuple):
+    """Whether the surface lacks something: what it leaves, beside how much repeated runs vary."""
+
+    f_value: float
+    freedom: tuple[float, float]
+    p_value: float
+
+
+class StationaryPoint(NamedTuple):
+    """Where the surface neither rises nor falls.
+
+    Attributes:
+        at: in the factors' own units.
+        value: of the measure there.
+        kind: `minimum`, `maximum`, `saddle point`, or `ridge` where a curvature's interval has both signs.
+        curvatures: the eigenvalues, in the measure's unit for coded factors, with their intervals.
+        is_inside: whether it lies where runs were executed.
+    """
+
+    at: Mapping[str, float]
+    value: float
+    kind: str
+    curvatures: tuple[tuple[float, Interval], ...]
+    is_inside: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A response surface, as a report shows it.
+
+    Attributes:
+        coding: the middle and half the range of each factor, in its own unit: coded it goes from -1 to 1.
+        coefficients: the constant first.
+        lack_of_fit: None where no combination was repeated, or the surface has as many terms as combinations.
+        r_squared: the share of the variance that it explains.
+        stationary: None where the surface has no curvature, or was not fitted with any.
+        others: factors that are no numbers; the surface is that of their average.
+    """
+
+    coding: Mapping[str, tuple[float, float]]
+    coefficients: tuple[Coefficient, ...]
+    lack_of_fit: LackOfFit | None
+    r_squared: float
+    stationary: StationaryPoint | None
+    others: tuple[str, ...] = field(default=())
+
+    def at(self, numbers: Mapping[str, Floats]) -> Floats:
+        """Return the surface's value at some numbers of each factor, in its own unit."""
+        coded = {name: (numbers[name] - middle) / half for name, (middle, half) in self.coding.items()}
+        total = np.zeros(np.broadcast_shapes(*(np.shape(each) for each in coded.values())))
+        for each in self.coefficients:
+            product = np.ones_like(total)
+            for name in each.term:
+                product = product * coded[name]
+            total = total + each.estimate * product
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceModel:
+    """A fitted surface, and the tests of its factors and their interactions.
+
+    Attributes:
+        factors: the factors, with their treatments.
+        coding: see `Surface`.
+        terms: the polynomial's, without the constant.
+        others: the terms of factors that are no numbers, with their columns' places.
+        columns: of all terms, (runs, coefficients).
+        blocks: the columns that are taken out, the constant among them.
+        cells: the combination of each run.
+        fit: by least squares.
+        values: (..., runs).
+        notes: what a reader has to know besides.
+    """
+
+    factors: Mapping[str, Sequence[str]]
+    coding: Mapping[str, tuple[float, float]]
+    terms: tuple[Term, ...]
+    others: Mapping[str, tuple[int, ...]]
+    columns: Floats
+    blocks: Floats
+    cells: NDArray[np.intp]
+    fit: StratumFit
+    values: Floats
+    notes: tuple[str, ...] = ()
+
+    @property
+    def method(self) -> TestMethod:
+        """What a paper calls the tests."""
+        return TestMethod.SURFACE
+
+    @property
+    def reason(self) -> str:
+        """Why this test, in a sentence."""
+        return (
+            "Factors that are numbers: a polynomial of degree two is fitted by least squares, and a factor is tested "
+            "by all its terms together. One variance serves all runs."
+        )
+
+    @property
+    def spread(self) -> Floats:
+        """The standard deviation of what the surface leaves unexplained."""
+        return np.sqrt(self.fit.mean_square)
+
+    def effects(self) -> Iterator[EffectTest]:
+        """Yield the test of each factor by all its terms, then of each interaction."""
+        for term, places in self._hypotheses():
+            f_value, p_value = self.fit.wald(places)
+            mine = self.columns[:, places] - self.columns[:, places].mean(axis=0)
+            told = self.fit.beta[..., places] @ mine.T
+            freedom = (float(len(places)), self.fit.freedom)
+            variance = np.mean(told**2, axis=-1)
+            yield EffectTest(term, TestMethod.SURFACE.value, "F", f_value, freedom, p_value, variance)
+
+    def _hypotheses(self) -> Iterator[tuple[Term, list[int]]]:
+        for name in self.factors:
+            if name in self.others:
+                yield (name,), list(self.others[name])
+            else:
+                yield (name,), [place for place, term in enumerate(self.terms) if name in term]
+        for place, term in enumerate(self.terms):
+            if len(set(term)) > 1:
+                yield term, [place]
+
+    def difference(self, weights: Sequence[tuple[Mapping[str, str], float]]) -> Contrast:
+        """Estimate a weighted sum of the surface's values at treatments, the other factors in the middle.
+
+        Args:
+            weights: treatments by factor, with their weight; the weights sum up to zero.
+        """
+        row = np.zeros(self.columns.shape[1])
+        for treatments, weight in weights:
+            numbers = {name: 0.0 for name in self.coding}
+            for name, text in treatments.items():
+                if name not in self.coding:
+                    return Contrast(*map(np.asarray, (0.0, math.nan, math.nan)))
+                middle, half = self.coding[name]
+                numbers[name] = (float(text) - middle) / half
+            row[: len(self.terms)] += weight * np.array([math.prod(numbers[name] for name in t) for t in self.terms])
+        error = np.sqrt(self.fit.mean_square * float(row @ self.fit.inverse @ row))
+        freedom = np.full(np.shape(error), self.fit.freedom)
+        return Contrast(np.asarray(self.fit.beta @ row), np.asarray(error), freedom)
+
+    def surface(self, alpha: float) -> Surface:
+        """Return what a report shows of the surface; of a single experiment."""
+        middle = self.columns.mean(axis=0)
+        count, runs = len(self.terms), len(self.values)
+        constant = float(self.values.mean() - self.fit.beta @ middle)
+        spread = float(self.fit.mean_square)
+        errors = np.sqrt(
+            spread * np.concatenate([[1 / runs + middle @ self.fit.inverse @ middle], np.diag(self.fit.inverse)])
+        )
+        reach = float(stats.t.ppf(1 - alpha / 2, self.fit.freedom))
+        found = []
+        for term, estimate, error in zip(
+            ((), *self.terms), (constant, *self.fit.beta[:count]), errors[: count + 1], strict=True
+        ):
+            interval = Interval(estimate - reach * error, estimate + reach * error, 1 - alpha, "t distribution")
+            statistic = float(estimate / error)
+            p_value = 2 * float(stats.t.sf(abs(statistic), self.fit.freedom))
+            found.append(Coefficient(term, float(estimate), interval, statistic, p_value))
+        left = float(np.sum(self.fit.residuals**2))
+        basis = np.linalg.qr(self.blocks)[0]
+        total = float(np.sum((self.values - basis @ (basis.T @ self.values)) ** 2))
+        return Surface(
+            self.coding,
+            tuple(found),
+            self._lack_of_fit(left),
+            1 - left / total,
+            self._stationary(constant, alpha),
+            tuple(self.others),
+        )
+
+    def _lack_of_fit(self, left: float) -> LackOfFit | None:
+        """Compare what the surface leaves with how runs of the same combination (and block) vary."""
+        _, cell = np.unique(np.column_stack([self.cells, self.blocks]), axis=0, return_inverse=True)
+        counts = np.bincount(cell.ravel())
+        means = np.bincount(cell.ravel(), self.values) / counts
+        pure = float(np.sum((self.values - means[cell.ravel()]) ** 2))
+        freedom = (self.fit.freedom - float(np.sum(counts - 1)), float(np.sum(counts - 1)))
+        if min(freedom) < 1 or pure <= 0:
+            return None
+        f_value = (left - pure) / freedom[0] / (pure / freedom[1])
+        return LackOfFit(f_value, freedom, float(stats.f.sf(f_value, *freedom)))
+
+    def _stationary(self, constant: float, alpha: float) -> StationaryPoint | None:
+        names = list(self.coding)
+        beta = dict(zip(self.terms, map(float, self.fit.beta), strict=False))
+        if not all((name, name) in beta for name in names):
+            return None
+        slopes = np.array([beta[name,] for name in names])
+        bend = np.diag([beta[name, name] for name in names])
+        for one, other in combinations(range(len(names)), 2):
+            bend[one, other] = bend[other, one] = beta.get((names[one], names[other]), 0.0) / 2
+        curvatures, axes = np.linalg.eigh(bend)
+        if np.min(np.abs(curvatures)) <= _NO_VARIATION * max(float(np.max(np.abs(self.values))), 1e-300):
+            return None
+        coded = -np.linalg.solve(bend, slopes) / 2
+        intervals = self._intervals_of_curvatures(axes, curvatures, alpha)
+        numbers = {
+            name: self.coding[name][0] + self.coding[name][1] * float(x) for name, x in zip(names, coded, strict=True)
+        }
+        return StationaryPoint(
+            numbers,
+            constant + float(slopes @ coded) / 2,
+            _kind(intervals),
+            tuple(zip(map(float, curvatures), intervals, strict=True)),
+            bool(np.max(np.abs(coded)) <= _EDGE),
+        )
+
+    def _intervals_of_curvatures(self, axes: Floats, curvatures: Floats, alpha: float) -> list[Interval]:
+        """Return the intervals of the pure squares along the surface's own axes (Bisgaard and Ankenman 1996)."""
+        names = list(self.coding)
+        places = {term: place for place, term in enumerate(self.terms)}
+        reach = float(stats.t.ppf(1 - alpha / 2, self.fit.freedom))
+        found = []
+        for axis, curvature in zip(axes.T, curvatures, strict=True):
+            row = np.zeros(self.columns.shape[1])
+            for one, name in enumerate(names):
+                row[places[name, name]] = axis[one] ** 2
+            for one, other in combinations(range(len(names)), 2):
+                if (names[one], names[other]) in places:
+                    row[places[names[one], names[other]]] = axis[one] * axis[other]
+            error = math.sqrt(float(self.fit.mean_square) * float(row @ self.fit.inverse @ row))
+            low, high = float(curvature) - reach * error, float(curvature) + reach * error
+            found.append(Interval(low, high, 1 - alpha, "t distribution"))
+        return found
+
+
+def _kind(intervals: Sequence[Interval]) -> str:
+    rises, falls = (any(each.low > 0 for each in intervals), any(each.high < 0 for each in intervals))
+    if rises and falls:
+        return "saddle point"
+    if all(each.low > 0 for each in intervals):
+        return "minimum"
+    return "maximum" if all(each.high < 0 for each in intervals) else "ridge"
+
+
+def fit_surface(
+    factors: Mapping[str, Sequence[str]],
+    levels: Mapping[str, Sequence[str]],
+    others: Mapping[str, Floats],
+    blocks: Floats,
+    values: Floats,
+    coding: Mapping[str, tuple[float, float]],
+) -> SurfaceModel | NotComputed:
+    """Fit a surface of degree two, or of as many terms as the runs suffice for.
+
+    Args:
+        factors: the factors, with their treatments.
+        levels: the treatment of each run, of each factor that is a number.
+        others: the columns of factors that are no numbers.
+        blocks: the columns that are taken out, without the constant.
+        values: of the runs.
+        coding: the middle and half the range of factors, where the design has them; else those of the runs.
+    """
+    numbers = {name: np.array([float(text) for text in texts]) for name, texts in levels.items()}
+    ends = {name: ((each.max() + each.min()) / 2, np.ptp(each) / 2) for name, each in numbers.items()}
+    coding = {name: tuple(map(float, coding.get(name, ends[name]))) for name in numbers}  # type: ignore[misc]
+    coded = {name: (each - coding[name][0]) / coding[name][1] for name, each in numbers.items()}
+    blocks = np.column_stack([np.ones(values.shape[-1]), blocks])
+    _, cells = np.unique(np.column_stack([*coded.values(), *others.values()]), axis=0, return_inverse=True)
+    for terms, note in _polynomials(coded):
+        columns = np.column_stack(
+            [math.prod((coded[name] for name in term), start=1.0) for term in terms] + list(others.values())
+        )
+        fit = fit_stratum(columns, blocks, values, values.shape[-1])
+        if fit is not None and fit.freedom >= 1:
+            break
+    else:
+        return NotComputed("the test", "there are too few runs for a surface of these factors.")
+    if np.all(np.sqrt(fit.mean_square) <= _NO_VARIATION * max(float(np.max(np.abs(values))), 1e-300)):
+        return NotComputed("the test", "the surface leaves nothing unexplained, so that chance has no measure.")
+    starts = np.cumsum([len(terms), *(each.shape[1] for each in others.values())])
+    places = {
+        name: tuple(range(start, start + others[name].shape[1])) for name, start in zip(others, starts, strict=False)
+    }
+    notes = (note,) if note else ()
+    return SurfaceModel(factors, coding, terms, places, columns, blocks, cells.ravel(), fit, values, notes)
+
+
+def _polynomials(coded: Mapping[str, Floats]) -> Iterator[tuple[tuple[Term, ...], str]]:
+    """Yield the terms of surfaces, the richest first, and what is left out of each."""
+    lines: list[Term] = [(name,) for name in coded]
+    squares: list[Term] = [(name, name) for name, each in coded.items() if len(set(each.tolist())) >= _THREE]
+    crossed: list[Term] = list(combinations(coded, 2))
+    left = "The runs do not suffice for all terms of degree two: "
+    yield (*lines, *squares, *crossed), ""
+    if squares:
+        yield (*lines, *crossed), f"{left}squares are left out."
+        yield (*lines, *squares), f"{left}interactions are left out."
+    yield tuple(lines), f"{left}the surface is a plane."

@@ -1,0 +1,182 @@
+"""The search for a good distribution over blocks where no balanced design is known, and how efficient one is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import combinations
+from random import Random
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["concurrences", "distributed", "efficiency", "efficiency_bound"]
+
+#: So many exchanges of two treatments are tried for each place, in each of so many beginnings.
+_TRIED_PER_PLACE: Final = 60
+_MOST_TRIED: Final = 30_000
+_BEGINNINGS: Final = 4
+
+
+def distributed(treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int) -> list[list[int]]:
+    """Distribute treatments over the cells of one or several kinds of blocks, as balanced as is found.
+
+    Cells are as large as each other, or by one run larger. Pairs of treatments are to be in one block of each kind
+    about equally often, and no treatment more often in one block than in another by more than one: the sum of the
+    squares of how often is minimised by exchanges (the (M,S) criterion of Eccleston and Hedayat, On the theory of
+    connected designs, Annals of Statistics 2 (1974), 1238-1255).
+
+    Args:
+        treatments: how many there are.
+        replicates: how often each comes.
+        cells: the block of each kind that a cell is in, by numbers from 0.
+        seed: where the search begins.
+
+    Returns:
+        the treatments of each cell.
+    """
+    best: tuple[int, list[list[int]]] | None = None
+    for beginning in range(_BEGINNINGS):
+        found = _Exchange(treatments, replicates, cells, Random(f"{seed}/{beginning}")).found()  # noqa: S311
+        if best is None or found[0] < best[0]:
+            best = found
+    return best[1] if best else []
+
+
+class _Exchange:
+    def __init__(self, treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], random: Random) -> None:
+        self._random = random.random
+        self._count = treatments
+        self._cells = cells
+        self._kinds = range(len(cells[0]))
+        #: Which cell each place is in, evenly, and the treatment there.
+        self._cell_of = [place % len(cells) for place in range(treatments * replicates)]
+        self._at = [0] * (treatments * replicates)
+        order = sorted(range(treatments * replicates), key=lambda _place: self._random())
+        for number, place in enumerate(order):
+            self._at[place] = number % treatments
+        #: How often each treatment is in each block of each kind.
+        self._in_block: list[dict[int, Counter[int]]] = [{} for _ in self._kinds]
+        for place, treatment in enumerate(self._at):
+            for kind, block in enumerate(self._cells[self._cell_of[place]]):
+                self._in_block[kind].setdefault(block, Counter())[treatment] += 1
+        #: How often two treatments are in one block, over the blocks of all kinds.
+        self._together = [[[0] * treatments for _ in range(treatments)] for _ in self._kinds]
+        for kind in self._kinds:
+            for block in self._in_block[kind].values():
+                for one, count in block.items():
+                    for other, more in block.items():
+                        self._together[kind][one][other] += count * more
+
+    def found(self) -> tuple[int, list[list[int]]]:
+        """Return the criterion, and the treatments of each cell."""
+        places = len(self._at)
+        for _ in range(min(_MOST_TRIED, places * _TRIED_PER_PLACE)):
+            one, other = int(self._random() * places), int(self._random() * places)
+            if self._at[one] != self._at[other] and self._cell_of[one] != self._cell_of[other]:
+                before = self._criterion_of(one, other)
+                self._exchange(one, other)
+                if self._criterion_of(one, other) > before:
+                    self._exchange(one, other)
+        cells: list[list[int]] = [[] for _ in self._cells]
+        for place, treatment in enumerate(self._at):
+            cells[self._cell_of[place]].append(treatment)
+        total = sum(count * count for kind in self._together for row in kind for count in row)
+        return total, [sorted(each) for each in cells]
+
+    def _criterion_of(self, one: int, other: int) -> int:
+        """Return the part of the criterion that an exchange of two places changes."""
+        a, b = sorted((self._at[one], self._at[other]))
+        total = 0
+        for together in self._together:
+            rows = together[a], together[b]
+            both = sum(count * count for row in rows for count in row)  # off the diagonal each counts twice
+            once = rows[0][a] ** 2 + rows[1][b] ** 2 + 2 * rows[0][b] ** 2
+            total += 2 * both - once
+        return total
+
+    def _exchange(self, one: int, other: int) -> None:
+        a, b = self._at[one], self._at[other]
+        for kind in self._kinds:
+            first, second = self._cells[self._cell_of[one]][kind], self._cells[self._cell_of[other]][kind]
+            if first != second:
+                for block, out, into in ((first, a, b), (second, b, a)):
+                    self._move(kind, block, out, -1)
+                    self._move(kind, block, into, 1)
+        self._at[one], self._at[other] = b, a
+
+    def _move(self, kind: int, block: int, treatment: int, more: int) -> None:
+        together, held = self._together[kind], self._in_block[kind][block]
+        for other, count in held.items():
+            if other != treatment and count:
+                together[treatment][other] += more * count
+                together[other][treatment] += more * count
+        was = held[treatment]
+        held[treatment] = was + more
+        together[treatment][treatment] += (was + more) ** 2 - was**2
+
+
+def concurrences(treatments: int, blocks: Sequence[Sequence[int]]) -> Counter[tuple[int, int]]:
+    """Return how often each pair of treatments is in one block."""
+    found = Counter(dict.fromkeys(combinations(range(treatments), 2), 0))
+    for block in blocks:
+        counts = Counter(block)
+        for one, other in combinations(sorted(counts), 2):
+            found[one, other] += counts[one] * counts[other]
+    return found
+
+
+def efficiency(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
+    """Return the average efficiency factor of a design: 1 where comparisons lose nothing to the blocks, 0 where one is lost.
+
+    It is the harmonic mean of the canonical efficiency factors. Source: John and Williams, Cyclic and Computer
+    Generated Designs, 2nd ed., 1995, section 2.2.
+    """
+    replicates = Counter(each for block in blocks for each in block)
+    if treatments < 2:  # noqa: PLR2004
+        return 1.0
+    # The information matrix on the scale of its treatments, plus the matrix of means, which makes it regular.
+    matrix = [[1 / treatments] * treatments for _ in range(treatments)]
+    for each in range(treatments):
+        matrix[each][each] += 1.0
+    for block in blocks:
+        counts = Counter(block)
+        for one, count in counts.items():
+            for other, more in counts.items():
+                matrix[one][other] -= count * more / len(block) / (replicates[one] * replicates[other]) ** 0.5
+    trace = _trace_of_inverse(matrix)
+    return 0.0 if trace is None else (treatments - 1) / (trace - 1)
+
+
+def efficiency_bound(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
+    """Return what the efficiency factor of no design of such sizes exceeds: that of a balanced one, if there were one.
+
+    Each block of size k gives at most what it would in a design where all differences are estimated alike.
+    """
+    runs = sum(map(len, blocks))
+    lost = sum(_least_square_sum(len(block), treatments) / len(block) for block in blocks)
+    return (runs - lost) / (runs - runs / treatments) if treatments > 1 else 1.0
+
+
+def _least_square_sum(size: int, treatments: int) -> int:
+    """Return the least sum of squares of how often treatments come in a block of this size."""
+    often, rest = divmod(size, treatments)
+    return (treatments - rest) * often**2 + rest * (often + 1) ** 2
+
+
+def _trace_of_inverse(matrix: list[list[float]]) -> float | None:
+    """Return the trace of the inverse of a symmetric matrix, by Gauss and Jordan; None where it is singular."""
+    size = len(matrix)
+    rows = [[*row, *(float(place == other) for other in range(size))] for place, row in enumerate(matrix)]
+    for place in range(size):
+        pivot = max(range(place, size), key=lambda row: abs(rows[row][place]))
+        if abs(rows[pivot][place]) < 1e-9:  # noqa: PLR2004 - what rounding leaves of zero; entries are about 1
+            return None
+        rows[place], rows[pivot] = rows[pivot], rows[place]
+        scale = rows[place][place]
+        rows[place] = [each / scale for each in rows[place]]
+        for other in range(size):
+            if other != place and (factor := rows[other][place]):
+                rows[other] = [a - factor * b for a, b in zip(rows[other], rows[place], strict=True)]
+    return sum(rows[place][size + place] for place in range(size))
+

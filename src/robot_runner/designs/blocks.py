@@ -1,0 +1,188 @@
+"""Blocks: the runs of each combination are spread evenly over days, operators or machines, complete or not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.design import DesignedRuns
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.errors import Finding
+from robot_runner.core.words import counted
+from robot_runner.designs.balanced_blocks import balanced_blocks, pair_count
+from robot_runner.designs.block_search import concurrences, distributed, efficiency, efficiency_bound
+from robot_runner.designs.factor_roles import (
+    Roles,
+    factor_name,
+    refused,
+    role_findings,
+    shuffled,
+    texts_of_combination,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.design import IsAllowed
+
+__all__ = ["Blocks"]
+
+#: More runs than this are spread at random and evenly, and not improved: the search would take long.
+_MOST_IMPROVED = 4000
+
+
+@dataclass(frozen=True, init=False, slots=True)
+class Blocks:
+    """Spread the repetitions of each combination evenly over blocks, such as days, operators or machines.
+
+    The other factors are studied; each of their combinations is executed as often as there are repetitions, all blocks
+    together. Where the repetitions are a multiple of the number of blocks, each block is complete. Where they are not,
+    blocks are incomplete: balanced (each pair of combinations in equally many blocks) where such a design exists and is
+    found, and else the best one found, with its efficiency. Several factors cross: each combination is spread evenly
+    over the days, and over the operators. Blocks come in the order as written; with `shuffle`, the assignment and the
+    order within each block are random.
+
+    Attributes:
+        by: the factors whose treatments are the blocks.
+
+    Example:
+        >>> from robot_runner.core.design.run_table_model import RunTableModel
+        >>> factors = [Factor("Day", ["Mon", "Tue", "Wed"]), Factor("Planner", ["A", "B", "C"])]
+        >>> model = RunTableModel(factors, repetitions=2, design=Blocks("Day"))
+        >>> [(run.combination["Day"], run.combination["Planner"]) for run in model.plan()][:4]
+        [('Mon', 'A'), ('Mon', 'B'), ('Tue', 'A'), ('Tue', 'C')]
+    """
+
+    by: tuple[str | Factor, ...]
+
+    def __init__(self, *by: str | Factor) -> None:
+        object.__setattr__(self, "by", by)
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say which factors there are not."""
+        del repetitions
+        if not self.by:
+            yield Finding.error("design: Blocks(...)", "no factor is named", 'Name one, such as Blocks("Day").')
+        yield from role_findings("Blocks", [("by", factor_name(each)) for each in self.by], factors)
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return its kind and the factors that are blocks."""
+        return {"kind": "blocks", "by": list(map(factor_name, self.by))}
+
+    def runs(
+        self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
+    ) -> DesignedRuns:
+        """Return the runs of one block after another.
+
+        Raises:
+            DesignError: there are fewer runs than blocks, blocks leave combinations that are never compared, or an
+                exclusion leaves a combination to some blocks only.
+        """
+        roles = Roles.of(factors, list(map(factor_name, self.by)))
+        treatments = roles.allowed_treatments("Blocks", is_allowed)
+        cells = list(product(*(factor.treatments for factor in roles.blocks)))
+        if len(treatments) * repetitions < len(cells):
+            problem = f"{counted(len(treatments) * repetitions, 'run')} are spread over {counted(len(cells), 'block')}"
+            raise refused("Blocks", problem, "Have more repetitions, or fewer blocks.")
+        spread = _spread(len(treatments), repetitions, roles.blocks, seed if shuffle else None)
+        seen = [0] * len(treatments)
+        runs = []
+        for number, (cell, held) in enumerate(zip(cells, spread, strict=True), start=1):
+            for each in shuffled(held, seed if shuffle else None, "order", number):
+                seen[each] += 1
+                combination = roles.combined(treatments[each], *zip(roles.blocks, cell, strict=True))
+                runs.append((combination, seen[each], number))
+        return DesignedRuns.in_order(runs, self._facts(roles, list(map(texts_of_combination, treatments)), spread))
+
+    def _facts(self, roles: Roles, texts: Sequence[str], spread: Sequence[Sequence[int]]) -> dict[str, Any]:
+        names = [factor.name for factor in roles.blocks]
+        kinds = {
+            factor.name: _described(len(texts), _of_kind(roles.blocks, spread, place))
+            for place, factor in enumerate(roles.blocks)
+        }
+        for name, found in kinds.items():
+            if not found["efficiency"]:
+                problem = f"some combinations are never compared within one {name}, not even by way of others"
+                raise refused("Blocks", problem, "Have more repetitions, or fewer blocks.")
+        cells = product(*(factor.texts for factor in roles.blocks))
+        rows = [[*cell, ", ".join(texts[each] for each in held)] for cell, held in zip(cells, spread, strict=True)]
+        what = " x ".join(factor.name for factor in roles.studied)
+        return {
+            **self.as_mapping(),
+            "block": names,
+            "block_columns": names,
+            "balance": kinds,
+            "notes": [f"{name}: {found['in_words']}" for name, found in kinds.items()],
+            "layout": [{"title": "Blocks", "heading": [*names, what], "rows": rows}],
+        }
+
+
+def _spread(treatments: int, replicates: int, blocks: Sequence[Factor], seed: int | None) -> list[list[int]]:
+    """Return the treatments of each cell of the blocks, in the order of the cells."""
+    sizes = [len(factor.treatments) for factor in blocks]
+    cells = list(product(*map(range, sizes)))
+    complete, rest = divmod(replicates, len(cells))
+    spread = [list(range(treatments)) * complete for _ in cells]
+    if rest:
+        for held, more in zip(spread, _incomplete(treatments, rest, cells, seed), strict=True):
+            held += more
+    return [sorted(held) for held in spread]
+
+
+def _incomplete(treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int | None) -> list[list[int]]:
+    """Return the treatments of each cell where there are fewer replicates than cells."""
+    size, rest = divmod(treatments * replicates, len(cells))
+    balanced = None if rest or len(cells[0]) > 1 else _balanced(treatments, size, len(cells), seed)
+    if balanced is not None:
+        return balanced
+    if treatments * replicates > _MOST_IMPROVED:
+        places = shuffled((each for _ in range(replicates) for each in range(treatments)), seed, "places")
+        return [places[number :: len(cells)] for number in range(len(cells))]
+    return distributed(treatments, replicates, cells, seed or 0)
+
+
+def _balanced(treatments: int, size: int, count: int, seed: int | None) -> list[list[int]] | None:
+    if size == 1 or pair_count(treatments, size, count) is None:
+        return None
+    found = balanced_blocks(treatments, size, count)
+    if found is None:
+        return None
+    labels = shuffled(range(treatments), seed, "treatments")
+    return [[labels[each] for each in block] for block in shuffled(found, seed, "blocks")]
+
+
+def _of_kind(blocks: Sequence[Factor], spread: Sequence[Sequence[int]], place: int) -> list[list[int]]:
+    """Return the treatments of each block of one kind, from those of the cells."""
+    found: list[list[int]] = [[] for _ in blocks[place].treatments]
+    for cell, held in zip(product(*(range(len(factor.treatments)) for factor in blocks)), spread, strict=True):
+        found[cell[place]] += held
+    return found
+
+
+def _described(treatments: int, blocks: Sequence[Sequence[int]]) -> dict[str, Any]:
+    """Return how balanced blocks of one kind are, as plain data."""
+    pairs = sorted(concurrences(treatments, blocks).values())
+    least, most = (pairs[0], pairs[-1]) if pairs else (0, 0)
+    sizes = sorted(map(len, blocks))
+    found, bound = efficiency(treatments, blocks), efficiency_bound(treatments, blocks)
+    is_complete = all(block.count(each) == block.count(0) > 0 for block in blocks for each in range(treatments))
+    size = counted(sizes[0], "run") if sizes[0] == sizes[-1] else f"{sizes[0]} to {sizes[-1]} runs"
+    if is_complete:
+        words = f"complete blocks of {size}: each combination equally often in each"
+    elif least == most and sizes[0] == sizes[-1]:
+        words = f"balanced incomplete blocks of {size}: each pair together {least} times, efficiency {found:.3f}"
+    else:
+        words = (
+            f"incomplete blocks of {size}, not balanced: each pair together {least} to {most} times, efficiency "
+            f"{found:.3f} (no design of this size exceeds {bound:.3f})"
+        )
+    return {
+        "is_complete": is_complete,
+        "is_balanced": least == most and sizes[0] == sizes[-1],
+        "sizes": [sizes[0], sizes[-1]],
+        "pairs": [least, most],
+        "efficiency": round(found, 6),
+        "efficiency_bound": round(bound, 6),
+        "in_words": words,
+    }

@@ -1,0 +1,164 @@
+"""The crossover: each robot, machine or person gets all treatments, one period after another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.design import DesignedRuns
+from robot_runner.core.errors import Finding
+from robot_runner.designs.factor_roles import (
+    Roles,
+    factor_name,
+    refused,
+    role_findings,
+    shuffled,
+    texts_of_combination,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Factor
+
+__all__ = ["Crossover", "williams_sequences"]
+
+
+def williams_sequences(treatments: int) -> list[tuple[int, ...]]:
+    """Return sequences in which each treatment follows each other one equally often, and comes in each period equally.
+
+    Source: Williams, Experimental designs balanced for the estimation of residual effects of treatments, Australian
+    Journal of Scientific Research A 2 (1949), 149-168: one square of sequences for an even number of treatments, and
+    for an odd one this square with its mirror image.
+
+    Example:
+        >>> williams_sequences(4)
+        [(0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1)]
+    """
+    first = [place // 2 + 1 if place % 2 else -(place // 2) for place in range(treatments)]  # 0, 1, -1, 2, -2, ...
+    square = [tuple((each + shift) % treatments for each in first) for shift in range(treatments)]
+    return square if treatments % 2 == 0 else [*square, *(sequence[::-1] for sequence in square)]
+
+
+@dataclass(frozen=True, slots=True)
+class Crossover:
+    """Each unit (a robot, a machine, a person) gets each treatment in one period, in sequences that balance carry-over.
+
+    The other factors are studied; there are as many periods as they have combinations. Repetitions are executed within
+    the period, before the unit changes to its next treatment. With `shuffle`, treatments and units are assigned to the
+    sequences at random; units come in the order as written, each with its periods in their order, whatever else goes
+    on at the same time.
+
+    Attributes:
+        unit: the factor whose treatments are the units; a multiple of the number of sequences.
+        period: the factor that counts the periods, in their order.
+        washout_in_s: how long a unit rests between two periods, s, so that what one treatment left is gone.
+        washout_runs: how many runs of its next treatment each unit has at the beginning of a period that are not
+            analysed: they bring it to where this treatment alone would have brought it.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.run_table_model import RunTableModel
+        >>> factors = [Factor("Robot", ["A", "B"]), Factor("Period", [1, 2]), Factor("Planner", ["old", "new"])]
+        >>> model = RunTableModel(factors, design=Crossover("Robot", "Period", washout_in_s=60))
+        >>> [run.combination["Planner"] for run in model.plan()]
+        ['old', 'new', 'new', 'old']
+    """
+
+    unit: str | Factor
+    period: str | Factor
+    washout_in_s: float = 0
+    washout_runs: int = 0
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say which factors there are not, and what is wrong with the washout."""
+        del repetitions
+        named = [("unit", factor_name(self.unit)), ("period", factor_name(self.period))]
+        yield from role_findings("Crossover", named, factors)
+        if isinstance(self.washout_in_s, bool) or not isinstance(self.washout_in_s, int | float) or not (
+            0 <= self.washout_in_s < float("inf")
+        ):
+            problem = f"{self.washout_in_s!r} is no time to wait"
+            yield Finding.error("design: Crossover(washout_in_s=...)", problem, "Give seconds, from 0.")
+        if isinstance(self.washout_runs, bool) or not isinstance(self.washout_runs, int) or self.washout_runs < 0:
+            problem = f"{self.washout_runs!r} is no number of runs"
+            yield Finding.error("design: Crossover(washout_runs=...)", problem, "Give a whole number from 0.")
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return its kind, unit, period and washout."""
+        return {
+            "kind": "crossover",
+            "unit": factor_name(self.unit),
+            "period": factor_name(self.period),
+            "washout_in_s": self.washout_in_s,
+            "washout_runs": self.washout_runs,
+        }
+
+    def runs(
+        self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
+    ) -> DesignedRuns:
+        """Return the runs of one unit after another, each with its periods in their order.
+
+        Raises:
+            DesignError: the numbers of units, periods and treatments do not suit each other, or an exclusion leaves a
+                treatment to some units or periods only.
+        """
+        roles = Roles.of(factors, [factor_name(self.unit), factor_name(self.period)])
+        treatments = roles.allowed_treatments("Crossover", is_allowed)
+        units, periods = roles.blocks
+        sequences = williams_sequences(len(treatments))
+        _refuse_numbers(roles, len(treatments), len(sequences))
+        drawn = seed if shuffle else None
+        labels = shuffled(treatments, drawn, "treatments")
+        per_unit = [
+            [labels[each] for each in sequence]
+            for turn in range(len(units.treatments) // len(sequences))
+            for sequence in shuffled(sequences, drawn, "sequences", turn)
+        ]
+        runs = [
+            (roles.combined((units, unit), (periods, period), treatment), repetition, number)
+            for number, (unit, sequence) in enumerate(zip(units.treatments, per_unit, strict=True), start=1)
+            for period, treatment in zip(periods.treatments, sequence, strict=True)
+            for repetition in range(1 - self.washout_runs, repetitions + 1)
+        ]
+        texts = [[texts_of_combination(each) for each in sequence] for sequence in per_unit]
+        follows = len(units.treatments) // len(treatments)
+        return DesignedRuns.in_order(
+            ((combination, max(0, repetition), number) for combination, repetition, number in runs),
+            {
+                **self.as_mapping(),
+                "subject": units.name,
+                "washout": bool(self.washout_in_s or self.washout_runs),
+                "sequences": dict(zip(units.texts, texts, strict=True)),
+                "follows": follows,
+                "ordered_within": units.name,
+                "rest_within_in_s": self.washout_in_s,
+                "block_columns": [units.name, periods.name],
+                "notes": [f"each treatment follows each other one in {follows} units"],
+                "layout": [
+                    {
+                        "title": "Sequences",
+                        "heading": [f"{units.name} \\ {periods.name}", *periods.texts],
+                        "rows": [[text, *sequence] for text, sequence in zip(units.texts, texts, strict=True)],
+                    }
+                ],
+            },
+        )
+
+
+def _refuse_numbers(roles: Roles, treatments: int, sequences: int) -> None:
+    units, periods = (len(factor.treatments) for factor in roles.blocks)
+    what = " x ".join(factor.name for factor in roles.studied)
+    if treatments < 2:  # noqa: PLR2004
+        raise refused("Crossover", f"{what} has one combination: nothing is compared", "Give it another treatment.")
+    if periods != treatments:
+        problem = f"{what} has {treatments} combinations, and {roles.blocks[1].name} has {periods} periods"
+        raise refused("Crossover", problem, f"Have {treatments} periods: each unit gets each treatment once.")
+    if units % sequences:
+        below, above = units // sequences * sequences, (units // sequences + 1) * sequences
+        problem = (
+            f"{roles.blocks[0].name} has {units} units, and {treatments} treatments take {sequences} sequences, "
+            "each as often, to balance what follows what"
+        )
+        raise refused("Crossover", problem, f"Have {f'{below} or ' if below else ''}{above} units.")

@@ -1,0 +1,145 @@
+"""The roles that factors have in a design: some are blocks of a kind (a day, a robot, a period), the others are studied."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from random import Random
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial
+from robot_runner.core.design.planned_runs import shuffle_in_place
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from robot_runner.core.design.design import IsAllowed
+
+__all__ = ["Roles", "factor_name", "refused", "role_findings", "shuffled", "texts_of_combination"]
+
+
+def factor_name(given: Any) -> Any:
+    """Return the name of a factor that was given by its name or itself; whatever else was given is returned as it is."""
+    return given.name if isinstance(given, Factor) else given
+
+
+def role_findings(design: str, roles: Sequence[tuple[str, Any]], factors: Sequence[Factor]) -> Iterator[Finding]:
+    """Say which roles name what is no factor, or a factor that has another role, and whether nothing is left to study.
+
+    Args:
+        design: what the user wrote, such as `LatinSquare`.
+        roles: the parameters with the factors that they name.
+        factors: those of the model.
+    """
+    known = [factor.name for factor in factors]
+    taken: dict[str, str] = {}
+    for role, name in roles:
+        where = f"design: {design}({role}=...)"
+        if name not in known:
+            yield Finding.error(where, f"there is no factor {name!r}", did_you_mean(str(name), known))
+        elif name in taken:
+            problem = f"factor {name!r} is {taken[name]} already"
+            yield Finding.error(where, problem, "Name another factor, or add one.")
+        else:
+            taken[name] = role
+    for factor in factors:
+        if factor.when and (factor.name in taken or set(factor.when) & set(taken)):
+            problem = f"factor {factor.name!r} applies in some runs only, and its condition concerns {listed_roles(taken)}"
+            yield Finding.error(f"design: {design}", problem, "Make it a factor that applies always.")
+    if len(taken) == len(known):
+        yield Finding.error(f"design: {design}", "no factor is left to be studied", "Add one beside these.")
+
+
+def listed_roles(taken: Iterable[str]) -> str:
+    """Return the names of factors in words."""
+    return " and ".join(map(repr, taken))
+
+
+def refused(design: str, problem: str, fix: str) -> DesignError:
+    """Return the error that a design cannot be made."""
+    return DesignError(problem, where=f"design: {design}", fix=fix)
+
+
+@dataclass(frozen=True, slots=True)
+class Roles:
+    """The factors of a model, those that are blocks of a kind apart.
+
+    Attributes:
+        factors: all of them, in the order of the columns.
+        blocks: those that are blocks of a kind, in the order of their roles.
+    """
+
+    factors: Sequence[Factor]
+    blocks: Sequence[Factor]
+
+    @classmethod
+    def of(cls, factors: Sequence[Factor], names: Sequence[str]) -> Roles:
+        """Return the roles of factors, of which these names are blocks of a kind."""
+        by_name = {factor.name: factor for factor in factors}
+        return cls(factors, [by_name[name] for name in names])
+
+    @property
+    def studied(self) -> list[Factor]:
+        """The factors that are studied."""
+        blocks = {factor.name for factor in self.blocks}
+        return [factor for factor in self.factors if factor.name not in blocks]
+
+    def treatments(self, factors: Sequence[Factor] | None = None) -> list[Combination]:
+        """Return the combinations of the studied factors, or of those that are given; exclusions left aside."""
+        return full_factorial(self.studied if factors is None else factors)
+
+    def combined(self, *parts: Combination | tuple[Factor, Any]) -> Combination:
+        """Return a combination of all factors, from combinations of some and from single treatments."""
+        treatments: dict[str, Any] = {}
+        for part in parts:
+            treatments |= part if isinstance(part, Combination) else {part[0].name: part[1]}
+        places = factor_places(factor.name for factor in self.factors)
+        return Combination(places, tuple(treatments[name] for name in places))
+
+    def allowed_treatments(self, design: str, is_allowed: IsAllowed) -> list[Combination]:
+        """Return the combinations of the studied factors that the exclusions leave in every block.
+
+        Raises:
+            DesignError: an exclusion leaves one in some blocks only, or leaves nothing.
+        """
+        cells = list(product(*(factor.treatments for factor in self.blocks)))
+        left = []
+        for treatment in self.treatments():
+            allowed = [
+                is_allowed(self.combined(treatment, *zip(self.blocks, cell, strict=True))) for cell in cells
+            ]
+            if any(allowed) and not all(allowed):
+                cell = cells[allowed.index(False)]
+                place = ", ".join(f"{factor.name}={each!r}" for factor, each in zip(self.blocks, cell, strict=True))
+                problem = f"{treatment} is excluded where {place}, and not everywhere: the design would not be balanced"
+                fix = f"Exclude by {listed_roles(factor.name for factor in self.studied)} alone."
+                raise refused(design, problem, fix)
+            if all(allowed):
+                left.append(treatment)
+        if not left:
+            raise DesignError("every combination is excluded", where="exclude_combinations", fix="Exclude fewer.")
+        return left
+
+
+def shuffled(items: Iterable[Any], seed: int | None, *purpose: object) -> list[Any]:
+    """Return items in an order of their own for each purpose.
+
+    What is drawn for one purpose does not depend on how much is drawn for others, so that a design which grows keeps
+    what it had.
+
+    Args:
+        items: what is put in order.
+        seed: where the order comes from; None leaves it as it is.
+        purpose: what is put in order, such as the rows of the second square.
+    """
+    order = list(items)
+    if seed is not None:
+        stream = "/".join(map(str, (seed, *purpose)))
+        shuffle_in_place(order, Random(stream).random)  # noqa: S311 - reproducible, not secret
+    return order
+
+
+def texts_of_combination(combination: Combination) -> str:
+    """Return a combination as facts name it: the one treatment, or all of them."""
+    return ", ".join(map(str, combination.treatments))

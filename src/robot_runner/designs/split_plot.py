@@ -1,0 +1,151 @@
+"""The split plot: factors that are hard to change stay as they are for a whole plot of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as IsSequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.design import DesignedRuns
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.errors import Finding
+from robot_runner.core.words import counted
+from robot_runner.designs.factor_roles import (
+    Roles,
+    factor_name,
+    refused,
+    role_findings,
+    shuffled,
+    texts_of_combination,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Combination
+
+__all__ = ["SplitPlot"]
+
+
+@dataclass(frozen=True, slots=True)
+class SplitPlot:
+    """Factors that are hard to change, such as the floor, stay as they are for a whole plot: all runs of the others.
+
+    Whole plots come one after another: with `shuffle` in random order within each replicate (each combination of the
+    hard factors once), and the runs within each whole plot in random order. Repetitions are executed within the whole
+    plot; it is the number of whole plots that decides how well effects of the hard factors are known.
+
+    Attributes:
+        hard: the factors that are hard to change.
+        plot: the factor whose treatments are the whole plots, in their order: a multiple of the number of
+            combinations of the hard factors.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.run_table_model import RunTableModel
+        >>> factors = [Factor("Plot", [1, 2]), Factor("Floor", ["wood", "carpet"]), Factor("Speed", [0.1, 0.2])]
+        >>> [run.combination["Floor"] for run in RunTableModel(factors, design=SplitPlot("Floor", "Plot")).plan()]
+        ['wood', 'wood', 'carpet', 'carpet']
+    """
+
+    hard: str | Factor | Sequence[str | Factor]
+    plot: str | Factor
+
+    @property
+    def hard_names(self) -> list[Any]:
+        """The names of the factors that are hard to change."""
+        several = isinstance(self.hard, IsSequence) and not isinstance(self.hard, str | bytes | Factor)
+        return [factor_name(each) for each in (self.hard if several else [self.hard])]
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say which factors there are not, and whether there is none that is easy to change."""
+        del repetitions
+        if not self.hard_names:
+            yield Finding.error("design: SplitPlot(hard=...)", "no factor is hard to change", "Name at least one.")
+        named = [("plot", factor_name(self.plot)), *(("hard", name) for name in self.hard_names)]
+        yield from role_findings("SplitPlot", named, factors)
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return its kind, the hard factors and the whole plots."""
+        return {"kind": "split_plot", "hard": self.hard_names, "plot": factor_name(self.plot)}
+
+    def runs(
+        self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
+    ) -> DesignedRuns:
+        """Return the runs of one whole plot after another.
+
+        Raises:
+            DesignError: the whole plots are no multiple of the combinations of the hard factors, or an exclusion
+                leaves a combination in some whole plots only.
+        """
+        roles = Roles.of(factors, [factor_name(self.plot)])
+        (plots,) = roles.blocks
+        drawn = seed if shuffle else None
+        by_hard = self._by_hard(roles, roles.allowed_treatments("SplitPlot", is_allowed))
+        replicates, rest = divmod(len(plots.treatments), len(by_hard))
+        if rest:
+            raise _uneven(self.hard_names, len(by_hard), plots)
+        held = [
+            each
+            for number in range(replicates)
+            for each in shuffled(by_hard.values(), drawn, "whole plots", number)
+        ]
+        runs = [
+            (roles.combined((plots, plot), treatment), repetition, number)
+            for number, (plot, treatments) in enumerate(zip(plots.treatments, held, strict=True), start=1)
+            for repetition, treatment in shuffled(
+                [(repetition, each) for repetition in range(1, repetitions + 1) for each in treatments],
+                drawn, "runs", number,
+            )
+        ]  # fmt: skip
+        return DesignedRuns.in_order(runs, self._facts(plots, held, repetitions, replicates))
+
+    def _by_hard(self, roles: Roles, treatments: Sequence[Combination]) -> dict[tuple[int, ...], list[Combination]]:
+        """Return the combinations of the studied factors by those of the hard ones."""
+        found: dict[tuple[int, ...], list[Combination]] = {}
+        for treatment in treatments:
+            found.setdefault(tuple(id(treatment[name]) for name in self.hard_names), []).append(treatment)
+        return found
+
+    def _facts(
+        self, plots: Factor, held: Sequence[Sequence[Combination]], repetitions: int, replicates: int
+    ) -> dict[str, Any]:
+        texts = [[str(each[0][name]) for name in self.hard_names] for each in held]
+        changes = sum(one != other for one, other in pairwise(texts))
+        what = " x ".join(self.hard_names)
+        notes = [f"{what} changes {counted(changes, 'time')} in {counted(len(texts), 'whole plot')}"]
+        if replicates == 1:
+            notes.append(
+                f"each combination of {what} has one whole plot: nothing tells how whole plots vary, so that {what} "
+                "cannot be tested"
+            )
+        return {
+            **self.as_mapping(),
+            "whole_plot": plots.name,
+            "whole_plot_factors": self.hard_names,
+            "changes": changes,
+            "ordered_within": plots.name,
+            "block_columns": [plots.name],
+            "notes": notes,
+            "layout": [
+                {
+                    "title": "Whole plots",
+                    "heading": [plots.name, *self.hard_names, "runs"],
+                    "rows": [
+                        [plot, *text, str(len(treatments) * repetitions)]
+                        for plot, text, treatments in zip(plots.texts, texts, held, strict=True)
+                    ],
+                }
+            ],
+        }
+
+
+def _uneven(hard: Sequence[str], combinations: int, plots: Factor) -> Exception:
+    count = len(plots.treatments)
+    below, above = count // combinations * combinations, (count // combinations + 1) * combinations
+    problem = (
+        f"{plots.name} has {count} whole plots, no multiple of the {combinations} combinations of {' x '.join(hard)}"
+    )
+    return refused("SplitPlot", problem, f"Have {f'{below} or ' if below else ''}{above} whole plots.")

@@ -1,0 +1,130 @@
+"""Designs of their own are analysed as textbooks and R do; figures of Montgomery 2013 where nothing else is said."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests.analysis.statistics import designed_data as data
+from tests.analysis.statistics.designed_data import designed
+
+from robot_runner.analysis import analyse
+from robot_runner.analysis.statistics.lenth_test import LenthContrast, pseudo_error
+from robot_runner.analysis.statistics.tested import TestMethod
+
+
+def effects_of(results, measure="y"):
+    found = analyse(results).measure(measure)
+    assert found.test is not None, found.not_computed
+    return found.test, {effect.label: effect for effect in found.test.effects}
+
+
+def figures(effect):
+    return effect.statistic, *effect.degrees_of_freedom
+
+
+def test_a_split_plot_has_two_errors():
+    # Table 14.15: methods against the error of whole plots, temperatures and the interaction within them.
+    facts = {"kind": "split_plot", "whole_plot": "Batch", "whole_plot_factors": ["Method"], "replicate": "Replicate"}
+    rows = [(rep, f"{rep}, {method}", method, temperature, y) for rep, method, temperature, y in data.PAPER]
+    test, effects = effects_of(designed(rows, ["Replicate", "Batch", "Method", "Temperature"], facts))
+    assert test.method is TestMethod.SPLIT_PLOT
+    assert figures(effects["Method"]) == pytest.approx((7.08, 2, 4), abs=0.005)
+    assert effects["Method"].p_value == pytest.approx(0.0485, abs=5e-5)
+    assert figures(effects["Temperature"]) == pytest.approx((36.43, 3, 18), abs=0.005)
+    assert figures(effects["Method x Temperature"]) == pytest.approx((3.15, 6, 18), abs=0.006)
+    assert effects["Method x Temperature"].p_value == pytest.approx(0.0271, abs=5e-5)
+    # Whole plots that are numbered anew in each replicate are the same ones.
+    again = [(rep, int(method[1:]), method, *rest) for rep, method, *rest in data.PAPER]
+    assert effects_of(designed(again, ["Replicate", "Batch", "Method", "Temperature"], facts))[1] == effects
+
+
+def test_rows_and_columns_of_a_latin_square_are_taken_out():
+    # Table 4.12: the formulation, SS 330 of 4, error 128 of 12.
+    rows = [(batch, operator, letter, y) for batch, operator, letter, _, y in data.PROPELLANTS]
+    facts = {"kind": "latin_square", "row": "Batch", "column": "Operator"}
+    test, effects = effects_of(designed(rows, ["Batch", "Operator", "Formulation"], facts))
+    assert list(effects) == ["Formulation"]
+    assert figures(effects["Formulation"]) == pytest.approx((330 / 4 / (128 / 12), 4, 12))
+    assert effects["Formulation"].p_value == pytest.approx(0.0025, abs=5e-5)
+    assert "Batch and Operator" in test.reason
+    # Table 4.21: with test assemblies, error 66 of 8.
+    facts = {"kind": "graeco_latin_square", "row": "Batch", "column": "Operator", "greek": "Assembly"}
+    _, effects = effects_of(
+        designed(
+            [(*row[:2], row[3], row[2], row[4]) for row in data.PROPELLANTS],
+            [*"BO", "Assembly", "Formulation"],
+            facts | {"row": "B", "column": "O"},
+        )
+    )
+    assert figures(effects["Formulation"]) == pytest.approx((330 / 4 / (66 / 8), 4, 8))
+    assert effects["Formulation"].p_value == pytest.approx(0.0033, abs=5e-5)
+
+
+def test_incomplete_blocks_are_compared_within_blocks():
+    # Table 4.25: catalysts adjusted for blocks, SS 22.75 of 3, error 3.25 of 5.
+    facts = {"kind": "balanced_incomplete_blocks", "block": "Batch"}
+    found = analyse(designed(data.CATALYSTS, ["Batch", "Catalyst"], facts)).measure("y")
+    (effect,) = found.test.effects
+    assert figures(effect) == pytest.approx((22.75 / 3 / 0.65, 3, 5))
+    assert effect.p_value == pytest.approx(0.0107, abs=5e-5)
+    # Section 4.4.1: adjusted effects are k Q / (lambda a), -9/8, -7/8, -4/8 and 20/8; of differences sqrt(2 k MSE / (lambda a)).
+    pairs = {(pair.first, pair.second): pair for pair in found.post_hoc[0].comparisons}
+    assert pairs["c1", "c4"].difference == pytest.approx(-29 / 8)
+    assert pairs["c2", "c3"].difference == pytest.approx(-3 / 8)
+    assert abs(pairs["c1", "c4"].difference / pairs["c1", "c4"].statistic) == pytest.approx((2 * 3 * 0.65 / 8) ** 0.5)
+
+
+def test_a_fraction_names_what_it_cannot_tell_apart():
+    # Table 8.3 and example 8.1: effects 19, 1.5, 14, 16.5, -1, -18.5, 19.
+    facts = {"kind": "fractional_factorial", "resolution": 4}
+    found = analyse(designed(data.FILTRATION_HALF, ["A", "B", "C", "D"], facts)).measure("y")
+    labels = [effect.label for effect in found.test.effects]
+    assert labels[:4] == [
+        f"{a} (aliased with {bcd})"
+        for a, bcd in zip("ABCD", ("B x C x D", "A x C x D", "A x B x D", "A x B x C"), strict=True)
+    ]
+    assert labels[4:] == ["A x B (aliased with C x D)", "A x C (aliased with B x D)", "A x D (aliased with B x C)"]
+    assert found.test.method is TestMethod.LENTH
+    differences = [each.comparisons[0].difference for each in found.post_hoc]
+    assert differences == pytest.approx([-19, -1.5, -14, -16.5])
+    for effect in found.test.effects:
+        assert f", aliased with {' x '.join(effect.aliases[0])}," in effect.conclusion
+    # Each combination twice: Welch's t of contrasts, and an interaction is not compared pair by pair.
+    twice = [(*row[:4], row[4] + shift) for row in data.FILTRATION_HALF for shift in (-1.0, 1.0)]
+    test, effects = effects_of(designed(twice, ["A", "B", "C", "D"], facts))
+    assert {effect.test for effect in effects.values()} == {"Welch's t"}
+    # All variances are 2: the error of an effect is sqrt(8 (1/4)^2 2 / 2), with Satterthwaite's 8.
+    first = effects["A (aliased with B x C x D)"]
+    assert figures(first) == pytest.approx((-19 / 0.5**0.5, 8))
+
+
+def test_lenth_is_as_published():
+    signs = np.array([[1 if place >> bit & 1 else -1 for bit in range(4)] for place in range(16)])
+    columns = [np.prod(signs[:, [bit for bit in range(4) if which >> bit & 1]], axis=1) for which in range(1, 16)]
+    effects = np.stack(columns) @ np.array(data.FILTRATION) / 8
+    assert pseudo_error(effects) == pytest.approx(2.625)  # example 6.2
+    # Ye and Hamada 2000: critical values of single effects at 5 %.
+    for count, critical in ((7, 2.297), (15, 2.156), (31, 2.082)):
+        found = LenthContrast(np.asarray(critical), np.asarray(1.0), np.asarray(count / 3))
+        assert float(found.p_value) == pytest.approx(0.05, abs=0.0015)
+
+
+def test_a_surface_has_coefficients_lack_of_fit_and_a_stationary_point():
+    # Section 11.3 and table 11.7: 79.94 + 0.99 x1 + 0.52 x2 - 1.38 x1^2 - 1.00 x2^2 + 0.25 x1 x2.
+    facts = {"kind": "central_composite", "model": "quadratic", "coding": {"Time": [85, 5], "Temperature": [175, 5]}}
+    found = analyse(designed(data.PROCESS, ["Time", "Temperature"], facts)).measure("y")
+    surface = found.surface
+    estimates = {each.label: each.estimate for each in surface.coefficients}
+    published = {"constant": 79.94, "Time": 0.99, "Temperature": 0.52, "Time^2": -1.38, "Temperature^2": -1.00}
+    assert estimates == pytest.approx(published | {"Time x Temperature": 0.25}, abs=0.006)
+    assert surface.lack_of_fit.f_value == pytest.approx(1.78, abs=0.01)
+    assert surface.lack_of_fit.p_value == pytest.approx(0.2897, abs=0.002)  # the axial points are rounded
+    assert surface.stationary.kind == "maximum"
+    assert surface.stationary.is_inside
+    assert surface.stationary.value == pytest.approx(80.21, abs=0.005)
+    at = surface.stationary.at
+    assert ((at["Time"] - 85) / 5, (at["Temperature"] - 175) / 5) == pytest.approx((0.389, 0.306), abs=0.002)
+    assert [each for each, _ in surface.stationary.curvatures] == pytest.approx([-1.4143, -0.9634], abs=5e-4)
+    assert float(surface.at(at)) == pytest.approx(surface.stationary.value)
+    assert found.post_hoc == ()
+    assert [effect.label for effect in found.test.effects] == ["Time", "Temperature", "Time x Temperature"]
