@@ -59,8 +59,15 @@ def current_page() -> str:
 
 
 def _section(command: str) -> str:
-    parser = parser_of(command, command_module(installed_commands()[command]))
-    lines = [f"## robot-runner {command}", "", parser.description or "", "", "```text", _usage(parser), "```", ""]
+    module = command_module(installed_commands()[command])
+    actions = module.action_parsers() if hasattr(module, "action_parsers") else {}
+    return "\n".join(
+        [_described("##", parser_of(command, module)), *(_described("###", each) for each in actions.values())]
+    )
+
+
+def _described(level: str, parser: Parser) -> str:
+    lines = [f"{level} {parser.prog}", "", parser.description or "", "", "```text", _usage(parser), "```", ""]
     lines += ["| argument | means |", "|---|---|"]
     lines += [f"| `{_name(action)}` | {_cell((action.help or '') % vars(action))} |" for action in parser.documented]
     return "\n".join([line.rstrip() for line in lines]) + "\n"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CORE = [
-    *("demo", "new", "check", "plan", "smoke", "run", "status"),
+    *("demo", "new", "check", "plan", "smoke", "run", "status", "queue"),
     *("pause", "continue", "extend", "exclude", "include", "plugins", "try"),
 ]
 LIBRARIES = {

@@ -33,7 +33,12 @@ def _is_understood(words: list[str]) -> bool:
     command = words[0] if words[0] in installed_commands() else "run"
     if command != words[0] and not re.search(r"\.py$|^--(help|version)$|^[A-Z]+$|^<.*>$", words[0]):
         return False
-    parser = parser_of(command, command_module(installed_commands()[command]))
+    module = command_module(installed_commands()[command])
+    actions = module.action_parsers() if hasattr(module, "action_parsers") else {}
+    named = re.findall(r"[\w-]+", words[1]) if actions and len(words) > 1 and words[1][0] != "[" else []
+    if not set(named) <= set(actions):
+        return False
+    parser = actions[named[0]] if named else parser_of(command, module)
     known = {option for action in parser.documented for option in action.option_strings}
     options = [word.strip("[],").partition("=")[0] for word in words]  # in the page of commands they stand in brackets
     return {option for option in options if option.startswith("--")} <= {*known, "--version"}

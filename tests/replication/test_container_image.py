@@ -109,6 +109,7 @@ def _package(tmp_path):
     extras = packages_of_extra("robot-runner", "sim") | packages_of_extra("robot-runner", "replication")
     names = closure({"rich", "editables", *extras})
     program = make_linked_environment(tmp_path / "lean", names, code=ROOT / "src")
+    _forget_the_lock(tmp_path / "lean")
     config = write_config(tmp_path / "study")
     environment = {"PATH": os.defpath, "HOME": str(tmp_path), "PIP_NO_INDEX": "1"}
     for command in (
@@ -122,6 +123,14 @@ def _package(tmp_path):
     with zipfile.ZipFile(tmp_path / "small.zip") as archive:
         archive.extractall(tmp_path / "package")
     return tmp_path / "package"
+
+
+def _forget_the_lock(environment):
+    """Have no lock at hand: its hashes are of the index's wheels, and those here are made of what is installed."""
+    path = next(environment.glob("lib/python*/site-packages/robot_runner-*.dist-info/direct_url.json"))
+    origin = json.loads(path.read_text("utf-8"))
+    path.unlink()  # it is a link to that of the tests' own environment
+    path.write_text(json.dumps(origin | {"url": (environment / "no lock here").as_uri()}), encoding="utf-8")
 
 
 def _base(buildah, rootfs, name):

@@ -64,7 +64,12 @@ class Execution:
 
 
 def execute_on_screen(
-    experiment: Experiment, findings: Sequence[Finding] = (), *, plain: bool, resumption: Resumption | None = None
+    experiment: Experiment,
+    findings: Sequence[Finding] = (),
+    *,
+    plain: bool,
+    resumption: Resumption | None = None,
+    waits_for_claims: bool = False,
 ) -> Execution:
     """Execute an experiment and show it while it is executed.
 
@@ -73,6 +78,7 @@ def execute_on_screen(
         findings: what validation had to say.
         plain: whether plain lines are asked for.
         resumption: what to execute again, and whether to go on though something changed.
+        waits_for_claims: whether to wait where another experiment has claimed the same.
 
     Raises:
         RobotRunnerError: it cannot start.
@@ -81,7 +87,9 @@ def execute_on_screen(
     finished = None
     try:
         with screen:
-            finished = execute_experiment(experiment, screen, findings=findings, resumption=resumption)
+            finished = execute_experiment(
+                experiment, screen, findings=findings, resumption=resumption, waits_for_claims=waits_for_claims
+            )
     except RobotRunnerError as error:
         if not screen.progress.has_begun:
             raise

@@ -174,7 +174,9 @@ def _environment(escape: Callable[[str], str] | None = None, **settings: str) ->
 @cache
 def _pages() -> Environment:
     environment = _environment()
-    environment.globals.update(asset=_asset, json_of=_json_of, data_uri=_data_uri, csv_of=csv_of, latex_of=latex_of)
+    environment.globals.update(
+        asset=_asset, shared_asset=_shared_asset, json_of=_json_of, data_uri=_data_uri, csv_of=csv_of, latex_of=latex_of
+    )
     return environment
 
 
@@ -192,9 +194,14 @@ def _papers() -> Environment:
     )
 
 
-def _asset(name: str) -> Markup:
+def _asset(name: str, package: str = _PACKAGE) -> Markup:
     # Ours, not a user's: it may hold markup.
-    return Markup(files(_PACKAGE).joinpath("assets", name).read_text(encoding="utf-8"))  # noqa: S704
+    return Markup(files(package).joinpath("assets", name).read_text(encoding="utf-8"))  # noqa: S704
+
+
+def _shared_asset(name: str) -> Markup:
+    """Return what the report has together with the live page."""
+    return _asset(name, "robot_runner.core")
 
 
 def _json_of(data: Mapping[str, Any]) -> Markup:

@@ -22,7 +22,7 @@ __all__ = ["command_module", "installed_commands", "summary_of"]
 
 #: The core's own commands, in the order in which a user meets them.
 _CORE = (
-    *("demo", "new", "check", "plan", "smoke", "run", "status"),
+    *("demo", "new", "check", "plan", "smoke", "run", "status", "queue"),
     *("pause", "continue", "extend", "exclude", "include", "plugins", "try"),
 )
 _QUOTES = '"""'

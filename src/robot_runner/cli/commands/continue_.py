@@ -6,29 +6,25 @@ same as ENTER, or the answers, in its own terminal. `robot-runner status` says w
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import shown_path
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.config.operator_steps import Question, read_answers
+from robot_runner.core.config.operator_steps import read_answers
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
-from robot_runner.core.storage.lock import Command, forget_pause, send_command
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.execution.person_requests import continue_and_see, questions_of, require_waiting
+from robot_runner.core.storage.lock import forget_pause
 
 if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.core.storage.layout import ExperimentFolder
+    from robot_runner.core.config.operator_steps import Question
 
 __all__ = ["add_arguments", "execute"]
-
-#: How long the experiment may take the request, in seconds; it looks several times a second.
-_PATIENCE = 5.0
-_LOOK = 0.05
 
 
 def add_arguments(parser: Parser) -> None:
@@ -52,21 +48,14 @@ def execute(arguments: Namespace) -> int:
         forget_pause(folder.pause)
         print(f"{status.experiment_name} {'goes on' if status.is_paused else 'does not pause'}.")
         return 0
-    _refuse_unless_it_waits(status)
+    require_waiting(status, shown_path(status.folder))
     answers = _answers(arguments.answer, questions_of(status), shown_path(status.folder))
-    send_command(folder.control, Command.CONTINUE, answers)
-    _wait_until_taken(folder)
+    continue_and_see(folder, answers, shown_path(folder.root))
     step = (status.waiting_for or {}).get("step")
     number = status.done + status.failed + 1
     done = f"{step!r} is done" if step else f"{number} of {status.run_count} runs begun"
     print(f"{status.experiment_name} goes on: {done}.")
     return 0
-
-
-def questions_of(status: ExperimentStatus) -> list[Question]:
-    """Return what an experiment asks at this moment."""
-    asked = status.waiting_for["questions"] if status.waiting_for else ()
-    return [Question.from_mapping(facts) for facts in asked]
 
 
 def _answers(given: Sequence[str], questions: Sequence[Question], where: str) -> dict[str, str]:
@@ -88,30 +77,3 @@ def _answers(given: Sequence[str], questions: Sequence[Question], where: str) ->
     if findings:
         raise ExecutionError.of_findings(findings)
     return answers
-
-
-def _refuse_unless_it_waits(status: ExperimentStatus) -> None:
-    where = shown_path(status.folder)
-    if status.holder is None:
-        left = status.todo + status.failed
-        fix = "Start it with `robot-runner run` and its config: it resumes." if left else "All its runs are done."
-        raise ExecutionError("nobody executes this experiment", where=where, fix=fix)
-    if not status.is_waiting_for_user:
-        doing = f"executes {status.current_run}" if status.current_run else "is between two runs"
-        raise ExecutionError(
-            f"the experiment does not wait: process {status.holder.pid} on {status.holder.host} {doing}",
-            where=where,
-            fix="Wait until it asks; without steps for the operator, and in AUTO mode, it never does.",
-        )
-
-
-def _wait_until_taken(folder: ExperimentFolder) -> None:
-    end = time.monotonic() + _PATIENCE
-    while folder.control.exists():
-        if time.monotonic() > end:
-            raise ExecutionError(
-                f"the experiment has not taken the request after {_PATIENCE:g} s",
-                where=shown_path(folder.root),
-                fix="Press ENTER in its own terminal; the request is taken once the experiment looks again.",
-            )
-        time.sleep(_LOOK)

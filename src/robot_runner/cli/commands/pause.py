@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import shown_path
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
+from robot_runner.core.execution.person_requests import require_executed
 from robot_runner.core.storage.lock import request_pause
 
 if TYPE_CHECKING:
@@ -34,9 +34,7 @@ def execute(arguments: Namespace) -> int:
     folder = folder_of_target(arguments.target, arguments.set)
     status = read_status(folder.root)
     where = shown_path(folder.root)
-    if status.holder is None:
-        fix = "There is nothing to pause; `robot-runner run` with its config goes on."
-        raise ExecutionError("nobody executes this experiment", where=where, fix=fix)
+    require_executed(status, where, "There is nothing to pause")
     command = f"robot-runner continue {where}"
     if status.is_paused:
         print(f"{status.experiment_name} is paused already. To go on: {command}")

@@ -57,6 +57,7 @@ def execute(arguments: Namespace) -> int:
         [
             ("Runs", in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
             ("Repeated", plan.repeated),
+            ("Decided", str(plan.model.design_facts.get("decides", ""))),
             ("Warm-up", warm_ups_in_words(plan.model, plan.runs)),
             ("Measures", measures_in_words(plan.columns)),
             ("Order", plan.order),

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
 
-__all__ = ["add_arguments", "execute"]
+__all__ = ["add_arguments", "apply_shortcuts", "execute"]
 
 
 #: The options that choose runs, and what becomes of those that are chosen.
@@ -80,8 +80,20 @@ def add_arguments(parser: Parser) -> None:
         help="execute the runs on the workers of a Dask cluster: the address of its scheduler, such as "
         "tcp://scheduler:8786 or tls://scheduler:8786; the same as --set cluster=ADDRESS",
     )
+    parser.add_argument(
+        "--wait",
+        action="store_true",
+        help="wait where another experiment has claimed the same robot or meter, instead of being refused",
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
     add_json(parser)
+
+
+def apply_shortcuts(arguments: Namespace) -> None:
+    """Take options that stand for a static parameter as what is set."""
+    for name in ("cluster", "workers"):
+        if (given := getattr(arguments, name)) is not None:
+            arguments.set = [*arguments.set, f"{name}={given}"]
 
 
 def execute(arguments: Namespace) -> int:
@@ -102,9 +114,7 @@ def execute(arguments: Namespace) -> int:
 
 def _executed(arguments: Namespace) -> tuple[int, dict[str, Any]]:
     """Execute the experiment on a screen; returns the exit code, and how it went as plain data."""
-    for name in ("cluster", "workers"):
-        if getattr(arguments, name) is not None:
-            arguments.set = [*arguments.set, f"{name}={getattr(arguments, name)}"]
+    apply_shortcuts(arguments)
     with no_byte_code():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
     if preparation.experiment is None:
@@ -129,7 +139,13 @@ def _execution(arguments: Namespace, experiment: Experiment, findings: Sequence[
     )
 
     def executed(asked: Resumption) -> Execution:
-        return execute_on_screen(experiment, findings, plain=arguments.plain or arguments.json, resumption=asked)
+        return execute_on_screen(
+            experiment,
+            findings,
+            plain=arguments.plain or arguments.json,
+            resumption=asked,
+            waits_for_claims=arguments.wait,
+        )
 
     try:
         return executed(resumption)

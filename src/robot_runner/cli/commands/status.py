@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from robot_runner.cli.commands.continue_ import questions_of
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.cli.screens.plain import continue_command
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
+from robot_runner.core.execution.person_requests import questions_of
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
@@ -64,6 +64,7 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Excluded", _excluded(status)),
             ("Repeated", status.repeated),
             ("Precision", "; ".join(status.precision)),
+            ("Decided", status.decided),
             ("Order", status.order),
             ("Sessions", _sessions(status)),
             ("Started", status.sessions[0].started_at if status.sessions else status.started_at or ""),

@@ -21,12 +21,13 @@ from robot_runner.core.config.parameters import (
 )
 from robot_runner.core.config.plugin_checks import failed_check
 from robot_runner.core.config.registered_config import take_registered_seed
+from robot_runner.core.design.asking import AdaptiveDesign
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import listed_elsewhere
 from robot_runner.core.design.precision import precision_findings
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.entry_points import entry_points
-from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError
+from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError, did_you_mean
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import ROBOT
 from robot_runner.core.links.several_robots import Robots
@@ -75,12 +76,23 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
 def check_repeat_until(
     loaded: LoadedConfig, parameters: Parameters, model: RunTableModel | None, columns: MeasureColumns
 ) -> list[Finding]:
-    """Return what of `repeat_until` does not fit the design as the config has it."""
-    if not parameters.repeat_until or model is None:
+    """Return what of `repeat_until` does not fit the design as the config has it, and what a design decides by."""
+    if model is None:
         return []
+    own, where = as_configured(model), f"{loaded.where}.repeat_until"
     units = {column.name: column.measure.unit for column in columns.in_table if not column.tells_of}
-    least = as_configured(model).repetitions
-    return list(precision_findings(f"{loaded.where}.repeat_until", parameters.repeat_until, least, units))
+    if not isinstance(own.design, AdaptiveDesign):
+        return list(precision_findings(where, parameters.repeat_until, own.repetitions, units))
+    place = f"{loaded.where}.create_run_table, design"
+    missing = [name for name in own.design.measures if name not in units]
+    findings = [
+        Finding.error(place, f"there is no measure {name!r} to decide by", did_you_mean(name, units))
+        for name in missing
+    ]
+    if parameters.repeat_until:
+        problem = "the design decides on the runs, and so would repeat_until"
+        findings.append(Finding.error(where, problem, "Leave one of them out."))
+    return findings
 
 
 # Misspelt attributes and callbacks: a name that is nearly one of ours was meant to be it.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.asking import DECIDED
 from robot_runner.core.design.batches import EXTENDED, REPEATED, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.events.manager import EventManager, OwnerKind
@@ -96,7 +97,7 @@ def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel
     """
     if not folder.journal.exists():
         return model
-    batches = batches_of(read_journal(folder.journal, kinds={EXTENDED, REPEATED}))
+    batches = batches_of(read_journal(folder.journal, kinds={EXTENDED, REPEATED, DECIDED}))
     return GrownRunTableModel(model, batches) if batches else model
 
 

@@ -224,8 +224,8 @@ def _robot_first(
 
 
 def _most_runs(model: RunTableModel, parameters: Parameters) -> int:
-    """Return how many runs there are at most: combinations may be repeated until the experiment is precise."""
-    runs = len(model.plan())
+    """Return how many runs there are at most: some may follow from results."""
+    runs = max(len(model.plan()), int(model.design_facts.get("most_runs", 0)))
     return max(runs, runs * most_repetitions(parameters.repeat_until) // model.repetitions)
 
 

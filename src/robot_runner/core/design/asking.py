@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from robot_runner.core.design.factor import Combination
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Combination, Factor
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["DECIDED", "Asking", "Decision", "Told"]
+__all__ = ["DECIDED", "AdaptiveDesign", "Asking", "Decision", "Told"]
 
 #: The kind of the journal's record of runs that were decided on; see `Decision.kind`.
 DECIDED = "decided"
@@ -48,6 +49,7 @@ class Decision:
         name: of what is executed next, such as `repetition 4`; their order comes from it and the experiment's seed.
         in_words: what is known by now and what follows, for people.
         runs: the combination and the repetition of each, in the order as written; empty where nothing follows.
+        blocks: what its runs are kept together by, as in a run-table model; None for what the model says.
         confirms: whether they are a batch of their own that confirms what was found; if not, they belong to the
             batch before them.
         kind: of the journal's record of it.
@@ -58,6 +60,7 @@ class Decision:
     name: str
     in_words: str
     runs: Sequence[tuple[Combination, int]] = ()
+    blocks: str | None = None
     confirms: bool = False
     kind: str = DECIDED
     facts: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
@@ -83,4 +86,26 @@ class Asking(Protocol):
 
         Args:
             told: all runs of the run table, in its order.
+        """
+
+
+@runtime_checkable
+class AdaptiveDesign(Protocol):
+    """A design that plans its first runs, and decides on the next ones from what these yield.
+
+    Its facts (see `DesignedRuns.facts`) have `decides`, which says in words what is decided, and `most_runs`, how many
+    runs there are at most. What it plans and decides on is exploratory, but for decisions that confirm.
+    """
+
+    @property
+    def measures(self) -> Sequence[str]:
+        """The measures that it decides by."""
+
+    def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> Asking:
+        """Return what decides.
+
+        Args:
+            factors: what is varied, as the config has it.
+            is_allowed: whether the exclusions leave a combination.
+            repetitions: how often each combination is executed.
         """

@@ -11,7 +11,10 @@ from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["Batch", "BatchRun", "plain_treatment"]
+__all__ = ["CONFIRMATION", "Batch", "BatchRun", "plain_treatment"]
+
+#: What the role of a batch is called that confirms what the runs before have found.
+CONFIRMATION = "confirmation"
 
 _PLAIN = (bool, int, float, str, type(None))
 
@@ -67,6 +70,7 @@ class Batch:
         factors: all factors with all treatments from this batch on, in order, as `plain_treatment` makes them plain.
         chosen: the treatments among them that were added on the command line, so that a config need not have them.
         defaults: the treatment that earlier runs count as having had, of each factor that this batch added, as text.
+        confirms: whether it confirms what the runs before have found, of a design that decides on its runs.
         added: what was added to it while the experiment was executed, such as `repetition 4`, with the ids of its runs.
         runs: in the order of execution.
         at: when the batch was added (UTC); empty for the first plan.
@@ -80,6 +84,7 @@ class Batch:
     chosen: Mapping[str, Sequence[str]] = field(default_factory=lambda: MappingProxyType({}))
     defaults: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     at: str = ""
+    confirms: bool = False
     added: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
     @property
@@ -129,6 +134,7 @@ class Batch:
             "repetitions": self.repetitions,
             **({"chosen": {name: list(texts) for name, texts in self.chosen.items()}} if self.chosen else {}),
             **({"defaults": dict(self.defaults)} if self.defaults else {}),
+            **({"role": CONFIRMATION} if self.confirms else {}),
             **({"at": self.at} if self.at else {}),
         }
 
@@ -146,6 +152,7 @@ class Batch:
             chosen=plain.get("chosen", {}),
             defaults=plain.get("defaults", {}),
             at=str(plain.get("at", "")),
+            confirms=plain.get("role") == CONFIRMATION,
         )
 
 

@@ -82,12 +82,13 @@ def _within(angle: float, freedom: int) -> float:
 
 
 @cache
-def level_at_each_look(first: int, last: int) -> float:
-    """Return the level of the interval at each look, with which all looks together hold at 95 %.
+def level_at_each_look(first: int, last: int, confidence: float = CONFIDENCE) -> float:
+    """Return the level of the interval at each look, with which all looks together hold at 95 %, or as asked for.
 
     Args:
         first: how many values there are at the first look, 2 and more.
         last: how many there are at the last; there is a look at each number between.
+        confidence: of all looks together, 0.5 to 0.999.
 
     Example:
         >>> level_at_each_look(7, 7)
@@ -96,8 +97,8 @@ def level_at_each_look(first: int, last: int) -> float:
         0.9923
     """
     if first == last:
-        return CONFIDENCE
-    wanted = 1 - CONFIDENCE
+        return confidence
+    wanted = 1 - confidence
     # Errors of single looks add up to nearly a power of theirs: in logarithms, the secant method needs few steps.
     before, now = math.log(wanted), math.log(wanted / math.sqrt(last - first + 1))
     missed = _log_beyond(first, last, before)

@@ -267,7 +267,7 @@ class RunTableModel:
             runs = planned_runs(self._combinations, self.repetitions, self._block_of(order.blocks), order)
             designed = DesignedRuns(runs, self._chosen.facts)
         else:
-            designed = self.design.runs(self.factors, self._allowed, self.repetitions, order.seed, order.shuffle)
+            designed = self.design.runs(self.factors, self.allowed, self.repetitions, order.seed, order.shuffle)
         self.design_facts = designed.facts
         return with_warm_ups(designed.runs, self.warm_up)
 
@@ -277,14 +277,15 @@ class RunTableModel:
         if not isinstance(self.design, CombinationDesign) or isinstance(self.design, FullFactorial):
             kept = full_factorial(self.factors) if self._kept is None else self._kept
             return ChosenCombinations(kept, self.design_facts)
-        return self.design.choose(self.factors, self._allowed)
+        return self.design.choose(self.factors, self.allowed)
 
     @property
     def _combinations(self) -> list[Combination]:
         return self._chosen.combinations
 
     @property
-    def _allowed(self) -> Allowed:
+    def allowed(self) -> Allowed:
+        """Whether the exclusions leave a combination."""
         return Allowed(self.factors, self._exclusions)
 
     def _combinations_in_plan(self, factors: Sequence[Factor]) -> list[Combination]:

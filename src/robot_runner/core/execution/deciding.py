@@ -6,17 +6,20 @@ with the same plan; where the kill came before, the same is asked again, and ans
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.design.asking import Told
+from robot_runner.core.design.asking import AdaptiveDesign, Told
 from robot_runner.core.design.batches import (
+    EXTENDED,
     GrownRunTableModel,
     as_configured,
     first_batch,
     grown_batch,
     next_batch,
+    records_of,
 )
+from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.growing import Begun, GrownDesign
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.planned_runs import RunOrder
@@ -26,6 +29,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
 from robot_runner.core.execution.task import seed_of_run
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -80,8 +84,9 @@ class Deciding:
     """
 
     def __init__(self, experiment: Experiment, manifest: Mapping[str, Any]) -> None:
-        self._where = f"{experiment.config_path}, repeat_until"
         model = experiment.model
+        self._experiment = experiment
+        self._where = f"{experiment.config_path}, {'repeat_until' if model.is_full_factorial else 'design'}"
         self._config = as_configured(model)
         self._model = model
         plan = experiment.parameters.analysis
@@ -93,6 +98,9 @@ class Deciding:
         self._asks = None if is_by_hand else asking
 
     def _asking(self, experiment: Experiment) -> Asking | None:
+        config = self._config
+        if isinstance(config.design, AdaptiveDesign):
+            return config.design.asking(config.factors, config.allowed, config.repetitions)
         rules = experiment.parameters.repeat_until
         least = self._config.repetitions  # one run that is only tried is not repeated
         return UntilPrecise(rules, self._model.factors, least) if rules and least >= LEAST_REPETITIONS else None
@@ -158,19 +166,30 @@ class Deciding:
         batches = self._model.batches or (first_batch(begun, self._order(self._seed)),)
         repetitions = max(batches[-1].repetitions, *(repetition for _, repetition in decision.runs))
         design = GrownDesign(self._model.factors, [], repetitions, {}, {})
-        order = self._order(seed_of_run(self._seed, decision.name))
-        number = batches[-1].number
-        planned = next_batch(begun, design, None, order=order, number=number, at="", wanted=decision.runs)
-        grown, record = grown_batch(batches[-1], decision, planned, is_first=not self._model.batches)
-        self._model = GrownRunTableModel(self._config, [*batches[:-1], grown])
+        order = self._order(seed_of_run(self._seed, decision.name), decision.blocks)
+        number, at = (batches[-1].number + 1, utc_now()) if decision.confirms else (batches[-1].number, "")
+        planned = next_batch(begun, design, None, order=order, number=number, at=at, wanted=decision.runs)
+        is_first = not self._model.batches
+        if decision.confirms:
+            kind, batches = EXTENDED, (*batches, replace(planned, confirms=True))
+            *_, record = records_of(batches)
+        else:
+            kind = decision.kind
+            grown, record = grown_batch(batches[-1], decision, planned, is_first=is_first)
+            batches = (*batches[:-1], grown)
+        self._model = GrownRunTableModel(self._config, batches)
         new = {run.run_id for run in planned.runs}
         added = [run for run in self._model.plan() if run.run_id in new]
+        was = rows.layout
+        layout = replace(self._experiment, model=self._model).table_layout(was.types, warms_up=WARM_UP in was.marks)
+        layout = replace(layout, extras=was.extras, has_exclusions=was.has_exclusions)
         places = range(len(rows), len(rows) + len(added))
-        record |= decision.facts
-        return Growth(decision.kind, record, self._model, rows.with_plan([*rows.planned, *added], rows.layout), places)
+        grown_rows = rows.with_plan([*rows.planned, *added], layout)
+        return Growth(kind, {**record, **decision.facts}, self._model, grown_rows, places)
 
-    def _order(self, seed: int) -> RunOrder:
-        return RunOrder(shuffle=self._config.shuffle, blocks=self._config.blocks, seed=seed, seed_is_given=True)
+    def _order(self, seed: int, blocks: str | None = None) -> RunOrder:
+        blocks = blocks or self._config.blocks
+        return RunOrder(shuffle=self._config.shuffle, blocks=blocks, seed=seed, seed_is_given=True)
 
 
 def _notice(decision: Decision, run_count: int, added: int) -> PrecisionJudged | NextDecided:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from robot_runner.core.storage.layout import ExperimentFolder
+    from robot_runner.core.storage.run_table_rows import RunTableRows
 
 __all__ = ["ExperimentHistory", "Session"]
 
@@ -67,6 +68,7 @@ class ExperimentHistory:
         self.waiting_for: dict[str, Any] | None = None
         self.warm_ups: set[str] = set()
         self.precision: tuple[str, ...] = ()
+        self.decided = ""
         self.is_paused = False
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
@@ -118,22 +120,26 @@ class ExperimentHistory:
             StorageError: it cannot be read.
         """
         if files.run_table.exists() and files.schema.exists():
-            layout = TableLayout.of_schema(read_schema(files.schema))
-            self._measures = layout.measures
-            rows = read_run_table(files.run_table, layout)
-            self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
-            self.warm_ups = {run.run_id for run in rows.planned if run.is_warm_up}
-            self.combinations = {run.run_id: run.combination for run in rows.planned}
-            if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
-                todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
-                failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}
-                self.statuses |= dict.fromkeys(todo & failed, RunStatus.FAILED)
+            self.take_rows(read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema))))
         elif self._ends and not files.run_table.exists():
             self.statuses = dict(self._ends)
             self.unlisted = max(0, self._planned - len(self._ends))
             problem = "the run table is missing; the journal has what was executed"
             fix = "It is made anew when the experiment is executed next."
             self.findings.append(Finding.warning(str(files.run_table), problem, fix))
+        self.settle()
+
+    def take_rows(self, rows: RunTableRows) -> None:
+        """Take the rows of the run table into account, and beyond them what the journal told since it was written."""
+        layout = rows.layout
+        self._measures = layout.measures
+        self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
+        self.warm_ups = {run.run_id for run in rows.planned if run.is_warm_up}
+        self.combinations = {run.run_id: run.combination for run in rows.planned}
+        if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
+            todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
+            failed = {run for run, end in self._ends.items() if end is RunStatus.FAILED}
+            self.statuses |= dict.fromkeys(todo & failed, RunStatus.FAILED)
         self.settle()
 
     @property
@@ -185,6 +191,11 @@ class ExperimentHistory:
 
     def _take_judged(self, record: Mapping[str, Any]) -> None:
         self.precision = tuple(str(each["in_words"]) for each in record.get("precision", ()))
+        self.decided = str(record.get("why", ""))
+
+    def _take_decided(self, record: Mapping[str, Any]) -> None:
+        self._planned += len(record["runs"])
+        self._take_judged(record)
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))

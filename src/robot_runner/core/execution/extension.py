@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.design.asking import AdaptiveDesign
 from robot_runner.core.design.batches import (
     EXTENDED,
     GrownRunTableModel,
@@ -108,6 +109,10 @@ def extend_experiment(experiment: Experiment, request: ExtensionRequest) -> Exte
     if not _has_begun(experiment):
         problem = "the experiment has not begun: there is nothing to add to"
         fix = f"Change the config, and execute it: robot-runner {_shown(experiment.config_path)}"
+        raise ExecutionError(problem, where=str(experiment.folder.root), fix=fix)
+    if isinstance(as_configured(experiment.model).design, AdaptiveDesign):
+        problem = "the design decides on the runs from their results: nothing is added by hand"
+        fix = f"Give it more runs in the config, and go on: robot-runner {_shown(experiment.config_path)} {ACCEPT}"
         raise ExecutionError(problem, where=str(experiment.folder.root), fix=fix)
     with ExperimentLock(experiment.folder.lock):
         return _Extending(experiment, request).extension()

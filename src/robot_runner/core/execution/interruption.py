@@ -177,6 +177,11 @@ class Interruption:
         finally:
             self._gate = None
 
+    def request(self) -> None:
+        """Take a stop request that came in another way, as if it were a signal."""
+        self._count_signal(signal.SIGINT, None)
+        os.write(self._writer, b"\0")
+
     def forget_wakeups(self) -> None:
         """Empty the descriptor, so that the next poll waits again."""
         try:

@@ -35,6 +35,7 @@ from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.side_by_side import SideBySide
 from robot_runner.core.storage.claim_locks import HeldClaims
+from robot_runner.core.storage.lock import forget_stop, stop_is_requested
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -46,6 +47,11 @@ if TYPE_CHECKING:
 __all__ = ["execute_experiment"]
 
 _log = logging.getLogger(__name__)
+#: How often a request to stop is looked for, in seconds: it is a file, which wakes nobody.
+_LISTEN = 0.5
+
+#: How often to look whether another experiment has let go of what it claimed, s.
+_LOOK_AT_CLAIMS = 0.5
 
 
 def execute_experiment(
@@ -54,6 +60,7 @@ def execute_experiment(
     *,
     findings: Sequence[Finding] = (),
     resumption: Resumption | None = None,
+    waits_for_claims: bool = False,
 ) -> ExperimentFinished:
     """Execute every run that is not done, and return how the experiment ended.
 
@@ -64,8 +71,10 @@ def execute_experiment(
         observer: gets a notice of everything that happens.
         findings: of validation; they are shown again at the end.
         resumption: what to execute again, and whether to go on though something changed.
+        waits_for_claims: whether to wait where another experiment has claimed the same; else this one is refused.
 
     Raises:
+        KeyboardInterrupt: the user interrupted while it waited for claims.
         RobotRunnerError: the experiment cannot start (it is being executed by somebody else, its folder cannot be
             written, the config or the run table on disk changed, a profiler does not measure) or cannot go on (the
             disk is full).
@@ -83,13 +92,25 @@ def execute_experiment(
             experiment, known, interruption, lambda what: _tell(observer, PreparationStarted(what))
         )
 
+    told_of: set[str] = set()
+
+    def wait(refused: Sequence[Finding]) -> None:
+        for finding in refused:
+            if finding.problem not in told_of:
+                told_of.add(finding.problem)
+                _tell(observer, PreparationStarted(f"Waiting until it has ended: {finding.problem}"))
+        time.sleep(_LOOK_AT_CLAIMS)
+        if interruption.is_requested:
+            raise KeyboardInterrupt
+
     is_probed = resumption.probe and experiment.parameters.probe
     probed = [profiler.name for profiler in probed_profilers(experiment)] if is_probed else []
     claims = Claims(experiment.parameters, experiment.plugins, experiment.events)
     held = held_claims(claims, experiment.model)
+    name = experiment.parameters.experiment_name
     with (
         Interruption() as interruption,
-        HeldClaims(held, experiment.parameters.experiment_name, experiment.folder.root) as holding,
+        HeldClaims(held, name, experiment.folder.root, wait if waits_for_claims else None) as holding,
         ProgressManager(experiment, resumption, probe if probed else None, prepare) as progress,
     ):
         told = (*findings, *holding.findings)
@@ -123,7 +144,7 @@ class _Orchestrator:
         self._progress = progress
         self._interruption = interruption
         self._observer = observer
-        patience = Patience(interruption, self._refresh, observer.refresh_interval, progress.tend_table)
+        patience = Patience(interruption, self._refresh, observer.refresh_interval, self._tend)
         self._events = OrchestratorEvents(experiment, progress, patience)
         self._notifications = Notifications(experiment, progress.note)
         self._started = time.monotonic()
@@ -254,6 +275,16 @@ class _Orchestrator:
             seconds=time.monotonic() - self._started,
             excluded=progress.excluded,
         )
+
+    def _tend(self) -> float:
+        """Do what is due while something is awaited; returns in how many seconds it is again."""
+        stop = self._experiment.folder.stop
+        if stop_is_requested(stop) and not self._interruption.is_requested:
+            self._progress.note("stop_requested", flush=True)
+            forget_stop(stop)
+            self._interruption.request()
+        due = self._progress.tend_table()
+        return _LISTEN if due is None else min(due, _LISTEN)
 
     def _find(self, finding: Finding) -> None:
         self._progress.find(finding)

@@ -8,7 +8,16 @@ from typing import Any, NotRequired, TypedDict
 
 from robot_runner.core.storage.declared_shapes import Moment, Scalar
 
-__all__ = ["HolderFile", "Manifest", "RegistrationFile", "Repository", "RequestFile", "Schema"]
+__all__ = [
+    "ClaimFile",
+    "HolderFile",
+    "Manifest",
+    "QueuedFile",
+    "RegistrationFile",
+    "Repository",
+    "RequestFile",
+    "Schema",
+]
 
 
 # manifest.json
@@ -177,3 +186,31 @@ class RequestFile(TypedDict):
 
     command: str
     answers: NotRequired[dict[str, str]]
+
+
+class ClaimFile(TypedDict):
+    """Who has claimed something, against other experiments of the user."""
+
+    experiment: str
+    folder: str
+    pid: int
+    since: str
+
+
+class QueuedFile(TypedDict):
+    """An experiment in the queue."""
+
+    config: str
+    options: list[str]
+    started_in: str
+    experiment: str
+    results: str
+    claims: list[str]
+    python: str
+    environment: dict[str, str]
+    config_sha256: str
+    added_at: Moment
+    began_at: Moment | None
+    ended_at: Moment | None
+    exit_code: int | None
+    problem: str

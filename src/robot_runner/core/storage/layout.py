@@ -183,6 +183,11 @@ class ExperimentFolder:
         """There while the experiment is to pause between two runs."""
         return self.root / ".pause"
 
+    @property
+    def stop(self) -> Path:
+        """There once the experiment is to stop as by Ctrl-C, until it was seen."""
+        return self.root / ".stop"
+
     def run(self, run_id: str) -> Path:
         """Return the folder of a run: its log, and a folder for each plugin's raw data."""
         return self.runs / run_id

@@ -28,10 +28,13 @@ __all__ = [
     "Request",
     "forget_command",
     "forget_pause",
+    "forget_stop",
     "holder_of",
     "pause_is_requested",
     "request_pause",
+    "request_stop",
     "send_command",
+    "stop_is_requested",
     "take_command",
     "take_request",
 ]
@@ -186,4 +189,26 @@ def pause_is_requested(path: Path) -> bool:
 
 def forget_pause(path: Path) -> None:
     """Take the request back: an experiment that is paused goes on."""
+    remove(path)
+
+
+# The request to stop: seen at any moment, and so a file of its own, too.
+
+
+def request_stop(path: Path) -> None:
+    """Ask the orchestrator to stop as by Ctrl-C: the run that is being executed is closed and to be done again.
+
+    Raises:
+        StorageError: the experiment's folder cannot be written.
+    """
+    replace(path, f"{utc_now()}\n")
+
+
+def stop_is_requested(path: Path) -> bool:
+    """Return whether the orchestrator is asked to stop."""
+    return path.is_file()
+
+
+def forget_stop(path: Path) -> None:
+    """Remove a request to stop: it was seen, or came from before the experiment began."""
     remove(path)

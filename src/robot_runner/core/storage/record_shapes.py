@@ -144,6 +144,7 @@ class _Estimate(TypedDict):
 class _Judged(_Dated):
     precision: NotRequired[list[_Estimate]]
     why: NotRequired[str]
+    known: NotRequired[dict[str, Any]]
 
 
 class _PlannedRun(TypedDict):
@@ -179,6 +180,9 @@ class _Extended(_Dated):
     base: NotRequired[dict[str, Any]]
     chosen: NotRequired[dict[str, list[str]]]
     defaults: NotRequired[dict[str, str]]
+    role: NotRequired[str]
+    why: NotRequired[str]
+    known: NotRequired[dict[str, Any]]
 
 
 class _Waiting(Record):
@@ -249,6 +253,7 @@ RECORDS: dict[str, Any] = {
     "operator_step": _OperatorStep,
     "prepared": _Prepared,
     "repeated": _Repeated,
+    "stop_requested": _Dated,
     "subject": _Subject,
     "table_written": _TableWritten,
     "waited": _Waited,

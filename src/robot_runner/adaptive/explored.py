@@ -1,0 +1,186 @@
+"""What a search has seen: the combinations that were executed, with their values, and which of them are best."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.asking import Decision
+from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.words import counted, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.asking import Told
+    from robot_runner.core.design.factor import Combination, Factor
+
+__all__ = [
+    "Direction",
+    "Explored",
+    "baseline_findings",
+    "baseline_of",
+    "best_of",
+    "confirmation",
+    "count_findings",
+    "direction_findings",
+    "explored",
+    "in_direction",
+    "key_of",
+    "shown",
+]
+
+
+class Direction(Enum):
+    """Which values of a measure are better."""
+
+    MINIMISE = "minimise"
+    MAXIMISE = "maximise"
+
+    @property
+    def sign(self) -> int:
+        """What a value is multiplied by, so that less is better."""
+        return 1 if self is Direction.MINIMISE else -1
+
+
+@dataclass(slots=True)
+class Explored:
+    """A combination that was executed while it was searched.
+
+    Attributes:
+        values: of each measure, by its name, by repetition.
+        repetition: the highest one, whether or not it confirms.
+    """
+
+    combination: Combination
+    values: dict[str, dict[int, float]] = field(default_factory=dict)
+    repetition: int = 0
+
+    def means(self, measures: Sequence[str]) -> tuple[float, ...] | None:
+        """Return the mean of each measure; None where one of them has no value."""
+        known = [self.values.get(name) for name in measures]
+        return tuple(math.fsum(each.values()) / len(each) for each in known if each) if all(known) else None
+
+
+def key_of(combination: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return what tells a combination from others: its treatments as text."""
+    return tuple(map(str, combination.values()))
+
+
+def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explored], list[tuple[str, str]]]:
+    """Return the combinations that were searched among, in the order in which they came up, and what is odd.
+
+    Args:
+        told: all runs; those of later batches confirm, and only their repetitions count here.
+        measures: what is searched by.
+
+    Returns:
+        the combinations, and what is to be told of values that are no numbers, as problem and fix.
+    """
+    found: dict[tuple[str, ...], Explored] = {}
+    odd = []
+    for each in told:
+        own = found.setdefault(key_of(each.run.combination), Explored(each.run.combination))
+        own.repetition = max(own.repetition, each.run.repetition)
+        if each.run.batch > 1:
+            continue
+        for name in measures:
+            value = each.values.get(name)
+            if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+                own.values.setdefault(name, {})[each.run.repetition] = float(value)
+            elif value is not None:
+                odd.append((f"{each.run.run_id} has {value!r}, which is no number of {name}", "Name another measure."))
+    searched = {key_of(each.run.combination) for each in told if each.run.batch == 1}
+    return [each for key, each in found.items() if key in searched], odd
+
+
+def best_of(points: Sequence[Explored], directions: Mapping[str, Direction]) -> list[Explored]:
+    """Return the best combinations: the one with the best mean, or those that no other one beats in all measures."""
+    measures = list(directions)
+    signs = [directions[name].sign for name in measures]
+    known = [
+        (each, tuple(sign * mean for sign, mean in zip(signs, means, strict=True)))
+        for each in points
+        if (means := each.means(measures)) is not None
+    ]
+    return [each for each, own in known if not any(_dominates(other, own) for _, other in known)][: _most(measures)]
+
+
+def _most(measures: Sequence[str]) -> int | None:
+    """Return how many are best at most: of equal means of one measure, the first."""
+    return 1 if len(measures) == 1 else None
+
+
+def _dominates(one: Sequence[float], other: Sequence[float]) -> bool:
+    return one != other and all(mine <= its for mine, its in zip(one, other, strict=True))
+
+
+def shown(combination: Mapping[str, Any]) -> str:
+    """Return a combination in words."""
+    return ", ".join(f"{name} {treatment}" for name, treatment in combination.items()) or "all runs"
+
+
+def in_direction(name: str, direction: Direction) -> str:
+    """Return what is searched for in words, such as `the least Energy`."""
+    return f"the {'least' if direction is Direction.MINIMISE else 'most'} {name}"
+
+
+# What comes after a search: runs that confirm what it found.
+
+
+def confirmation(points: Sequence[Explored], often: int, known: str, facts: Mapping[str, Any]) -> Decision:
+    """Return the decision to confirm what was found, by so many runs of each of these combinations."""
+    runs = [
+        (each.combination, each.repetition + number) for number in range(1, often + 1) for each in points
+    ]  # as written, each once, then all again
+    what = listed(shown(each.combination) for each in points)
+    words = f"{known}. Next: {counted(often, 'run')} each to confirm it, {what}"
+    return Decision(name="confirmation", in_words=words, runs=runs, confirms=True, facts={"why": words, **facts})
+
+
+def baseline_of(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the key of the combination that the best is compared with; factors of one treatment need no mention."""
+    return tuple(str(baseline.get(factor.name, factor.treatments[0])) for factor in factors)
+
+
+# What is wrong with what was asked for.
+
+
+def direction_findings(where: str, directions: object) -> Iterator[Finding]:
+    """Say which measures or directions cannot be."""
+    if not isinstance(directions, dict) or not directions:
+        yield Finding.error(where, f"the measure is {directions!r}", "Name a measure, such as 'Energy'.")
+        return
+    words = [each.value for each in Direction]
+    for name, direction in directions.items():
+        if not isinstance(name, str) or not name.strip():
+            yield Finding.error(where, f"the measure is {name!r}", "Name a measure, such as 'Energy'.")
+        if not isinstance(direction, Direction) and direction not in words:
+            problem = f"the direction of {name} is {direction!r}"
+            yield Finding.error(where, problem, did_you_mean(str(direction), words))
+
+
+def count_findings(where: str, least: int = 0, **counts: object) -> Iterator[Finding]:
+    """Say which counts are no whole numbers from `least`."""
+    for name, value in counts.items():
+        if isinstance(value, bool) or not isinstance(value, int):
+            yield Finding.error(where, f"{name} is {value!r}, of type {type(value).__name__}", "Give a whole number.")
+        elif value < least:
+            yield Finding.error(where, f"{name} is {value}", f"Give a whole number from {least}.")
+
+
+def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Iterator[Finding]:
+    """Say where a baseline is no combination of these factors."""
+    known = {factor.name: factor for factor in factors}
+    for name, treatment in baseline.items():
+        if name not in known:
+            yield Finding.error(where, f"the baseline names the factor {name!r}", did_you_mean(str(name), known))
+        elif known[name].position_of(treatment) is None:
+            problem = f"the baseline has {treatment!r}, which is no treatment of {name}"
+            yield Finding.error(where, problem, known[name].suggestion(treatment))
+    for factor in factors:
+        if factor.name not in baseline and len(factor.treatments) > 1:
+            problem = f"the baseline has no treatment of {factor.name}"
+            yield Finding.error(where, problem, f"Add it, such as {factor.name!r}: {factor.treatments[0]!r}.")

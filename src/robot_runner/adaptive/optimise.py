@@ -1,0 +1,317 @@
+"""A search for the treatments with which measures are best, by Bayesian optimisation."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib.util import find_spec
+from random import Random
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.adaptive.explored import (
+    Direction,
+    Explored,
+    baseline_findings,
+    baseline_of,
+    best_of,
+    confirmation,
+    count_findings,
+    direction_findings,
+    explored,
+    in_direction,
+    key_of,
+    shown,
+)
+from robot_runner.adaptive.searched_space import Places, SearchedSpace
+from robot_runner.core.design.asking import Decision
+from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.errors import DesignError, Finding
+from robot_runner.core.words import counted, enumerated, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.asking import Told
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Combination, Factor
+    from robot_runner.core.design.planned_runs import PlannedRun
+
+__all__ = ["Optimise"]
+
+#: Combinations before there is a model: with two more than twice the factors, and five at least, one of them is near.
+_LEAST_START = 5
+#: How long Optuna may take to answer, in s: it takes one or two.
+_PATIENCE = 300.0
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Optimise:
+    """Search for the treatments with which a measure is least or most, by Bayesian optimisation (Optuna's TPE).
+
+    The first combinations are spread over all treatments; each further one is where Optuna expects the best by then.
+    None is tried twice. Treatments that are numbers are searched in their order, others as alternatives.
+
+    Attributes:
+        directions: which values of which measure are better. Of several measures, those combinations are best that no
+            other one beats in all of them.
+        runs: how many runs the search has, those that fail included; each combination has `repetitions` of them.
+        start: how many combinations come before what is known is used; None for twice the factors and two, five at
+            least.
+        at_a_time: how many combinations are decided on at a time: as many as runs are executed side by side.
+        confirm: how many further runs each of the best combinations has after the search. Only these are analysed as a
+            planned experiment is; 0 for none.
+        baseline: the treatments of a combination that is executed beside the best when it is confirmed.
+        seed: what chance comes from.
+
+    Raises:
+        DesignError: one of them cannot be; `findings` lists everything that was found.
+
+    Example:
+        >>> search = Optimise("Energy", "minimise", runs=40, confirm=10)
+        >>> search.as_mapping()["directions"]
+        {'Energy': 'minimise'}
+    """
+
+    directions: Mapping[str, Direction]
+    runs: int
+    start: int | None
+    at_a_time: int
+    confirm: int
+    baseline: Mapping[str, Any]
+    seed: int
+
+    def __init__(
+        self,
+        measure: str | Mapping[str, str],
+        direction: str | Direction = Direction.MINIMISE,
+        *,
+        runs: int,
+        start: int | None = None,
+        at_a_time: int = 1,
+        confirm: int = 0,
+        baseline: Mapping[str, Any] | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Take one measure and its direction, or several with theirs: `{"Energy": "minimise", "Way": "maximise"}`."""
+        asked = dict(measure) if isinstance(measure, dict) else {measure: direction}
+        where = f"Optimise({measure!r})"
+        findings = [
+            *direction_findings(where, asked),
+            *count_findings(where, 1, runs=runs, at_a_time=at_a_time),
+            *count_findings(where, 2, **({} if start is None else {"start": start})),
+            *count_findings(where, confirm=confirm, seed=seed),
+        ]
+        if baseline and not confirm:
+            problem = "a baseline is executed beside the best when that is confirmed, and confirm is 0"
+            findings.append(Finding.error(where, problem, "Give confirm=10, say, or leave the baseline out."))
+        if findings:
+            raise DesignError.of_findings(findings)
+        directions = MappingProxyType({name: Direction(each) for name, each in asked.items()})
+        given = (directions, runs, start, at_a_time, confirm, MappingProxyType(dict(baseline or {})), seed)
+        for name, value in zip(self.__slots__, given, strict=True):
+            object.__setattr__(self, name, value)
+
+    @property
+    def measures(self) -> Sequence[str]:
+        """The measures that it decides by."""
+        return tuple(self.directions)
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why the search cannot be: nothing to vary, too few runs, no Optuna, a baseline that is none."""
+        where = f"Optimise({', '.join(self.measures)})"
+        if find_spec("optuna") is None:
+            problem = "the library Optuna is not installed, which decides where to search"
+            yield Finding.error(where, problem, "Install the extra: pip install 'robot-runner[adaptive]'")
+        if all(len(factor.treatments) == 1 for factor in factors):
+            problem = "no factor has two treatments, so that there is nothing to search among"
+            yield Finding.error(where, problem, "Give a factor the treatments to search among: its range, in steps.")
+        start = self._start(factors)
+        if self.runs // repetitions <= start:
+            problem = (
+                f"{counted(self.runs, 'run')} are {counted(self.runs // repetitions, 'combination')} of "
+                f"{counted(repetitions, 'repetition')}, and the first {start} are spread: none is left to search with"
+            )
+            yield Finding.error(where, problem, f"Plan runs={2 * start * repetitions} or more.")
+        if self.baseline:
+            yield from baseline_findings(where, factors, self.baseline)
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return the search as plain data."""
+        return {
+            "kind": "optimise",
+            "directions": {name: each.value for name, each in self.directions.items()},
+            "runs": self.runs,
+            "start": self.start,
+            "at_a_time": self.at_a_time,
+            "confirm": self.confirm,
+            "baseline": {name: str(each) for name, each in self.baseline.items()},
+            "seed": self.seed,
+        }
+
+    def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
+        """Return the combinations that the search begins with.
+
+        Raises:
+            DesignError: the exclusions leave none, or not the baseline.
+        """
+        space = SearchedSpace(factors, is_allowed)
+        first = space.spread(self._start(factors), f"{self.seed} start")
+        if not first:
+            fix = "Exclude fewer."
+            raise DesignError("the exclusions leave no combination that could be found", where="design", fix=fix)
+        if self.baseline and not is_allowed(_baseline(factors, self.baseline)):
+            problem = "the baseline is a combination that is excluded"
+            raise DesignError(problem, where="design", fix="Choose another baseline, or exclude fewer.")
+        return ChosenCombinations([space.combination(places) for places in first], self._facts())
+
+    def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> _Search:
+        """Return what decides where to search next."""
+        return _Search(self, factors, is_allowed, repetitions)
+
+    def _start(self, factors: Sequence[Factor]) -> int:
+        if self.start is not None:
+            return self.start
+        return max(_LEAST_START, 2 * sum(len(factor.treatments) > 1 for factor in factors) + 2)
+
+    def _facts(self) -> dict[str, Any]:
+        what = " and ".join(in_direction(name, each) for name, each in self.directions.items())
+        at_a_time = "the next one is" if self.at_a_time == 1 else f"the next {self.at_a_time} are"
+        decides = (
+            f"once these are done, {at_a_time} where {what} is expected by then, up to {counted(self.runs, 'run')}"
+        )
+        if self.confirm:
+            beside = " and of the baseline" if self.baseline else ""
+            decides += f"; then {counted(self.confirm, 'run')} of the best{beside}, which confirm it"
+        confirming = self.confirm * ((1 if len(self.directions) == 1 else self.runs) + bool(self.baseline))
+        return {"kind": "optimise", "decides": decides, "most_runs": self.runs + confirming}
+
+
+def _baseline(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Combination:
+    space = SearchedSpace(factors, lambda _: True)
+    key = baseline_of(factors, baseline)
+    places = tuple([str(each) for each in levels].index(text) for levels, text in zip(space.levels, key, strict=True))
+    return space.combination(places)
+
+
+class _Search:
+    """Decides where to search next; see `Asking`."""
+
+    def __init__(self, design: Optimise, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> None:
+        self._design = design
+        self._factors = factors
+        self._space = SearchedSpace(factors, is_allowed)
+        self._repetitions = repetitions
+        self.measures = design.measures
+
+    def may_add(self, runs: Sequence[PlannedRun]) -> bool:
+        """Return whether there may be further runs: of the search, or such that confirm it."""
+        searched = sum(run.batch == 1 for run in runs)
+        return searched + self._repetitions <= self._design.runs or (self._design.confirm > 0 and searched == len(runs))
+
+    def ask(self, told: Sequence[Told]) -> Decision:
+        """Return the combinations to try next, then the runs that confirm the best, then nothing."""
+        design = self._design
+        points, odd = explored(told, self.measures)
+        best = best_of(points, design.directions)
+        facts = {"known": self._known(points, best)}
+        words = self._in_words(points, best)
+        if any(each.run.batch > 1 for each in told):
+            words = f"{words}. The runs that confirm it are done"
+            return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
+        left = design.runs // self._repetitions - len(points)
+        wanted = self._next(points, min(design.at_a_time, left)) if left > 0 else []
+        if wanted:
+            words = f"{words}. Next: {listed(shown(each) for each in wanted)}"
+            runs = [(each, number) for number in range(1, self._repetitions + 1) for each in wanted]
+            name = f"combination {len(points) + 1}"
+            return Decision(name=name, in_words=words, runs=runs, facts={"why": words, **facts})
+        if not best:
+            odd = [*odd, (f"no combination has a value of {enumerated(self.measures)}", "See why its runs failed.")]
+        ended = "the search has had its runs" if left <= 0 else "no further combination is allowed"
+        words = f"{words}: {ended}"
+        if design.confirm and best:
+            return confirmation(self._to_confirm(points, best), design.confirm, words, facts)
+        return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
+
+    def _next(self, points: Sequence[Explored], count: int) -> list[Combination]:
+        space = self._space
+        tried = {space.places(each.combination): each for each in points}
+        found: dict[Places, None] = {}
+        for offered in self._offered(list(tried.items()), count):
+            fit = (each for each in map(tuple, offered) if each not in found and space.is_allowed(each))
+            places = next(fit, None) or space.another({*tried, *found}, f"{self._design.seed} {len(tried)}")
+            if places is not None:
+                found[places] = None
+        return [space.combination(places) for places in found]
+
+    def _offered(self, tried: Sequence[tuple[Places, Explored]], count: int) -> list[list[Places]]:
+        """Return what Optuna offers for each of so many combinations.
+
+        Raises:
+            DesignError: it cannot be asked.
+        """
+        design, space = self._design, self._space
+        seed = Random(f"{design.seed} {len(tried)}").getrandbits(32)  # noqa: S311 - reproducible, not secret
+        question = {
+            "levels": list(map(len, space.levels)),
+            "are_numbers": space.are_numbers,
+            "directions": [each.value.replace("se", "ze") for each in design.directions.values()],
+            "points": [(places, each.means(self.measures)) for places, each in tried],
+            "start": design._start(self._factors),  # noqa: SLF001 - its own other half
+            "count": count,
+            "seed": seed,
+        }
+        command = [sys.executable, "-m", "robot_runner.adaptive.optuna_program"]
+        # A group of its own: Ctrl-C is for the experiment, which ends once this is answered.
+        asked = subprocess.run(  # noqa: S603 - a program of ours, and what it is told is no command
+            command,
+            input=json.dumps(question),
+            capture_output=True,
+            text=True,
+            timeout=_PATIENCE,
+            check=False,
+            start_new_session=True,
+        )
+        if asked.returncode:
+            told = asked.stderr.strip().splitlines() or [f"it ended with {asked.returncode}"]
+            problem = f"Optuna could not be asked where to search next: {told[-1]}"
+            raise DesignError(problem, where="design", fix="See whether the extra is whole: robot-runner[adaptive].")
+        answer: list[list[Places]] = json.loads(asked.stdout)
+        return answer
+
+    def _to_confirm(self, points: Sequence[Explored], best: Sequence[Explored]) -> list[Explored]:
+        if not self._design.baseline:
+            return list(best)
+        beside = _baseline(self._factors, self._design.baseline)
+        known = {key_of(each.combination): each for each in (Explored(beside), *points)}
+        chosen = {key_of(each.combination): each for each in (*best, known[key_of(beside)])}
+        return list(chosen.values())
+
+    def _known(self, points: Sequence[Explored], best: Sequence[Explored]) -> dict[str, Any]:
+        """Return what is known by now as plain data."""
+        return {
+            "combinations": len(points),
+            "without_value": sum(each.means(self.measures) is None for each in points),
+            "best": [
+                {
+                    "combination": {name: str(treatment) for name, treatment in each.combination.items()},
+                    "means": dict(zip(self.measures, each.means(self.measures) or (), strict=True)),
+                }
+                for each in best
+            ],
+        }
+
+    def _in_words(self, points: Sequence[Explored], best: Sequence[Explored]) -> str:
+        of = self._design.runs // self._repetitions
+        after = f"after {len(points)} of {counted(of, 'combination')}"
+        if not best:
+            return f"{after}, none has a value of {enumerated(self.measures)}"
+        found = listed(
+            f"{shown(each.combination)} ({', '.join(f'{mean:.4g}' for mean in each.means(self.measures) or ())})"
+            for each in best
+        )
+        what = " and ".join(in_direction(name, each) for name, each in self._design.directions.items())
+        return f"{after}, {what}: {found}"

@@ -1,0 +1,235 @@
+"""A race: combinations that are clearly worse than another one get no further runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.adaptive.explored import (
+    Direction,
+    Explored,
+    best_of,
+    confirmation,
+    count_findings,
+    direction_findings,
+    explored,
+    in_direction,
+    key_of,
+    shown,
+)
+from robot_runner.core.design.asking import Decision
+from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.design import DesignedRuns
+from robot_runner.core.design.factor import full_factorial
+from robot_runner.core.design.planned_runs import RunOrder, planned_runs
+from robot_runner.core.design.precision import LEAST_REPETITIONS
+from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
+from robot_runner.core.errors import DesignError, Finding
+from robot_runner.core.words import counted, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.asking import Told
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Factor
+    from robot_runner.core.design.planned_runs import PlannedRun
+
+__all__ = ["Race"]
+
+#: How often the best combination of a race is dropped, at most.
+_ERROR = 0.05
+#: The levels of single comparisons are known to be right for as many combinations as this.
+_MOST_COMBINATIONS = 100
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Race:
+    """Execute all combinations repetition by repetition, and drop those that are clearly worse than another one.
+
+    Each repetition is a block: every combination that is left once, in random order where the model shuffles.
+    Combinations are compared within repetitions. One is dropped where the repeated interval (Jennison and Turnbull
+    1989) of its difference from another says that it is worse, at a level with which the best one is dropped in at most
+    5 % of all races, all looks and all other combinations together (Bonferroni).
+
+    Attributes:
+        directions: which values of the measure are better.
+        at_most: how many repetitions there are, all together; `repetitions` of the model are the least.
+        confirm: how many further runs each combination has that is left in the end, analysed as a planned experiment
+            is; 0 for none.
+
+    Raises:
+        DesignError: one of them cannot be; `findings` lists everything that was found.
+
+    Example:
+        >>> Race("Energy", "minimise", at_most=30).as_mapping()["at_most"]
+        30
+    """
+
+    directions: Mapping[str, Direction]
+    at_most: int
+    confirm: int
+
+    def __init__(
+        self, measure: str, direction: str | Direction = Direction.MINIMISE, *, at_most: int, confirm: int = 0
+    ) -> None:
+        where = f"Race({measure!r})"
+        findings = [
+            *direction_findings(where, {measure: direction}),
+            *count_findings(where, LEAST_REPETITIONS, at_most=at_most),
+            *count_findings(where, confirm=confirm),
+        ]
+        if findings:
+            raise DesignError.of_findings(findings)
+        given = (MappingProxyType({measure: Direction(direction)}), at_most, confirm)
+        for name, value in zip(self.__slots__, given, strict=True):
+            object.__setattr__(self, name, value)
+
+    @property
+    def measures(self) -> Sequence[str]:
+        """The measure that it decides by."""
+        return tuple(self.directions)
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why the race cannot be: too many or too few combinations or repetitions."""
+        where = f"Race({self.measures[0]})"
+        many = math.prod(len(factor.treatments) for factor in factors)
+        if many == 1:
+            problem = "no factor has two treatments, so that nothing can be dropped"
+            yield Finding.error(where, problem, "Give a factor the treatments to choose from.")
+        if many > _MOST_COMBINATIONS:
+            problem = f"{many:,} combinations are more than the {_MOST_COMBINATIONS} that a race is made for"
+            yield Finding.error(where, problem, "Search among them: Optimise(...).")
+        if repetitions < LEAST_REPETITIONS:
+            problem = f"{repetitions} repetitions tell no spread, by which combinations are dropped"
+            yield Finding.error(where, problem, "Plan repetitions=5 or more: the first look comes after them.")
+        if self.at_most < repetitions:
+            problem = f"at_most is {self.at_most}, and {repetitions} repetitions are planned"
+            yield Finding.error(where, problem, "Plan fewer repetitions, or allow more: at_most counts all of them.")
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return the race as plain data."""
+        return {
+            "kind": "race",
+            "directions": {name: each.value for name, each in self.directions.items()},
+            "at_most": self.at_most,
+            "confirm": self.confirm,
+        }
+
+    def runs(
+        self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
+    ) -> DesignedRuns:
+        """Return the first repetitions, each of them a block.
+
+        Raises:
+            DesignError: the exclusions leave nothing to choose from.
+        """
+        combinations = [each for each in full_factorial(factors) if is_allowed(each)]
+        if len(combinations) < 2:  # noqa: PLR2004 - one would race against nobody
+            problem = f"the exclusions leave {counted(len(combinations), 'combination')}"
+            raise DesignError(problem, where="design", fix="Exclude fewer: a race takes two.")
+        block_of = [number for number in range(repetitions) for _ in combinations]
+        runs = planned_runs(combinations, repetitions, block_of, RunOrder(shuffle=shuffle, seed=seed))
+        return DesignedRuns(runs, self._facts(len(combinations), repetitions))
+
+    def asking(self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int) -> _Racing:
+        """Return what decides which combinations go on."""
+        del factors, is_allowed
+        return _Racing(self, repetitions)
+
+    def _facts(self, combinations: int, repetitions: int) -> dict[str, Any]:
+        (name, direction), *_ = self.directions.items()
+        decides = (
+            f"from repetition {repetitions} on, which combinations are clearly worse than another one by {name} "
+            f"({direction.value}) and get no further runs; at most {self.at_most} repetitions"
+        )
+        if self.confirm:
+            decides += f"; then {counted(self.confirm, 'run')} of each that is left, which confirm it"
+        most = combinations * (self.at_most + self.confirm)
+        return {"kind": "race", "decides": decides, "most_runs": most}
+
+
+class _Racing:
+    """Decides which combinations go on; see `Asking`."""
+
+    def __init__(self, design: Race, repetitions: int) -> None:
+        self._design = design
+        self._least = repetitions
+        self.measures = design.measures
+
+    def may_add(self, runs: Sequence[PlannedRun]) -> bool:
+        """Return whether there may be a repetition more, or runs that confirm the outcome."""
+        raced = [run.repetition for run in runs if run.batch == 1]
+        return max(raced) < self._design.at_most or (self._design.confirm > 0 and len(raced) == len(runs))
+
+    def ask(self, told: Sequence[Told]) -> Decision:
+        """Return the next repetition of those that are left, then the runs that confirm them, then nothing."""
+        design = self._design
+        points, odd = explored(told, self.measures)
+        raced = {key_of(each.run.combination) for each in told if each.run.batch == 1}
+        now = max(each.run.repetition for each in told if each.run.batch == 1)
+        there = {key_of(each.run.combination) for each in told if each.run.batch == 1 and each.run.repetition == now}
+        runners = [each for each in points if key_of(each.combination) in there]
+        worse = self._worse(runners, len(raced))
+        # Where runs failed, each may be worse than another in the repetitions that they share.
+        left = [each for each in runners if id(each) not in worse] or runners
+        words = self._in_words(left, runners, worse, now)
+        known = {
+            "left": [_plain(each) for each in left],
+            "dropped": [_plain(each) for each in runners if id(each) in worse],
+        }
+        facts: dict[str, Any] = {"known": {"repetitions": now, **known}}
+        if any(each.run.batch > 1 for each in told):
+            words = f"{words}. The runs that confirm it are done"
+        elif len(left) > 1 and now < design.at_most:
+            words = f"{words}. Next: repetition {now + 1} of {counted(len(left), 'combination')}"
+            runs = [(each.combination, now + 1) for each in left]
+            name = f"repetition {now + 1}"
+            return Decision(name=name, in_words=words, runs=runs, blocks=REPETITION, facts={"why": words, **facts})
+        elif design.confirm and any(each.values for each in left):
+            return confirmation(left, design.confirm, words, facts)
+        return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
+
+    def _worse(self, runners: Sequence[Explored], raced: int) -> dict[int, str]:
+        """Return those that are clearly worse than another one, by their identity, and than which.
+
+        Each pair has the same share of the error, and its interval holds for all looks; only errors to one side drop
+        best one, so that each interval has twice its share. Without a value after the first look, one is dropped, too.
+        """
+        (name, direction), *_ = self._design.directions.items()
+        level = level_at_each_look(self._least, self._design.at_most, 1 - 2 * _ERROR / (raced - 1))
+        found = {}
+        has_values = [each for each in runners if each.values]
+        for one in runners if has_values else ():
+            if not one.values:
+                found[id(one)] = "any that has a value"
+            for other in runners:
+                differences = _within_repetitions(one, other, name, direction.sign)
+                if len(differences) < self._least:
+                    continue
+                mean = math.fsum(differences) / len(differences)
+                if mean > 0 and mean > half_width_of(differences, level):
+                    found[id(one)] = shown(other.combination)
+        return found
+
+    def _in_words(
+        self, left: Sequence[Explored], runners: Sequence[Explored], worse: Mapping[int, str], now: int
+    ) -> str:
+        (name, direction), *_ = self._design.directions.items()
+        dropped = [f"{shown(each.combination)} (worse than {worse[id(each)]})" for each in runners if id(each) in worse]
+        best = best_of(left, self._design.directions)
+        ahead = f"{in_direction(name, direction)} has {shown(best[0].combination)}" if best else f"none has {name}"
+        gone = f"; dropped: {listed(dropped)}" if dropped else ""
+        return f"after {counted(now, 'repetition')}, {ahead}, {counted(len(left), 'combination')} left{gone}"
+
+
+def _within_repetitions(one: Explored, other: Explored, measure: str, sign: int) -> list[float]:
+    """Return by how much one is worse than another in each repetition that has both."""
+    mine, its = one.values.get(measure, {}), other.values.get(measure, {})
+    return [sign * (mine[each] - its[each]) for each in sorted(mine.keys() & its.keys())]
+
+
+def _plain(each: Explored) -> dict[str, str]:
+    return {name: str(treatment) for name, treatment in each.combination.items()}

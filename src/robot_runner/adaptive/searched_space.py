@@ -1,0 +1,123 @@
+"""The combinations that a search chooses from: the treatments of each factor in their order, none of them listed."""
+
+from __future__ import annotations
+
+from math import prod
+from random import Random
+from typing import TYPE_CHECKING
+
+from robot_runner.core.design.factor import Combination, factor_places
+from robot_runner.core.design.planned_runs import RunOrder, arranged
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+    from typing import Any
+
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Factor
+
+__all__ = ["Places", "SearchedSpace"]
+
+#: A combination as the place of each factor's treatment.
+Places = tuple[int, ...]
+
+#: How many combinations are drawn, at most, to find one that is allowed and new.
+_DRAWS = 2000
+#: A space of so many combinations is gone through, one by one, where drawing finds none.
+_FEW = 20_000
+
+
+class SearchedSpace:
+    """What a search chooses from.
+
+    Treatments that are numbers have places in ascending order, others as they are listed.
+
+    Args:
+        factors: what is varied.
+        is_allowed: whether the exclusions leave a combination.
+
+    Attributes:
+        levels: the treatments of each factor, by place.
+        are_numbers: whether those of each factor are numbers.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> space = SearchedSpace([Factor("Speed", [0.2, 0.1])], lambda combination: True)
+        >>> space.combination((0,))["Speed"], space.places(space.combination((1,)))
+        (0.1, (1,))
+    """
+
+    def __init__(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> None:
+        self.are_numbers = [all(map(_is_number, factor.treatments)) for factor in factors]
+        self.levels: list[list[Any]] = [
+            sorted(factor.treatments) if is_numeric else list(factor.treatments)
+            for factor, is_numeric in zip(factors, self.are_numbers, strict=True)
+        ]
+        self._is_allowed = is_allowed
+        self._names = factor_places(factor.name for factor in factors)
+        self._place_of = [{str(level): place for place, level in enumerate(levels)} for levels in self.levels]
+
+    @property
+    def size(self) -> int:
+        """How many combinations there are, those that are not allowed included."""
+        return prod(map(len, self.levels))
+
+    def combination(self, places: Places) -> Combination:
+        """Return the combination of treatments at these places."""
+        treatments = (levels[place] for levels, place in zip(self.levels, places, strict=True))
+        return Combination(self._names, tuple(treatments))
+
+    def places(self, combination: Combination) -> Places:
+        """Return the places of a combination's treatments."""
+        return tuple(own[str(each)] for own, each in zip(self._place_of, combination.treatments, strict=True))
+
+    def is_allowed(self, places: Places) -> bool:
+        """Return whether the exclusions leave this combination."""
+        return self._is_allowed(self.combination(places))
+
+    def spread(self, count: int, seed: str) -> list[Places]:
+        """Return so many combinations, spread over the space, or fewer where it has no more that are allowed.
+
+        A Latin hypercube that reaches both ends of each factor: the best is often there.
+        """
+        if count < 2:  # noqa: PLR2004 - one combination has no ends
+            return self._filled([], count, seed)
+        orders = [arranged(count, None, RunOrder(shuffle=True, seed=_number(f"{seed} {own}"))) for own in self._names]
+        spread = [
+            tuple(
+                round(order[number] * (len(levels) - 1) / (count - 1))
+                for order, levels in zip(orders, self.levels, strict=True)
+            )
+            for number in range(count)
+        ]
+        return self._filled([each for each in dict.fromkeys(spread) if self.is_allowed(each)], count, seed)
+
+    def _filled(self, places: list[Places], count: int, seed: str) -> list[Places]:
+        while len(places) < count and (found := self.another(places, f"{seed} {len(places)}")) is not None:
+            places.append(found)
+        return places
+
+    def another(self, tried: Collection[Places], seed: str) -> Places | None:
+        """Return any combination that is allowed and not among these; None where none is found."""
+        draw = Random(seed).random  # noqa: S311 - reproducible, not secret
+        drawn = (tuple(int(draw() * len(levels)) for levels in self.levels) for _ in range(_DRAWS))
+        candidates = [each for each in drawn if each not in tried]
+        if self.size <= _FEW:
+            candidates += [each for each in self._all() if each not in tried]
+        return next((each for each in candidates if self.is_allowed(each)), None)
+
+    def _all(self) -> Iterator[Places]:
+        for number in range(self.size):
+            places = []
+            for levels in self.levels:
+                number, place = divmod(number, len(levels))  # noqa: PLW2901 - what is left of it
+                places.append(place)
+            yield tuple(places)
+
+
+def _is_number(treatment: object) -> bool:
+    return isinstance(treatment, int | float) and not isinstance(treatment, bool)
+
+
+def _number(seed: str) -> int:
+    return Random(seed).getrandbits(32)  # noqa: S311 - reproducible, not secret

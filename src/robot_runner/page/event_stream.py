@@ -1,0 +1,205 @@
+"""What happens in followed experiments, sent to those who look: computed once for all of them, held back for nobody."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.page.followed_experiment import FollowedExperiment
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from starlette.types import Receive, Scope, Send
+
+__all__ = ["EventStream", "Followers", "Viewer", "as_json"]
+
+#: How often a followed experiment is looked at, s: what is recorded is seen within a second.
+_EVERY = 0.25
+#: After nobody has looked for this long, an experiment is no longer followed, s; its rows are forgotten later.
+_PATIENCE = 20.0
+#: Messages that a viewer may be behind; beyond that they are told to begin anew.
+_MOST_BEHIND = 32
+#: A comment keeps the connection alive, s; a viewer who takes nothing for so long is left.
+_KEEP_ALIVE, _DEAD = 15.0, 30.0
+_MOST_FOLLOWED = 24
+
+_encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False, default=str).encode
+
+
+def as_json(value: object) -> bytes:
+    """Return a value as compact JSON in UTF-8."""
+    return _encode(value).encode("utf-8", "replace")
+
+
+def _event(name: str, data: object) -> bytes:
+    # JSON has no line ends of its own, so an event is one line.
+    return b"event: " + name.encode() + b"\ndata: " + as_json(data) + b"\n\n"
+
+
+class Viewer:
+    """Somebody who looks: the messages that they have not got yet."""
+
+    def __init__(self) -> None:
+        self._messages: asyncio.Queue[bytes] = asyncio.Queue()
+
+    def put(self, message: bytes) -> None:
+        """Add a message; a viewer who is too far behind is told to begin anew instead."""
+        if self._messages.qsize() >= _MOST_BEHIND:
+            while not self._messages.empty():
+                self._messages.get_nowait()
+            message = _event("again", {})
+        self._messages.put_nowait(message)
+
+    async def get(self) -> bytes:
+        """Return what came since, all of it; a comment where nothing did for a while."""
+        try:
+            first = await asyncio.wait_for(self._messages.get(), _KEEP_ALIVE)
+        except TimeoutError:
+            return b": still here\n\n"
+        rest = [self._messages.get_nowait() for _ in range(self._messages.qsize())]
+        return b"".join([first, *rest])
+
+
+class Channel:
+    """One followed thing, its viewers, and the task that looks at it while there are any."""
+
+    def __init__(self, look: Callable[[], Mapping[str, Any]], snapshot: Callable[[], Mapping[str, Any]], every: float) -> None:
+        self._look, self._snapshot, self._every = look, snapshot, every
+        self._viewers: set[Viewer] = set()
+        self._last: dict[str, bytes] = {}
+        self._task: asyncio.Task[None] | None = None
+        self.used_at = time.monotonic()
+        self.has_looked = asyncio.Event()
+
+    def __len__(self) -> int:
+        return len(self._viewers)
+
+    def wake(self) -> None:
+        """Begin to look, where nobody did; go on for a while."""
+        self.used_at = time.monotonic()
+        if self._task is None or self._task.done():
+            self.has_looked.clear()
+            self._task = asyncio.create_task(self._follow())
+
+    async def join(self) -> Viewer:
+        """Return a new viewer, who has got everything that there is to know."""
+        self.wake()
+        await self.has_looked.wait()
+        viewer = Viewer()
+        self._viewers.add(viewer)
+        for name, data in (await asyncio.to_thread(self._snapshot)).items():
+            viewer.put(_event(name, data))
+        return viewer
+
+    def leave(self, viewer: Viewer) -> None:
+        """Forget a viewer."""
+        self._viewers.discard(viewer)
+        self.used_at = time.monotonic()
+
+    def stop(self) -> None:
+        """Look no more."""
+        if self._task is not None:
+            self._task.cancel()
+
+    async def _follow(self) -> None:
+        while self._viewers or time.monotonic() - self.used_at < _PATIENCE:
+            parts = await asyncio.to_thread(self._look)
+            self.has_looked.set()
+            for name, data in parts.items():
+                message = _event(name, data)
+                # Rows are changes; all other parts are whole, and sent where they differ.
+                if name == "rows" or self._last.get(name) != message:
+                    if name != "rows":
+                        self._last[name] = message
+                    for viewer in self._viewers:
+                        viewer.put(message)
+            await asyncio.sleep(self._every)
+        self.has_looked.clear()
+
+
+class Followers:
+    """The experiments that somebody looks at, each followed once however many do."""
+
+    def __init__(self) -> None:
+        self._followed: dict[Path, tuple[FollowedExperiment, Channel]] = {}
+
+    @property
+    def viewers(self) -> int:
+        """How many look at present."""
+        return sum(len(channel) for _, channel in self._followed.values())
+
+    def channel(self, folder: Path) -> tuple[FollowedExperiment, Channel]:
+        """Return a followed experiment and its channel, which is made where nobody has looked yet."""
+        if folder not in self._followed:
+            self._make_room()
+            experiment = FollowedExperiment(folder)
+            self._followed[folder] = (experiment, Channel(experiment.look, experiment.snapshot, _EVERY))
+        return self._followed[folder]
+
+    async def looked_at(self, folder: Path) -> FollowedExperiment:
+        """Return an experiment as it is at this moment, for a request that no viewer makes."""
+        experiment, channel = self.channel(folder)
+        channel.wake()
+        await channel.has_looked.wait()
+        return experiment
+
+    def close(self) -> None:
+        """Look no more."""
+        for _, channel in self._followed.values():
+            channel.stop()
+
+    def _make_room(self) -> None:
+        idle = sorted((folder for folder, (_, channel) in self._followed.items() if not len(channel)), key=lambda each: self._followed[each][1].used_at)
+        for folder in itertools.islice(idle, max(0, len(self._followed) - _MOST_FOLLOWED + 1)):
+            self._followed.pop(folder)[1].stop()
+
+
+class EventStream:
+    """A response that goes on: server-sent events, until the viewer leaves.
+
+    https://html.spec.whatwg.org/multipage/server-sent-events.html
+
+    Args:
+        channel: what is looked at.
+        headers: of the response.
+    """
+
+    def __init__(self, channel: Channel, headers: Mapping[str, str]) -> None:
+        self._channel = channel
+        self._headers = headers
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send what there is, and then what comes."""
+        del scope
+        head = {**self._headers, "content-type": "text/event-stream", "cache-control": "no-store", "x-accel-buffering": "no"}
+        raw = [(name.encode(), value.encode()) for name, value in head.items()]
+        await send({"type": "http.response.start", "status": 200, "headers": raw})
+        viewer = await self._channel.join()
+        leaving = asyncio.create_task(_left(receive))
+        sending = asyncio.create_task(_send_all(viewer, send))
+        try:
+            await asyncio.wait({leaving, sending}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._channel.leave(viewer)
+            for task in (leaving, sending):
+                task.cancel()
+                with suppress(asyncio.CancelledError, OSError, TimeoutError):
+                    await task
+
+
+async def _left(receive: Receive) -> None:
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
+
+async def _send_all(viewer: Viewer, send: Send) -> None:
+    await send({"type": "http.response.body", "body": b"retry: 1000\n\n", "more_body": True})
+    while True:
+        body = await viewer.get()
+        await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": True}), _DEAD)

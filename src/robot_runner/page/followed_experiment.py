@@ -1,0 +1,298 @@
+"""One experiment, followed from its folder: what a page shows of it, as plain data, brought up to date at each look."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.operator_steps import Question
+from robot_runner.core.errors import RobotRunnerError, StorageError
+from robot_runner.core.execution.experiment_history import ExperimentHistory
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status, status_of
+from robot_runner.core.secret_names import without_environment_secrets
+from robot_runner.core.storage.guarded_files import open_to_read
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import holder_of, pause_is_requested
+from robot_runner.core.words import harmless
+from robot_runner.page.followed_table import FollowedTable
+from robot_runner.page.journal_tail import JournalTail
+from robot_runner.page.means_so_far import MeansSoFar
+from robot_runner.page.sampled_curves import RunCurves
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+__all__ = ["FollowedExperiment"]
+
+#: Rows of which the cells are sent as they change; where more change at once, pages fetch those that they show.
+_MOST_ROWS = 50
+_MOST_FINDINGS, _LONGEST_TEXT = 200, 1000
+#: Of the log of a run, so much of its end is shown, bytes.
+_LOG_BYTES = 16_000
+#: Runs that change the table as a whole: it is read again.
+_NEW_TABLES = frozenset({"experiment_started", "extended", "repeated", "deviation"})
+
+
+class FollowedExperiment:
+    """What is known of an experiment, brought up to date by `look`; safe to be asked from several threads.
+
+    Args:
+        folder: the experiment's; it need not exist yet.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.table = FollowedTable()
+        self._lock = threading.Lock()
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._files = ExperimentFolder.found_at(self.folder)
+        self._tail = JournalTail(self._files.journal)
+        self._history = ExperimentHistory()
+        self._means = MeansSoFar(self.table)
+        self._status: ExperimentStatus | None = None
+        self._error: RobotRunnerError | None = None
+        self._doing: dict[str, dict[str, Any]] = {}
+        self._curves: RunCurves | None = None
+        self._signs: tuple[Any, ...] = ()
+        self._table_is_due = True
+        self._has_caught_up = False
+        self._passed: deque[tuple[str, str]] = deque(maxlen=20)
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether there is more to read at once."""
+        return self._tail.is_behind
+
+    def look(self) -> dict[str, Any]:
+        """Read what is new on disk; returns the parts of the page that it may have changed, by name."""
+        with self._lock:
+            try:
+                return self._look()
+            except RobotRunnerError as error:
+                self._error = error
+                return {"state": self._state()}
+
+    def rows(self, start: int, count: int, *, status: str = "", text: str = "") -> dict[str, Any]:
+        """Return some rows of the table: all that there are where nothing is looked for, or those that were found."""
+        with self._lock:
+            if status or text:
+                found = list(self.table.found(status, text))
+                places = found[start : start + count]
+                total = len(found)
+            else:
+                total = len(self.table)
+                places = list(range(max(0, start), min(total, start + count)))
+            return {"start": start, "total": total, "rows": [self.table.row(place) for place in places]}
+
+    def status(self) -> ExperimentStatus | None:
+        """Return how far it was at the last look; None where nothing is known."""
+        return self._status
+
+    def _look(self) -> dict[str, Any]:
+        records = self._tail.read()
+        if self._tail.has_begun_anew:
+            self._begin_anew()
+            records = self._tail.read()
+        parts: dict[str, Any] = {}
+        if self._table_is_due:
+            parts |= self._read_table()
+        for record in records:
+            self._take(record)
+        signs = (holder_of(self._files.lock), pause_is_requested(self._files.pause), self._tail.damaged)
+        if not self._tail.is_behind and not self._has_caught_up:
+            self._history.read_table(self._files)
+            self._has_caught_up = True
+            self._signs = ()
+        if records or signs != self._signs or parts:
+            self._signs = signs
+            self._tell(parts)
+        parts |= self._of_runs_in_flight()
+        return parts
+
+    def _read_table(self) -> dict[str, Any]:
+        """Read the run table, once it is there."""
+        self._files = ExperimentFolder.found_at(self.folder)
+        rows = self.table.read(self._files)
+        if rows is None:
+            return {}
+        self._table_is_due = False
+        if self._has_caught_up:
+            self._history.take_rows(rows)
+        self._means.begin_anew()
+        return {"table": self._columns()}
+
+    def _take(self, record: Mapping[str, Any]) -> None:
+        self._history.take(record)
+        kind = record["kind"]
+        self._take_doing(kind, record)
+        if not self._has_caught_up:
+            if kind == "attempt_finished":
+                self.table.doubt(record)
+            return
+        self._history.settle()
+        if kind == "attempt_started":
+            self.table.begin(record["run"])
+        elif kind == "attempt_finished":
+            self.table.end(record)
+        self._table_is_due |= kind in _NEW_TABLES
+
+    def _take_doing(self, kind: str, record: Mapping[str, Any]) -> None:
+        """Take down what a run in flight is doing, which the status does not tell."""
+        run = record.get("run")
+        if kind == "experiment_started":
+            self._doing.clear()
+        elif kind == "attempt_started":
+            left = record.get("left")
+            expected = left.get("run") if isinstance(left, dict) else None
+            self._doing[record["run"]] = {"since": record["at"], "attempt": record["attempt"], "expected": expected}
+        elif kind == "attempt_finished":
+            self._doing.pop(record["run"], None)
+        elif kind == "shared" and run in self._doing and isinstance(values := record.get("values"), dict):
+            told = {name: values[name] for name in ("phase", "phase_number", "phase_count") if name in values}
+            self._doing[run] |= {name: each for name, each in told.items() if isinstance(each, str | int)}
+
+    def _tell(self, parts: dict[str, Any]) -> None:
+        """Add the parts that the journal changes."""
+        self._error = None
+        if self._has_caught_up and self._files.manifest.exists():
+            self._status = status_of(self._files, self._history)
+        elif self._has_caught_up and self._files.run_table.exists():
+            self._status = read_status(self.folder)
+        self._mark_in_flight()
+        parts["state"] = self._state()
+        parts["findings"] = self._findings()
+        changed, self.table.changed = self.table.changed, set()
+        self._means.forget(changed)
+        if changed and "table" not in parts:
+            told = sorted(changed)[:_MOST_ROWS]
+            parts["rows"] = {"rows": [self.table.row(place) for place in told], "is_all": len(changed) <= _MOST_ROWS}
+        if changed or "table" in parts:
+            parts["means"] = self._means.told(self._excluded())
+
+    def _mark_in_flight(self) -> None:
+        if self._status is not None and self._status.holder is not None:
+            for each in self._status.in_flight:
+                self.table.begin(each.run)
+
+    def _excluded(self) -> set[int]:
+        out = self._status.excluded if self._status else ()
+        return {place for run in out if (place := self.table.place(run)) is not None}
+
+    def _columns(self) -> dict[str, Any]:
+        measures = [{"name": name, "unit": self.table.units.get(name, "")} for name in self.table.measures]
+        return {"total": len(self.table), "factors": list(self.table.factors), "measures": measures}
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return all parts of the page, for a viewer who comes."""
+        with self._lock:
+            parts = {"state": self._state(), "table": self._columns(), "findings": self._findings()}
+            parts["means"] = self._means.told(self._excluded())
+            return parts | self._of_runs_in_flight(anew=True)
+
+    def _state(self) -> dict[str, Any]:
+        status = self._status
+        if self._error is not None or status is None:
+            return {"name": self.folder.name, "word": "unreadable" if self._error else self._word(), "problem": self._problem()}
+        waiting = status.waiting_for
+        return {
+            "name": status.experiment_name[:_LONGEST_TEXT],
+            "word": self._word(),
+            "counts": {name: getattr(status, name) for name in ("run_count", "done", "failed", "todo", "warm_ups")},
+            "excluded": len(status.excluded),
+            "left": status.seconds_left,
+            "left_is_least": status.left_is_least,
+            "told_at": time.time(),
+            "in_flight": [self._flying(each) for each in status.in_flight],
+            "waiting": self._waiting(waiting) if waiting is not None and status.holder else None,
+            "gate": dict(status.gate) if status.gate else None,
+            "pause_is_requested": status.pause_is_requested,
+            "host": status.holder.host if status.holder else None,
+            "started_at": status.started_at,
+            "finished_at": status.finished_at,
+            "precision": list(status.precision),
+            "order": status.order,
+            "damaged": self._tail.damaged,
+            "has_report": (self._files.report / "report.html").is_file(),
+            "problem": None,
+        }
+
+    def _problem(self) -> dict[str, str] | None:
+        if self._error is None:
+            return None
+        first = self._error.findings[0]
+        return {"problem": first.problem, "fix": first.fix}
+
+    def _word(self) -> str:
+        """Return one word for how the experiment stands."""
+        status = self._status
+        if status is None:
+            return "reading" if self._tail.is_behind or self._files.journal.exists() else "not begun"
+        if status.is_of_older_tool:
+            return "of another tool"
+        if status.holder is not None:
+            if status.is_waiting_for_user:
+                return "waiting"
+            return "paused" if status.is_paused else "running"
+        if status.todo:
+            return "stopped"
+        return "failed" if status.failed else "done"
+
+    def _flying(self, each: Any) -> dict[str, Any]:
+        place = self.table.place(each.run)
+        treatments = dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        return {"run": each.run, "place": each.place, "event": each.event, "treatments": treatments, **self._doing.get(each.run, {})}
+
+    def _waiting(self, waiting: Mapping[str, Any]) -> dict[str, Any]:
+        place = self.table.place(waiting["next_run"])
+        treatments = dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        questions = [Question.from_mapping(facts) for facts in waiting["questions"]]
+        asked = [question.as_mapping() | {"hint": question.hint} for question in questions]
+        return {"run": waiting["next_run"], "step": waiting["step"], "treatments": treatments, "questions": asked}
+
+    def _findings(self) -> dict[str, Any]:
+        if self._status is None:
+            return {"total": 0, "last": [], "failures": []}
+        findings = [*self._status.findings][-_MOST_FINDINGS:]
+        told = [{name: getattr(each, name)[:_LONGEST_TEXT] for name in ("where", "problem", "fix")} for each in findings]
+        failures = [each[:_LONGEST_TEXT] for each in self._status.failures[-_MOST_FINDINGS:]]
+        return {"total": len(self._status.findings), "last": told, "failures": failures}
+
+    def _of_runs_in_flight(self, *, anew: bool = False) -> dict[str, Any]:
+        """Return the end of the log of the run in flight, and whether there are new samples of it."""
+        run = next(iter(self._status.in_flight), None) if self._status else None
+        if run is None:
+            self._curves = None
+            return {}
+        if self._curves is None or self._curves.run_id != run.run:
+            self._curves = RunCurves(self._files, run.run)
+        self._curves.look()
+        return {"samples": {"run": run.run, "version": self._curves.version}, "log": {"run": run.run, "text": self._log()}}
+
+    def curves(self, run_id: str) -> list[dict[str, Any]]:
+        """Return the curves of a run: those of the one in flight as they are, another's read now."""
+        with self._lock:
+            if self._curves is not None and self._curves.run_id == run_id:
+                return self._curves.told()
+        if self.table.place(run_id) is None:
+            return []
+        curves = RunCurves(self._files, run_id)
+        while curves.look():
+            pass
+        return curves.told()
+
+    def _log(self) -> str:
+        try:
+            with open_to_read(self._files.current_log) as file:
+                size = file.seek(0, 2)
+                file.seek(max(0, size - _LOG_BYTES))
+                text = file.read(_LOG_BYTES).decode("utf-8", "replace")
+        except (StorageError, OSError):
+            return ""
+        lines = text.splitlines()[1 if size > _LOG_BYTES else 0 :]
+        # What a program printed by itself is hidden only when its run has ended.
+        return harmless(without_environment_secrets("\n".join(lines)))

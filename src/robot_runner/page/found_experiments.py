@@ -1,0 +1,133 @@
+"""The experiments below a folder, and how each stands: what runs, what waits for whom, what failed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import holder_of, pause_is_requested
+from robot_runner.page.followed_experiment import FollowedExperiment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+__all__ = ["FoundExperiments", "id_of", "is_experiment"]
+
+#: How deep experiments are looked for, and how many folders are looked into.
+_DEEPEST, _MOST_FOLDERS = 4, 3_000
+_MOST_EXPERIMENTS = 300
+
+
+def is_experiment(folder: Path) -> bool:
+    """Return whether a folder is one of an experiment: of ours, or with a run table of another tool."""
+    files = ExperimentFolder(folder)
+    return files.manifest.is_file() or files.journal.is_file() or files.run_table.is_file()
+
+
+def id_of(folder: Path) -> str:
+    """Return what an experiment is called in addresses: names of folders do not appear there."""
+    return hashlib.sha256(os.fsencode(folder)).hexdigest()[:16]
+
+
+class FoundExperiments:
+    """The experiments below a folder, looked for anew at each look; links are not followed.
+
+    Args:
+        folder: an experiment's own folder, or one that has experiments somewhere below it.
+        is_one: whether it is an experiment's own, though nothing may be there yet.
+    """
+
+    def __init__(self, folder: Path, *, is_one: bool = False) -> None:
+        self._folder = folder
+        self._is_one = is_one
+        self._lock = threading.Lock()
+        self._known: dict[str, Path] = {}
+        self._summaries: dict[str, tuple[object, dict[str, Any]]] = {}
+        self._followed: dict[str, FollowedExperiment] = {}
+        self._told: list[dict[str, Any]] = []
+
+    @property
+    def only(self) -> str | None:
+        """The id of the experiment whose own folder this is."""
+        return id_of(self._folder) if self._is_one or is_experiment(self._folder) else None
+
+    def folder(self, experiment_id: str) -> Path | None:
+        """Return the folder of an experiment; None for an id that nobody was told."""
+        if experiment_id == self.only:
+            return self._folder
+        if experiment_id not in self._known:
+            self._find()
+        return self._known.get(experiment_id)
+
+    def look(self) -> dict[str, Any]:
+        """Return all experiments with how each stands, those first that want somebody's attention."""
+        with self._lock:
+            self._find()
+            self._told = [self._summary(experiment_id, folder) for experiment_id, folder in self._known.items()]
+            for gone in self._summaries.keys() - self._known.keys():
+                del self._summaries[gone]
+            return self.snapshot()
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return what the last look found."""
+        return {"experiments": self._told}
+
+    def _find(self) -> None:
+        found = [self._folder] if self._is_one else list(_below(self._folder))
+        self._known = {id_of(folder): folder for folder in found[:_MOST_EXPERIMENTS]}
+
+    def _summary(self, experiment_id: str, folder: Path) -> dict[str, Any]:
+        """Return how one stands; what has not changed since it was read is not read again."""
+        files = ExperimentFolder.found_at(folder)
+        holder = holder_of(files.lock)
+        sign = (holder, pause_is_requested(files.pause), *_sizes(files))
+        known = self._summaries.get(experiment_id)
+        if known is not None and known[0] == sign:
+            return known[1]
+        followed = self._followed.pop(experiment_id, None) or FollowedExperiment(folder)
+        state = followed.look().get("state") or followed.snapshot()["state"]
+        summary = {"id": experiment_id, "folder": str(folder.relative_to(self._folder.parent)), **_shortened(state)}
+        if holder is not None or followed.is_behind:
+            self._followed[experiment_id] = followed
+        if not followed.is_behind:
+            self._summaries[experiment_id] = (sign, summary)
+        return summary
+
+
+def _shortened(state: dict[str, Any]) -> dict[str, Any]:
+    names = ("name", "word", "counts", "left", "left_is_least", "told_at", "waiting", "host", "started_at", "finished_at", "problem", "gate")
+    short = {name: state.get(name) for name in names}
+    short["in_flight"] = [{"run": each["run"], "event": each["event"]} for each in state.get("in_flight", ())]
+    return short
+
+
+def _sizes(files: ExperimentFolder) -> Iterator[tuple[int, int]]:
+    for path in (files.journal, files.run_table):
+        try:
+            found = path.lstat()
+        except OSError:
+            yield (0, 0)
+        else:
+            yield (found.st_size, found.st_mtime_ns)
+
+
+def _below(folder: Path) -> Iterator[Path]:
+    """Yield the experiments' folders below one, or itself; none within an experiment."""
+    left, looked_into = [(folder, 0)], 0
+    while left and looked_into < _MOST_FOLDERS:
+        here, depth = left.pop(0)
+        looked_into += 1
+        try:
+            if is_experiment(here):
+                yield here
+            elif depth < _DEEPEST:
+                with os.scandir(here) as entries:
+                    names = sorted(each.name for each in entries if each.is_dir(follow_symlinks=False) and not each.name.startswith("."))
+                left += [(here / name, depth + 1) for name in names]
+        except (OSError, RobotRunnerError):
+            continue

@@ -1,0 +1,193 @@
+"""Who may look at a page, and who may act: keys in links, logins in cookies, and requests that come from elsewhere."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import os
+import secrets
+import socket
+import time
+from collections import OrderedDict
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.guarded_files import MissingFileError, read_text, remove, replace
+from robot_runner.core.storage.system_refusals import storage_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+__all__ = ["Keys", "RateLimit", "Role", "is_known_host", "is_of_same_origin", "known_names"]
+
+
+class Role(IntEnum):
+    """What somebody may do; who may act may look as well."""
+
+    NOBODY = 0
+    LOOKS = 1
+    ACTS = 2
+
+
+#: How long a login lasts, s: a study of a month.
+_LOGIN_LASTS = 31 * 24 * 3600
+_SECRET_BYTES = 32
+
+
+class Keys:
+    """The keys of one user's pages, all derived from one secret, so that links and logins outlive the server.
+
+    Nothing of it is kept in the folder of an experiment.
+
+    Args:
+        secret: what they are derived from.
+
+    Example:
+        >>> keys = Keys(b"only a test")
+        >>> keys.role_of_key(keys.key(Role.LOOKS)), keys.role_of_key("guessed")
+        (<Role.LOOKS: 1>, <Role.NOBODY: 0>)
+        >>> keys.role_of_login(keys.login(Role.ACTS))
+        <Role.ACTS: 2>
+    """
+
+    def __init__(self, secret: bytes) -> None:
+        self._secret = secret
+
+    @classmethod
+    def of_user(cls, *, anew: bool = False) -> Keys:
+        """Return the keys of who starts the page.
+
+        Args:
+            anew: make a new secret, so that all earlier links and logins are void.
+
+        Raises:
+            StorageError: the secret cannot be kept.
+        """
+        path = _state_folder() / "page-secret"
+        try:
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise storage_error(path.parent, "made", error) from error
+        if anew:
+            remove(path)
+        try:
+            found = bytes.fromhex(read_text(path, limit=4096).strip())
+        except (MissingFileError, ValueError):
+            found = b""
+        if len(found) != _SECRET_BYTES:
+            found = secrets.token_bytes(_SECRET_BYTES)
+            replace(path, found.hex())
+            path.chmod(0o600)
+        return cls(found)
+
+    def key(self, role: Role) -> str:
+        """Return the key that stands in a link."""
+        return self._signed(f"key {role.name}")[:32]
+
+    def role_of_key(self, key: str) -> Role:
+        """Return what the bearer of a key may do."""
+        return next((role for role in (Role.ACTS, Role.LOOKS) if _is_same(key, self.key(role))), Role.NOBODY)
+
+    def login(self, role: Role) -> str:
+        """Return what the cookie of somebody who has shown a key holds."""
+        until = int(time.time()) + _LOGIN_LASTS
+        return f"{role.name}.{until}.{self._signed(f'login {role.name} {until}')}"
+
+    def role_of_login(self, login: str) -> Role:
+        """Return what somebody with this cookie may do."""
+        name, _, rest = login.partition(".")
+        until, _, signature = rest.partition(".")
+        if name not in Role.__members__ or not (until.isascii() and until.isdecimal() and len(until) < 12):  # noqa: PLR2004 - until the year 33658
+            return Role.NOBODY
+        is_valid = _is_same(signature, self._signed(f"login {name} {until}")) and int(until) > time.time()
+        return Role[name] if is_valid else Role.NOBODY
+
+    def _signed(self, text: str) -> str:
+        return hmac.new(self._secret, text.encode(), hashlib.sha256).hexdigest()
+
+
+def _is_same(one: str, other: str) -> bool:
+    return hmac.compare_digest(one.encode("utf-8", "replace"), other.encode())
+
+
+def _state_folder() -> Path:
+    base = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(base) if os.path.isabs(base) else Path.home() / ".local" / "state") / "robot-runner"
+
+
+# Where a request comes from.
+
+
+def known_names(more: Iterable[str] = ()) -> frozenset[str]:
+    """Return the names by which this machine is called, as browsers may write them."""
+    name = socket.gethostname().casefold()
+    return frozenset({"localhost", name, f"{name.partition('.')[0]}.local", *(each.casefold() for each in more)})
+
+
+def is_known_host(header: str, port: int, names: frozenset[str]) -> bool:
+    """Return whether a request was addressed to this machine.
+
+    A page elsewhere whose name was rebound to this address sends its own name; an address in figures cannot be rebound.
+
+    Example:
+        >>> is_known_host("127.0.0.1:8642", 8642, frozenset()), is_known_host("evil.example:8642", 8642, frozenset())
+        (True, False)
+    """
+    host, colon, given = header.rpartition(":") if not header.endswith("]") else (header, "", "")
+    if not colon:
+        host, given = header, "80"
+    if given != str(port):
+        return False
+    try:
+        ipaddress.ip_address(host.removeprefix("[").removesuffix("]"))
+    except ValueError:
+        return host.casefold().removesuffix(".") in names
+    return True
+
+
+def is_of_same_origin(headers: Mapping[str, str], *, is_action: bool) -> bool:
+    """Return whether a request comes from our own page.
+
+    Args:
+        headers: of the request, in lower case.
+        is_action: whether it changes anything: then something must say where it comes from.
+    """
+    site, origin = headers.get("sec-fetch-site"), headers.get("origin")
+    if site is not None and site not in {"same-origin", "none"}:
+        return False
+    if origin is not None:
+        return origin.partition("://")[2] == headers.get("host")
+    return not is_action or site == "same-origin"
+
+
+class RateLimit:
+    """Lets each address do something so often, and no more; forgets who has not come for long.
+
+    Args:
+        burst: how often at once.
+        rate: how often a second in the long run.
+
+    Example:
+        >>> limit = RateLimit(burst=2, rate=0.0)
+        >>> [limit.lets_pass("10.0.0.1") for _ in range(3)]
+        [True, True, False]
+    """
+
+    #: As many addresses are remembered.
+    _MOST = 2_000
+
+    def __init__(self, *, burst: float, rate: float) -> None:
+        self._burst, self._rate = burst, rate
+        self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()
+
+    def lets_pass(self, address: str) -> bool:
+        """Take one from what an address has left; returns whether there was any."""
+        now = time.monotonic()
+        left, at = self._left.pop(address, (self._burst, now))
+        left = min(self._burst, left + (now - at) * self._rate)
+        self._left[address] = (left - 1 if left >= 1 else left, now)
+        while len(self._left) > self._MOST:
+            self._left.popitem(last=False)
+        return left >= 1

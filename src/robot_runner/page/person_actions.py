@@ -1,0 +1,101 @@
+"""What a person does from a page: go on with answers, pause, take it back, stop. All that a page ever writes is here."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.operator_steps import read_answers
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.person_requests import (
+    continue_and_see,
+    questions_of,
+    require_executed,
+    require_waiting,
+)
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import forget_pause, request_pause, request_stop
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.experiment_status import ExperimentStatus
+    from robot_runner.page.followed_experiment import FollowedExperiment
+
+__all__ = ["ACTIONS", "RefusedAnswersError"]
+
+_LONGEST_ANSWER = 2_000
+
+
+class RefusedAnswersError(ExecutionError):
+    """Answers that are not taken; the findings' `where` are the names of the questions."""
+
+
+def _go_on(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
+    """Tell an experiment that waits to go on with these answers.
+
+    Raises:
+        RefusedAnswersError: an answer is not taken.
+        ExecutionError: it does not wait, or for something else than the person saw.
+    """
+    status = _status(experiment)
+    require_waiting(status, experiment.folder.name)
+    waiting = status.waiting_for or {}
+    if (said.get("run"), said.get("step")) != (waiting.get("next_run"), waiting.get("step")):
+        raise ExecutionError("it no longer waits for this", where=str(said.get("run")), fix="Look at what it asks now.")
+    given = said.get("answers", {})
+    answers = {str(name): str(text)[:_LONGEST_ANSWER] for name, text in (given.items() if isinstance(given, dict) else ())}
+    _, refused = read_answers(questions_of(status), answers)
+    if refused:
+        raise RefusedAnswersError.of_findings([_for_a_page(each) for each in refused])
+    continue_and_see(ExperimentFolder(experiment.folder), answers, experiment.folder.name)
+    return "It goes on."
+
+
+def _for_a_page(finding: Finding) -> Finding:
+    """Return a finding without the command line's way to mend it."""
+    is_missing = finding.fix.startswith("Add --answer")
+    return type(finding).error(finding.where, finding.problem, "Enter an answer." if is_missing else finding.fix)
+
+
+def _pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
+    """Ask for a pause before the next run."""
+    del said
+    status = _status(experiment)
+    require_executed(status, experiment.folder.name, "There is nothing to pause")
+    request_pause(ExperimentFolder(experiment.folder).pause)
+    return f"It pauses after {status.current_run}." if status.current_run else "It pauses before the next run."
+
+
+def _end_pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
+    """End a pause, or take the request back."""
+    del said
+    require_executed(_status(experiment), experiment.folder.name, "There is nothing to go on with")
+    forget_pause(ExperimentFolder(experiment.folder).pause)
+    return "It goes on."
+
+
+def _stop(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
+    """Ask to stop as by Ctrl-C."""
+    del said
+    status = _status(experiment)
+    require_executed(status, experiment.folder.name, "There is nothing to stop")
+    request_stop(ExperimentFolder(experiment.folder).stop)
+    return f"It stops: {status.current_run} is closed first." if status.current_run else "It stops."
+
+
+def _status(experiment: FollowedExperiment) -> ExperimentStatus:
+    experiment.look()
+    status = experiment.status()
+    if status is None:
+        raise ExecutionError("nothing is known of this experiment yet", where=experiment.folder.name, fix="Wait a moment.")
+    return status
+
+
+#: What can be done, by its name in addresses: takes the experiment and what was sent, returns what to say.
+ACTIONS: dict[str, Callable[[FollowedExperiment, Mapping[str, Any]], str]] = {
+    "continue": _go_on,
+    "pause": _pause,
+    "end-pause": _end_pause,
+    "stop": _stop,
+}

@@ -1,0 +1,34 @@
+"""The report of an experiment, as it lies in its folder."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.storage.guarded_files import MissingFileError, read_bytes
+from robot_runner.core.storage.layout import ExperimentFolder
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["Reports"]
+
+
+class Reports:
+    """Reports that were written, and those that this page had made."""
+
+    def content(self, folder: Path) -> bytes:
+        """Return the report in an experiment's folder.
+
+        Raises:
+            StorageError: it cannot be read.
+            ExecutionError: none was made yet.
+        """
+        try:
+            return read_bytes(ExperimentFolder(folder).report / "report.html", folder)
+        except MissingFileError as error:
+            fix = f"Make it: robot-runner report {folder.name}"
+            raise ExecutionError("there is no report yet", where=folder.name, fix=fix) from error
+
+    def close(self) -> None:
+        """End what is being made."""

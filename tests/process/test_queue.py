@@ -1,0 +1,271 @@
+"""The queue: what is added is executed once, one after another, whoever is killed and whatever is damaged."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.storage.outliving import process_stat
+from robot_runner.core.storage.queued_experiments import ExperimentQueue
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+PATIENCE = 60.0
+#: Its runs tell where two of one claim overlap.
+CONFIG = """
+import fcntl, time
+from pathlib import Path
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = {name!r}
+    results_output_path = "results"
+    claims = [{claim!r}]
+    grace_in_s = 2
+
+    def launch_mission(self, context):
+        here = Path(__file__).parent
+        with (here / {claim!r}).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                (here / "overlapped").touch()
+            (here / (self.experiment_name + ".begun")).touch()
+            time.sleep({seconds} * context.combination["N"])
+            {mission}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("N", [1, 1.1, 1.2])])
+"""
+HOLDING = """
+import sys
+from pathlib import Path
+from robot_runner.core.storage.claim_locks import HeldClaims
+with HeldClaims(["alice"], "by hand", Path("/results/by_hand")):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_state(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Callable[..., Path]:
+    def write(name: str, claim: str = "alice", seconds: float = 0.05, mission: str = "pass") -> Path:
+        path = tmp_path / f"{name}.py"
+        path.write_text(CONFIG.format(name=name, claim=claim, seconds=seconds, mission=mission))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def start(program: str, tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    started: list[subprocess.Popen[str]] = []
+
+    def begin(*words: object) -> subprocess.Popen[str]:
+        command = [program, *map(str, words)]
+        process = subprocess.Popen(
+            command,
+            cwd=tmp_path,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        started.append(process)
+        return process
+
+    yield begin
+    for process in started:
+        for pid in (*children_of(process.pid), process.pid):
+            with suppress(ProcessLookupError):
+                os.killpg(pid, signal.SIGKILL)
+        process.communicate()
+
+
+@pytest.fixture
+def holder() -> Iterator[subprocess.Popen[str]]:
+    """A process that holds a claim, as an experiment does that somebody executes by hand."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDING], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "held\n"
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def children_of(parent: int) -> list[int]:
+    numbers = [int(each.name) for each in Path("/proc").iterdir() if each.name.isdigit()]
+    return [number for number in numbers if process_stat(number)[1:2] == [str(parent)]]
+
+
+def until(condition: Callable[[], Any], what: str) -> Any:
+    deadline = time.monotonic() + PATIENCE
+    while not (found := condition()):
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+    return found
+
+
+def line_with(process: subprocess.Popen[str], text: str) -> str:
+    assert process.stdout is not None
+    return next(line for line in process.stdout if text in line)
+
+
+def done_runs(folder: Path) -> Counter[str]:
+    records = map(json.loads, (folder / "journal.jsonl").read_text().splitlines())
+    return Counter(each["run"] for each in records if each["kind"] == "attempt_finished" and each["status"] == "done")
+
+
+def test_who_wants_a_claimed_robot_is_refused_with_a_name_or_waits_and_ctrl_c_leaves_it_in_the_queue(
+    robot_runner: Callable[..., Any],
+    config: Callable[..., Path],
+    start: Callable[..., subprocess.Popen[str]],
+    holder: subprocess.Popen[str],
+    tmp_path: Path,
+) -> None:
+    path = config("first", seconds=0.3)
+    refused = robot_runner("run", path)
+    assert refused.code == 2
+    assert "alice is in use by the experiment 'by hand' in /results/by_hand" in refused.err
+    assert "robot-runner queue add" in refused.err
+
+    waiting = start("run", path, "--wait", "--plain")
+    assert "the experiment 'by hand'" in line_with(waiting, "Waiting until it has ended")
+    waiting.send_signal(signal.SIGINT)
+    assert waiting.wait() == 130
+
+    added = robot_runner("queue", "add", path, "--workers", "1")
+    assert added.code == 0
+    assert "in use by the experiment 'by hand'" in added.out
+    assert "robot-runner queue run" in added.out
+    runner = start("queue", "run")
+    assert "1 (first) waits for alice, in use by the experiment 'by hand'" in line_with(runner, "waits for")
+    listed = robot_runner("queue", "list", "--json").json
+    assert listed["is_attended"]
+    assert listed["experiments"][0]["state"] == "waits"
+    assert "'by hand'" in listed["experiments"][0]["in_words"]
+    assert listed["experiments"][0]["options"] == ["--set=workers=1"]
+
+    holder.kill()
+    until((tmp_path / "first.begun").exists, "the experiment begins once the claim is free")
+    assert "executed since" in robot_runner("queue").out
+    assert "is being executed" in robot_runner("queue", "drop", 1).err
+    runner.send_signal(signal.SIGINT)
+    output, _ = runner.communicate(timeout=PATIENCE)
+    assert runner.returncode == 130, output
+    assert "1 (first) stays in the queue" in output
+    assert "waits for its turn" in robot_runner("queue").out
+    last = start("queue", "run")
+    assert last.wait(PATIENCE) == 0
+    assert set(done_runs(tmp_path / "results" / "first").values()) == {1}
+    assert robot_runner("queue", "list", "--json").json["experiments"][0]["state"] == "done"
+    assert robot_runner("queue", "drop", "--ended").code == 0
+    assert "is empty" in robot_runner("queue").out
+
+
+def test_two_runners_that_are_killed_at_random_execute_everything_once_and_lose_nothing(
+    robot_runner: Callable[..., Any],
+    config: Callable[..., Path],
+    start: Callable[..., subprocess.Popen[str]],
+    tmp_path: Path,
+    request: pytest.FixtureRequest,
+) -> None:
+    chance = random.Random(7)  # noqa: S311 - kills need no cryptography
+    for name, claim, mission in (
+        ("first", "alice", "pass"),
+        ("broken", "alice", "raise ValueError('out of tune')"),
+        ("second", "alice", "pass"),
+        ("other", "bob", "pass"),
+    ):
+        assert robot_runner("queue", "add", config(name, claim, 0.15, mission)).code == 0
+    queue = ExperimentQueue()
+    kills = 0
+    while kills < 6 and any(not each.has_ended for each in queue.read()[0]):
+        runners = [start("queue", "run") for _ in range(2)]
+        while kills < 6 and all(each.poll() is None for each in runners):
+            time.sleep(chance.uniform(0.2, 1.0))
+            runner = chance.choice(runners).pid
+            for victim in chance.choice([[runner], children_of(runner), [*children_of(runner), runner]]):
+                with suppress(ProcessLookupError):
+                    os.kill(victim, signal.SIGKILL)
+                    kills += 1
+    last = start("queue", "run")
+    output, _ = last.communicate(timeout=2 * PATIENCE)
+    until(lambda: all(each.has_ended for each in queue.read()[0]), "what others had begun ends")
+
+    known, findings = queue.read()
+    assert not findings
+    assert [(each.experiment, each.exit_code) for each in known] == [
+        ("first", 0),
+        ("broken", 1),
+        ("second", 0),
+        ("other", 0),
+    ], output
+    assert "some run failed: robot-runner status" in known[1].problem
+    for name in ("first", "second", "other"):
+        assert list(done_runs(tmp_path / "results" / name).values()) == [1, 1, 1]
+    assert not (tmp_path / "overlapped").exists()
+    request.node.user_properties.append(("faults", kills))
+
+
+def test_what_is_damaged_changed_gone_or_not_to_be_kept_is_told_and_holds_up_nobody(
+    robot_runner: Callable[..., Any], config: Callable[..., Path], start: Callable[..., subprocess.Popen[str]]
+) -> None:
+    changed, gone, whole = config("changed", seconds=0), config("gone", seconds=0), config("whole", "bob", seconds=0)
+    refused = robot_runner("queue", "add", whole, "--set", "db_password=swordfish", "--redo", "r_1")
+    assert refused.code == 2
+    assert "is a secret, which is not kept in the queue" in refused.err
+    assert "--redo would execute these runs once more" in refused.err
+    assert "swordfish" not in refused.err
+    for path in (changed, gone, whole):
+        assert robot_runner("queue", "add", path).code == 0
+    folder = ExperimentQueue().folder
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert all(each.stat().st_mode & 0o777 == 0o600 for each in folder.iterdir())
+    (folder / "4.json").write_text('{"config": 7, "claims": [[[]]]}')
+    (folder / "5.json").symlink_to(whole)
+    (folder / "6.json").write_bytes(b"\xff\x00")
+    changed.write_text(changed.read_text() + "# changed\n")
+    gone.unlink()
+
+    listed = robot_runner("queue")
+    assert listed.code == 0
+    assert "the config has changed since then" in listed.out
+    assert "the config cannot be read" in listed.out
+    for number, problem in ((4, "config is 7, not a text"), (5, "a symbolic link"), (6, "no text in UTF-8")):
+        assert problem in listed.err.replace("not valid JSON", "no text in UTF-8")
+        assert f"robot-runner queue drop {number}" in listed.err
+    runner = start("queue", "run")
+    output, _ = runner.communicate(timeout=PATIENCE)
+    assert runner.returncode == 1, output
+    known, findings = ExperimentQueue().read()
+    assert [each.exit_code for each in known] == [0, 2, 0], output
+    assert "it is executed as it is now" in known[0].problem
+    assert "the config cannot be read" in known[1].problem
+    assert len({finding.where for finding in findings}) == 3
+    assert robot_runner("queue", "drop", 4, 5, 6).code == 0
+    assert whole.exists()
+    assert robot_runner("queue", "drop", 9).code == 2
+    assert "'list'" in robot_runner("queue", "lst").err
+    folder.chmod(0o777)
+    assert "others may write in the folder of the queue" in robot_runner("queue").err
