@@ -118,7 +118,7 @@ def test_lenth_is_as_published():
 
 def test_a_surface_has_coefficients_lack_of_fit_and_a_stationary_point():
     # Section 11.3 and table 11.7: 79.94 + 0.99 x1 + 0.52 x2 - 1.38 x1^2 - 1.00 x2^2 + 0.25 x1 x2.
-    facts = {"kind": "central_composite", "model": "quadratic", "coding": {"Time": [85, 5], "Temperature": [175, 5]}}
+    facts = {"kind": "central_composite", "model": "quadratic", "ranges": {"Time": [80, 90], "Temperature": [170, 180]}}
     found = analyse(designed(data.PROCESS, ["Time", "Temperature"], facts)).measure("y")
     surface = found.surface
     estimates = {each.label: each.estimate for each in surface.coefficients}

@@ -127,6 +127,16 @@ class MeasureData:
         names = [role_column(name) for name in (self.known.whole_plot, *self.known.plot_columns)]
         return np.asarray(self.frame.groupby(names, observed=True).ngroup(), dtype=np.intp)
 
+    @property
+    def unit_names(self) -> list[str]:
+        """Which unit each run with a value belongs to that varies as a whole: its block, whole plot or subject."""
+        if self.is_blocked:
+            return list(map(str, self.blocks))
+        if self.known.whole_plot:
+            return list(map(str, self.plots))
+        names = [self.known.subject] if self.known.subject else self.known.blocks[:1]
+        return list(self.frame[role_column(names[0])].astype(str)) if names else [""] * len(self.frame)
+
     def with_plots_as_blocks(self) -> MeasureData:
         """Return the same runs, with the whole plots of a split-plot design as blocks, and nothing else known of it."""
         frame = self.frame.assign(**{_BLOCK: self.plots.astype(str)})
@@ -372,7 +382,7 @@ def _with_structure(known: KnownDesign, results: Results, frame: pd.DataFrame, v
         return known
     planned = results.runs[list(varied)].astype("str").drop_duplicates()
     codes = {name: np.unique(planned[name], return_inverse=True)[1] for name in varied}
-    known = known.with_aliasing(aliasing_of(codes, main_only=not known.has_interactions))
+    known = known.with_aliasing(aliasing_of(codes, main_only=not known.has_interactions, together=known.together))
     if known.whole_plot:
         plots = frame.groupby(role_column(known.whole_plot), observed=True)
         numbered_anew = tuple(name for name in known.blocks if plots[role_column(name)].nunique().max() > 1)

@@ -144,7 +144,8 @@ class _Fitting:
         }
 
     def _dummies(self, name: str) -> Floats:
-        return pd.get_dummies(self.data.frame[role_column(name)].astype(str), dtype=np.float64).to_numpy()
+        dummies = pd.get_dummies(self.data.frame[role_column(name)].astype(str))
+        return dummies.to_numpy(dtype=np.float64)
 
     @cached_property
     def _blocks(self) -> Floats:
@@ -221,8 +222,8 @@ class _Fitting:
         known, values = self.data.known, np.atleast_2d(self.values)[0]
         count = before.shape[1]
         treatments = np.column_stack([each.columns for each in self._hypotheses(terms).values()])
-        spread = {("before",): Hypothesis(before, np.eye(count))}
-        told = (TestMethod.CROSSOVER, "", ())
+        spread: dict[Term, Hypothesis] = {("before",): Hypothesis(before, np.eye(count))}
+        told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.CROSSOVER, "", ())
         found = fit_strata({}, spread, values, np.column_stack([blocks, treatments]), None, told)
         what = "it is in the model" if known.carry_over else "a washout was planned, and it is not in the model"
         if not isinstance(found, StrataModel):
@@ -243,7 +244,7 @@ class _Fitting:
             f"Some factors change from one {self.data.known.whole_plot} to the next only: they are compared with how "
             "these vary, and the others with how runs vary within them. One variance serves each stratum."
         )
-        told = (TestMethod.SPLIT_PLOT, reason, ())
+        told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.SPLIT_PLOT, reason, ())
         found = fit_strata(self.factors, self._hypotheses(terms), self.values, self._blocks, plots, told)
         if isinstance(found, NotComputed):
             main = tuple(term for term in terms if len(term) == 1)
