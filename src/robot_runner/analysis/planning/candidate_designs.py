@@ -13,6 +13,11 @@ from robot_runner.core.design.design import FullFactorial
 from robot_runner.core.design.factor import Factor, treatment_text
 from robot_runner.core.errors import DesignError
 from robot_runner.core.inactive import INACTIVE
+from robot_runner.designs.covering import CoveringArray
+from robot_runner.designs.fractional import FractionalFactorial
+from robot_runner.designs.one_at_a_time import OneFactorAtATime
+from robot_runner.designs.optimal import DOptimal
+from robot_runner.designs.split_plot import SplitPlot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -28,6 +33,7 @@ _PLOT = "Whole plot"
 _MOST = 200
 #: D-optimal combinations for each parameter of the model: some are left to tell chance.
 _COMBINATIONS_A_PARAMETER = 1.5
+_ROMAN = {3: "III", 4: "IV", 5: "V"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +94,11 @@ def candidates_of(model: RunTableModel, hard: Sequence[str]) -> Iterator[Candida
     yield Candidate("full factorial in blocks of a repetition", partial(_in_blocks, model))
     if hard:
         yield Candidate(f"split plot, {' x '.join(hard)} in whole plots", partial(_split_plot, model, tuple(hard)))
-    from robot_runner.designs import CoveringArray, DOptimal, FractionalFactorial, OneFactorAtATime  # noqa: PLC0415 - opened when asked for
-
     if all(len(factor.treatments) == 2 for factor in model.factors):  # noqa: PLR2004 - what fractions are of
         for resolution in (5, 4, 3):
             design = FractionalFactorial(resolution=resolution)
             if _count(model, design) < math.prod(len(factor.treatments) for factor in model.factors):
-                yield Candidate(f"fraction of resolution {'III IV V'.split()[resolution - 3]}", partial(_designed, model, design))
+                yield Candidate(f"fraction of resolution {_ROMAN[resolution]}", partial(_designed, model, design))
     if len(model.factors) > 1:
         base = {factor.name: next(each for each in factor.treatments if each is not INACTIVE) for factor in model.factors}
         yield Candidate("one factor at a time", partial(_designed, model, OneFactorAtATime(base=base)))
@@ -133,8 +137,6 @@ def _in_blocks(model: RunTableModel, repetitions: int) -> RunTableModel:
 
 
 def _split_plot(model: RunTableModel, hard: tuple[str, ...], replicates: int) -> RunTableModel:
-    from robot_runner.designs import SplitPlot  # noqa: PLC0415 - opened when asked for
-
     held = {tuple(treatment_text(run.combination[name]) for name in hard) for run in model.plan()}
     plots = Factor(_PLOT, list(range(1, max(2, replicates) * len(held) + 1)))
     made = model.designed(SplitPlot(hard=list(hard), plot=_PLOT), repetitions=1, more=(plots,))
