@@ -10,7 +10,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.inactive import INACTIVE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.design.design import IsAllowed
 

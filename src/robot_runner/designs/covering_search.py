@@ -6,25 +6,29 @@ covered when each pair of their symbols is in some row.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import combinations, count
 from math import comb
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
 
 __all__ = ["pairwise_array"]
 
 Array = NDArray[np.int64]
 
-#: Moves that a column's search makes before it gives up, and how often columns are gone over again.
-_MOVES, _ROUNDS = 400, 20
-_GIVEN_UP, _IDLE = 2, 150
-#: How long a cell may not go back to the symbol that it had (Nurmela, 2004, has it grow with the array likewise).
+#: Moves that a column's search makes at most, moves without gain at most, and how often columns are gone over again.
+_MOVES, _IDLE, _ROUNDS = 400, 150, 20
+#: An array that misses more pairs than this, while it is completed, is given up: more rows are quicker than more search.
+_GIVEN_UP = 2
+#: How many moves at least a cell may not go back to the symbol that it had.
 _TENURE = 4
-#: Fields whose multiplication is not that of numbers modulo a prime: their order, and x^n as a polynomial of less degree.
+#: Fields whose multiplication is not that of numbers modulo a prime: the prime, and -x^n (x^n, for 2) as a polynomial
+#: of less degree, its constant first.
 _FIELDS = {4: (2, (1, 1)), 8: (2, (1, 1, 0)), 9: (3, (1, 2)), 16: (2, (1, 1, 0, 0))}
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23)
 
@@ -38,23 +42,36 @@ def pairwise_array(levels: Sequence[int], seed: int) -> Array:
     """
     order = sorted(range(len(levels)), key=lambda column: -levels[column])
     ordered = [levels[column] for column in order]
-    if ordered[0] <= 2:  # noqa: PLR2004 - two symbols have an exact answer
-        found = _binary(ordered)
-    else:
-        found = _searched(ordered, np.random.default_rng(seed))
+    has_two = ordered[0] <= 2  # noqa: PLR2004 - which has an exact answer
+    found = _binary(ordered) if has_two else _searched(ordered, np.random.default_rng(seed))
     array = np.empty_like(found)
     array[:, order] = found
     return array
 
 
 def _searched(levels: list[int], random: np.random.Generator) -> Array:
-    """Return the first array that is completed, from the least number of rows on."""
-    bases = list(_bases(levels))
-    for rows in count(levels[0] * levels[1]):
-        for base in bases:
-            if len(base) <= rows and (found := _Completing(levels, base, rows, random).array()) is not None:
-                return found
-    raise AssertionError  # never reached: there is always an array with enough rows
+    """Return the smallest array that is completed: the number of rows is found by doubling steps, then by halving."""
+    bases = list(_bases(levels, random))
+    sure = [len(base) for base in bases if base.shape[1] >= len(levels) and base.max() + 1 >= levels[0]]
+    fewest = levels[0] * levels[1]
+    step, rows, found = 1, fewest, None
+    while found is None:
+        found = _completed(levels, bases, rows, random)
+        if found is None:
+            fewest, rows, step = rows + 1, min([rows + step, *(each for each in sure if each > rows)]), 2 * step
+    while fewest < len(found):
+        rows = (fewest + len(found)) // 2
+        smaller = _completed(levels, bases, rows, random)
+        if smaller is None:
+            fewest = rows + 1
+        else:
+            found = smaller
+    return found
+
+
+def _completed(levels: list[int], bases: Sequence[Array], rows: int, random: np.random.Generator) -> Array | None:
+    attempts = (_Completing(levels, base, rows, random).array() for base in bases if len(base) <= rows)
+    return next((array for array in attempts if array is not None), None)
 
 
 # Two symbols: Kleitman & Spencer (1973), "Families of k-independent sets": no array has fewer rows.
@@ -73,27 +90,23 @@ def _binary(levels: Sequence[int]) -> Array:
 # Structured beginnings: a matrix whose columns cover each other, for the first columns of the levels given.
 
 
-def _bases(levels: list[int]) -> Iterator[Array]:
-    """Yield arrays to begin with, without those that have more rows than another with as many columns."""
+def _bases(levels: list[int], random: np.random.Generator) -> Iterator[Array]:
+    """Yield arrays to begin with."""
     first, second = np.divmod(np.arange(levels[0] * levels[1]), levels[1])
     yield np.column_stack([first, second])
     for symbols in sorted(set(levels)):
         wanted = sum(each <= symbols for each in levels)
         if symbols > 2 and wanted > 2:  # noqa: PLR2004 - what a grid has anyway
-            yield from _uniform(symbols, wanted)
+            yield from _uniform(symbols, wanted, random)
 
 
-def _uniform(symbols: int, columns: int) -> Iterator[Array]:
+def _uniform(symbols: int, columns: int, random: np.random.Generator) -> Iterator[Array]:
     order = next((each for each in sorted((*_PRIMES, *_FIELDS)) if each >= symbols), None)
     if order is not None:
-        array = _orthogonal(order)
-        yield array
-        while array.shape[1] < columns:
-            wide = _product(array, order)
-            if wide.shape[1] < columns <= array.shape[1] * (order + 1):
-                yield _full_product(array, order)
-            array = wide
-            yield array
+        yield _orthogonal(order)
+        if columns > order + 1:
+            narrow = -(-(columns - 1) // order)
+            yield _product(_searched([order] * narrow, random) if narrow > order + 1 else _orthogonal(order), order)
     starter = _starter(symbols, columns) if symbols > 3 and columns > symbols + 1 else None  # noqa: PLR2004
     if starter is not None:
         yield starter
@@ -139,20 +152,14 @@ def _number(digits: Sequence[int], prime: int) -> int:
 def _product(array: Array, order: int) -> Array:
     """Return the array widened by the field's order, and one column more, for order² - order rows more.
 
-    Stevens & Mendelsohn (1999), "New recursive methods for transversal covers": pairs of equal symbols are covered above
-    already, so that the constant rows of the orthogonal array are left out below.
+    Stevens & Mendelsohn (1999), "New recursive methods for transversal covers": pairs of equal symbols are covered
+    above already, so that the constant rows of the orthogonal array are left out below.
     """
     below = _orthogonal(order)[order:]
     wide = np.repeat(array, order, axis=1)
     lower = np.tile(below[:, :order], array.shape[1])
     extra = np.concatenate([np.zeros(len(array), dtype=np.int64), below[:, order]])
     return np.column_stack([np.vstack([wide, lower]), extra])
-
-
-def _full_product(array: Array, order: int) -> Array:
-    """Return the array widened by the field's order + 1, for order² rows more."""
-    below = _orthogonal(order)
-    return np.vstack([np.repeat(array, order + 1, axis=1), np.tile(below, array.shape[1])])
 
 
 @lru_cache
@@ -212,8 +219,8 @@ class _Completing:
 
     Args:
         levels: of the columns, in descending order.
-        base: its columns stand for columns of no more symbols than it has, the largest first; symbols that a column does
-            not have are drawn.
+        base: its columns stand for columns of no more symbols than it has, the largest first; symbols that a column
+            does not have are drawn.
         rows: how many the array is to have.
         random: what the search draws from.
     """
@@ -300,6 +307,3 @@ class _Completing:
         self._cells[:, column] = best
         self._mark(column)
         return least
-
-
-_: Any = None

@@ -178,7 +178,7 @@ def _size_findings(factors: int, resolution: int) -> Iterator[Finding]:
 
 
 def fraction_words(factors: int, resolution: int) -> list[int] | None:
-    """Return the words of the smallest fraction of at least a resolution, one for each factor; None where none is found.
+    """Return the words of the smallest fraction of at least a resolution, one for each factor; None for none.
 
     For resolutions 3 and 4 it is the smallest there is; for 5 a greedy choice, as good as the tables of Box, Hunter &
     Hunter (2005, table 6.22) up to 11 factors.

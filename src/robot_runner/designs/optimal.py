@@ -142,7 +142,7 @@ def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generat
         listed = [factor.with_treatments(each) for factor, each in zip(factors, values, strict=True)]
         yield from (combination.treatments for combination in full_factorial(listed))
         return
-    seen = set()
+    seen: set[tuple[int, ...]] = set()
     for _ in range(4 * _MOST_CANDIDATES):
         places = tuple(int(random.integers(len(each))) for each in values)
         if places not in seen and len(seen) < _MOST_CANDIDATES:
