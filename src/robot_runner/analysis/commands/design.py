@@ -166,7 +166,9 @@ def _hard(texts: list[str]) -> dict[str, float]:
 def _seconds(option: str, text: str) -> float:
     match = _DURATION.fullmatch(text.strip())
     if match is None or float(match[1]) <= 0:
-        raise UsageError(f"{option} is {text!r}", where=_WHERE, fix="Give a number with its unit: 95s, 90min, 8h or 2d.")
+        raise UsageError(
+            f"{option} is {text!r}", where=_WHERE, fix="Give a number with its unit: 95s, 90min, 8h or 2d."
+        )
     return float(match[1]) * _UNITS[match[2]]
 
 

@@ -95,12 +95,17 @@ def candidates_of(model: RunTableModel, hard: Sequence[str]) -> Iterator[Candida
     if hard:
         yield Candidate(f"split plot, {' x '.join(hard)} in whole plots", partial(_split_plot, model, tuple(hard)))
     if all(len(factor.treatments) == 2 for factor in model.factors):  # noqa: PLR2004 - what fractions are of
+        least = math.prod(len(factor.treatments) for factor in model.factors)
         for resolution in (5, 4, 3):
             design = FractionalFactorial(resolution=resolution)
-            if _count(model, design) < math.prod(len(factor.treatments) for factor in model.factors):
+            size = _count(model, design)
+            if size < least:  # else it is the one before, or the whole
+                least = size
                 yield Candidate(f"fraction of resolution {_ROMAN[resolution]}", partial(_designed, model, design))
     if len(model.factors) > 1:
-        base = {factor.name: next(each for each in factor.treatments if each is not INACTIVE) for factor in model.factors}
+        base = {
+            factor.name: next(each for each in factor.treatments if each is not INACTIVE) for factor in model.factors
+        }
         yield Candidate("one factor at a time", partial(_designed, model, OneFactorAtATime(base=base)))
         yield Candidate("covering array of pairs", partial(_designed, model, CoveringArray(strength=2)))
         full = math.prod(len(factor.treatments) for factor in model.factors)
@@ -121,7 +126,11 @@ def _models(factors: Sequence[Factor]) -> Iterator[tuple[str, str, int]]:
     widths = [len([each for each in factor.treatments if each is not INACTIVE]) - 1 for factor in factors]
     main = 1 + sum(widths)
     yield "main effects", "main", main
-    yield "interactions of two factors", "interactions", main + (sum(widths) ** 2 - sum(each**2 for each in widths)) // 2
+    yield (
+        "interactions of two factors",
+        "interactions",
+        main + (sum(widths) ** 2 - sum(each**2 for each in widths)) // 2,
+    )
 
 
 def _designed(model: RunTableModel, design: Design | CombinationDesign, repetitions: int) -> RunTableModel:

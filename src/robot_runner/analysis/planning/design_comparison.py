@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import comb
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.analysis.planning.power_analysis import scenarios_of
 from robot_runner.analysis.planning.power_search import sought_claims
 from robot_runner.analysis.planning.power_simulation import AT_ONCE, Simulation
+from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
 from robot_runner.analysis.statistics.design import design_of
 from robot_runner.core.errors import AnalysisError, DesignError
 from robot_runner.core.words import counted, listed, shown_duration
@@ -141,7 +143,11 @@ def compare_designs(
     Raises:
         AnalysisError: the assumptions name what the study does not have, or none of the designs can be.
     """
-    found = []
+    found, candidates = [], list(candidates)
+    able = next((each for each in candidates if not each.problem()), None)
+    if able is not None:  # what the assumptions get wrong is wrong for all designs
+        study = Study.of_model(asked.name, able.made(1), asked.plan, asked.units)
+        scenarios_of(study, _assumed(study, asked.assumptions))
     for candidate in candidates:
         progress(candidate.name)
         found.append(_compared(candidate, times, asked))
@@ -187,7 +193,8 @@ def _structure(study: Study, repetitions: int) -> tuple[KnownDesign, int]:
     pairs = count * (count - 1) // 2
     clear = [term for term in known.terms if not any(len(alias) <= len(term) for alias in known.aliases.get(term, ()))]
     if sum(len(term) == 2 for term in clear) == pairs:  # noqa: PLR2004 - interactions of two factors
-        return known, 3 if len(known.terms) == 2**count - 1 else 2
+        every = sum(comb(count, size) for size in range(1, MOST_FACTORS + 1))
+        return known, 3 if len(known.terms) == every else 2
     is_clear = not any(len(a) == 2 for t in known.terms if len(t) == 1 for a in known.aliases.get(t, ()))  # noqa: PLR2004
     return known, int(is_clear and known.has_interactions)
 
@@ -199,7 +206,11 @@ def _aliased(known: KnownDesign, tells: int, factors: int) -> str:
         return "no interaction is seen"
     if not known.has_interactions:
         return "main effects in part with interactions, which are taken to be none"
-    named = [(" x ".join(term), [" x ".join(each) for each in known.aliases[term]]) for term in known.terms if term in known.aliases]
+    named = [
+        (" x ".join(term), [" x ".join(each) for each in known.aliases[term]])
+        for term in known.terms
+        if term in known.aliases
+    ]
     if tells == 3 or not named:  # noqa: PLR2004 - everything
         return "nothing" if tells else "interactions"
     return listed([f"{term} = {' = '.join(others)}" for term, others in named], 3)
@@ -241,7 +252,9 @@ def _best(found: Sequence[ComparedDesign], target: float) -> ComparedDesign | No
     if enough:
         return max(enough, key=lambda each: (each.tells, round((each.power or 0.0) / _ALIKE), -each.seconds))
     most = max(each.power or 0.0 for each in able)
-    return max((each for each in able if (each.power or 0.0) >= most - _ALIKE), key=lambda each: (each.tells, -each.seconds))
+    return max(
+        (each for each in able if (each.power or 0.0) >= most - _ALIKE), key=lambda each: (each.tells, -each.seconds)
+    )
 
 
 def _reasons(best: ComparedDesign | None, found: Sequence[ComparedDesign], asked: Asked) -> Iterator[str]:
@@ -254,7 +267,10 @@ def _reasons(best: ComparedDesign | None, found: Sequence[ComparedDesign], asked
     )
     least = min(best.powers, key=lambda each: each[1])
     if best.power >= asked.power:
-        yield f"It finds {least[0]}, the least certain of what is sought, in {least[1]:.0%} of experiments: {asked.power:.0%} are asked for."
+        yield (
+            f"It finds the {least[0]}, the least certain of what is sought, in {least[1]:.0%} of experiments: "
+            f"{asked.power:.0%} are asked for."
+        )
         yield {
             3: "It tells all effects apart, interactions included.",
             2: "It tells interactions of two factors apart; only those of more factors are mixed with others.",
@@ -263,7 +279,7 @@ def _reasons(best: ComparedDesign | None, found: Sequence[ComparedDesign], asked
         }[best.tells]
     else:
         yield (
-            f"No design reaches {asked.power:.0%}: this one finds {least[0]} in {least[1]:.0%} of experiments, and no "
+            f"No design reaches {asked.power:.0%}: this one finds the {least[0]} in {least[1]:.0%} of experiments, and no "
             "other finds clearly more. Allow more time, leave out treatments, or look for a larger effect."
         )
     richer = [each for each in found if each.tells > best.tells and each.repetitions and each.power is not None]
@@ -279,5 +295,11 @@ def _notes(asked: Asked) -> Iterator[str]:
             "of a factor that differ by one standard deviation."
         )
     if not assumed.blocks:
-        yield "Blocks and whole plots are taken not to vary as a whole, unless --block-sd or a pilot says how."
-    yield "Fractions, covering arrays and D-optimal designs gain by leaving out interactions: where these are large, effects are wrong."
+        yield (
+            "Blocks and whole plots are taken not to vary as a whole: where they do, a split plot finds less of what is "
+            "hard to change. Say how with --block-sd."
+        )
+    yield (
+        "Fractions, covering arrays and D-optimal designs gain by leaving out interactions: where these are large, "
+        "effects are wrong."
+    )

@@ -144,9 +144,7 @@ class Simulation:
         design = design_of(results, blocks=self._plan.blocks if self._plan is not None else None)
         return replace(design, covariates=covariates)
 
-    def _analysed(
-        self, design: Design, name: str
-    ) -> tuple[MeasureData, AnyModel | NotComputed]:
+    def _analysed(self, design: Design, name: str) -> tuple[MeasureData, AnyModel | NotComputed]:
         """Return what of a measure is compared, without the values that the plan leaves out, and the estimates."""
         gone = frozenset(each.run_id for each in left_out_of(design, name, self._plan, ()))
         data = replace(design, without=gone).data(name)
