@@ -25,7 +25,7 @@ def compared(model, times, question, hard=()):
 
 def test_designs_are_compared_by_what_they_tell_and_find():
     times = RunTimes(lambda _: 95.0, 5.0, {"Floor": 600.0})
-    designs, found = compared(RunTableModel(FACTORS), times, asked(4 * 3600.0), ["Floor"])
+    designs, found = compared(RunTableModel(FACTORS, seed=7), times, asked(4 * 3600.0), ["Floor"])
     full, fraction = designs["full factorial"], designs["fraction of resolution IV"]
     assert full.aliased == "nothing"
     assert fraction.combinations == 8
@@ -34,10 +34,12 @@ def test_designs_are_compared_by_what_they_tell_and_find():
     split = designs["split plot, Floor in whole plots"]
     assert split.runs > 2 * full.runs
     assert all(each.seconds <= 4 * 3600 for each in designs.values() if each.repetitions)
-    # 80 runs and more find an effect of one standard deviation nearly always; 24 do in less than seven of ten.
-    assert split.power > 0.95 > full.power
+    # 14 effects are corrected together; ten whole plots tell of floors with eight degrees of freedom, runs of the others.
+    powers = dict(split.powers)
+    assert powers["effect of Floor on Energy"] < powers["effect of Map on Energy"]
+    assert split.power > full.power + 0.2
     assert found.recommended == split.name
-    assert "interactions included" in " ".join(found.reasons)
+    assert "No design reaches 80%" in " ".join(found.reasons)
     json.dumps(found.as_mapping())
 
 
@@ -63,7 +65,7 @@ def test_an_interaction_is_sought_among_designs_that_tell_it():
         ("Speed x Load",),
         7200.0,
     )
-    designs, found = compared(RunTableModel(FACTORS), times, question)
+    designs, found = compared(RunTableModel(FACTORS, seed=7), times, question)
     assert "no test is called" in designs["one factor at a time"].problem
     assert designs[found.recommended].powers[0][0] == "interaction of Speed and Load on Energy"
 
