@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +57,7 @@ def run_cells(model: RunTableModel, run_id: str, combination: Mapping[str, objec
     return [*cells, str(repetition) if repetition else "warm-up"] if model.repetitions > 1 else cells
 
 
-#: A table of more runs than this is abbreviated on a terminal.
+#: Of a table of more runs than this, the first and the last ones are shown.
 _LONG = 40
 _FIRST, _LAST = 20, 5
 
@@ -66,21 +65,27 @@ _FIRST, _LAST = 20, 5
 def print_runs(
     console: UserConsole, model: RunTableModel, runs: Sequence[PlannedRun], *, shows_all: bool = False
 ) -> None:
-    """Print planned runs as a table; a long one is abbreviated on a terminal, where not all are asked for."""
-    is_abbreviated = sys.stdout.isatty() and not shows_all and len(runs) > _LONG
-    columns = [*run_columns(model, max((run.run_id for run in runs), key=len)), *_mark_columns(model, runs)]
+    """Print planned runs as a table; of a long one its head and its tail, where not all runs are asked for."""
+    is_abbreviated = not shows_all and len(runs) > _LONG
+    head, tail = (runs[:_FIRST], runs[-_LAST:]) if is_abbreviated else (runs, ())
+    longest = max((run.run_id for run in (*head, *tail)), key=len)
+    columns = [*run_columns(model, longest), *_mark_columns(model, runs)]
     shown = columns[: fitting(columns, console.width)]
     console.print(aligned(shown, [column.heading for column in columns]), style="bold", soft_wrap=True)
-    for run in runs[:_FIRST] if is_abbreviated else runs:
+    for run in head:
         print(aligned(shown, _cells(run, model)))
     if is_abbreviated:
         left_out = len(runs) - _FIRST - _LAST
         console.print(f"… {counted(left_out, 'run')} left out: --all shows them …", style="dim")
-        for run in runs[-_LAST:]:
-            print(aligned(shown, _cells(run, model)))
+    for run in tail:
+        print(aligned(shown, _cells(run, model)))
     if len(shown) < len(columns):
-        names = ", ".join(column.heading for column in columns[len(shown) :])
+        names = listed((column.heading for column in columns[len(shown) :]), _MOST_NAMES)
         console.print(f"No room for: {names}. A wider terminal shows them, and so does --json.", style="dim")
+
+
+#: As many factors or measures are named in one line.
+_MOST_NAMES = 12
 
 
 def _mark_columns(model: RunTableModel, runs: Sequence[PlannedRun]) -> list[Column]:
@@ -109,22 +114,21 @@ def in_words(model: RunTableModel) -> str:
         >>> in_words(RunTableModel([Factor("Task", ["Video", "Network"]), Factor("Speed", [1])], repetitions=3))
         '6 runs: Task (2) x Speed (1) x 3 repetitions'
     """
-    parts = [f"{factor.name} ({len(factor.treatments):,})" for factor in model.factors]
+    parts = [f"{factor.name} ({_treatments_in_words(factor)})" for factor in model.factors]
     if isinstance(model, ListedRunTableModel):
         return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts) or 'nothing is varied'}"
     combinations = full_size(model.factors)
     runs = sum(not run.is_warm_up for run in model.plan())
-    if model.repetitions > 1:
+    if not model.is_full_factorial and not model.is_extended:
+        has_ranges = any(factor.range is not None for factor in model.factors)
+        full = "" if has_ranges else f"; the full factorial has {_large(combinations * model.repetitions)}"
+        named = " x ".join(parts) if len(parts) <= _MOST_NAMED else f"{len(parts):,} factors"
+        return f"{counted(runs, 'run')}, {kind_in_words(model)}{full}: {named}"
+    if model.repetitions > 1 and not model.design_facts.get("decides"):  # then it varies from one to another
         parts.append(f"{model.repetitions:,} repetitions")
     if model.is_extended:
         sizes = enumerated(f"{len(batch.run_ids):,}" for batch in model.batches)
         return f"{counted(runs, 'run')} in {len(model.batches)} batches of {sizes}: {' x '.join(parts)}"
-    if not model.is_full_factorial:
-        times = f" x {model.repetitions:,} repetitions" if model.repetitions > 1 else ""
-        shown = (
-            " x ".join(parts[: len(model.factors)]) if len(parts) <= _MOST_NAMED else f"{len(model.factors):,} factors"
-        )
-        return f"{counted(runs, 'run')}: {shown}, {kind_in_words(model)}{times}"
     excluded = combinations - runs // model.repetitions
     less = f", {counted(excluded, 'combination')} excluded" if excluded else ""
     return f"{counted(runs, 'run')}: {' x '.join(parts)}{less}"
@@ -144,23 +148,20 @@ def design_in_words(model: RunTableModel) -> list[tuple[str, str]]:
     if model.is_full_factorial:
         return []
     facts = model.design_facts
-    chosen, every = len(model.combinations_of(model.factors)), full_size(model.factors)
-    shown = f"{every:,}" if every < _LARGE else f"some 10^{len(str(every)) - 1}"
-    others = "; ".join(
-        f"{name.replace('_', ' ')}: {_fact(value)}" for name, value in facts.items() if name not in _TOLD_APART
-    )
-    told = (
-        f"{kind_in_words(model)}, {counted(chosen, 'combination')} of {shown} in the full factorial of these treatments"
-    )
+    told = [f"{name.replace('_', ' ')}: {_fact(value)}" for name, value in facts.items() if name not in _TOLD_APART]
     return [
-        ("Design", f"{told}; {others}" if others else told),
+        ("Design", "; ".join([kind_in_words(model), *told])),
         ("Resolution", _RESOLUTIONS.get(min(facts.get("resolution", 0), 5), "")),
         ("Aliases", _aliases_in_words(facts)),
     ]
 
 
+def _large(number: int) -> str:
+    return f"{number:,}" if number < _LARGE else f"some 10^{len(str(number)) - 1}"
+
+
 _LARGE = 10**12
-_TOLD_APART = frozenset({"kind", "resolution", "aliases", "aliases_listed", "ranges"})
+_TOLD_APART = frozenset({"kind", "resolution", "aliases", "aliases_listed", "ranges", "decides"})
 _RESOLUTIONS = {
     3: "3: main effects can be told from each other, but not from interactions of two factors",
     4: "4: main effects can be told from interactions of two factors, but these not from each other",
@@ -182,6 +183,11 @@ def _aliases_in_words(facts: Mapping[str, Any]) -> str:
         return "too many effects to list them"
     groups = (" = ".join(" x ".join(effect) for effect in group) for group in facts["aliases"])
     return "; ".join(groups) or "none among main effects and interactions of two factors"
+
+
+def _treatments_in_words(factor: Factor) -> str:
+    span = factor.range
+    return f"{len(factor.treatments):,}" if span is None else f"{span.lower} to {span.upper} {span.unit}".rstrip()
 
 
 def warm_ups_in_words(model: RunTableModel, runs: Sequence[PlannedRun]) -> str:
@@ -223,7 +229,7 @@ def later_orders_in_words(model: RunTableModel) -> list[str]:
 
 def measures_in_words(columns: MeasureColumns) -> str:
     """Return the measure columns of the run table with their units."""
-    return ", ".join(_with_unit(column) for column in columns.in_table) or "none"
+    return listed(map(_with_unit, columns.in_table), _MOST_NAMES) or "none"
 
 
 def _with_unit(column: MeasureColumn) -> str:

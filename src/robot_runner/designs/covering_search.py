@@ -23,7 +23,7 @@ Array = NDArray[np.int64]
 
 #: Moves that a column's search makes at most, moves without gain at most, and how often columns are gone over again.
 _MOVES, _IDLE, _ROUNDS = 400, 150, 20
-#: An array that misses more pairs than this, while it is completed, is given up: more rows are quicker than more search.
+#: An array that misses more pairs than this is given up: more rows are quicker than more search.
 _GIVEN_UP = 2
 #: How many moves at least a cell may not go back to the symbol that it had.
 _TENURE = 4
