@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -56,7 +55,7 @@ def run_cells(model: RunTableModel, run_id: str, combination: Mapping[str, objec
     return [*cells, str(repetition) if repetition else "warm-up"] if model.repetitions > 1 else cells
 
 
-#: A table of more runs than this is abbreviated on a terminal.
+#: Of a table of more runs than this, the first and the last ones are shown.
 _LONG = 40
 _FIRST, _LAST = 20, 5
 
@@ -64,21 +63,27 @@ _FIRST, _LAST = 20, 5
 def print_runs(
     console: UserConsole, model: RunTableModel, runs: Sequence[PlannedRun], *, shows_all: bool = False
 ) -> None:
-    """Print planned runs as a table; a long one is abbreviated on a terminal, where not all are asked for."""
-    is_abbreviated = sys.stdout.isatty() and not shows_all and len(runs) > _LONG
-    columns = [*run_columns(model, max((run.run_id for run in runs), key=len)), *_mark_columns(model, runs)]
+    """Print planned runs as a table; of a long one its head and its tail, where not all runs are asked for."""
+    is_abbreviated = not shows_all and len(runs) > _LONG
+    head, tail = (runs[:_FIRST], runs[-_LAST:]) if is_abbreviated else (runs, ())
+    longest = max((run.run_id for run in (*head, *tail)), key=len)
+    columns = [*run_columns(model, longest), *_mark_columns(model, runs)]
     shown = columns[: fitting(columns, console.width)]
     console.print(aligned(shown, [column.heading for column in columns]), style="bold", soft_wrap=True)
-    for run in runs[:_FIRST] if is_abbreviated else runs:
+    for run in head:
         print(aligned(shown, _cells(run, model)))
     if is_abbreviated:
         left_out = len(runs) - _FIRST - _LAST
         console.print(f"… {counted(left_out, 'run')} left out: --all shows them …", style="dim")
-        for run in runs[-_LAST:]:
-            print(aligned(shown, _cells(run, model)))
+    for run in tail:
+        print(aligned(shown, _cells(run, model)))
     if len(shown) < len(columns):
-        names = ", ".join(column.heading for column in columns[len(shown) :])
+        names = listed((column.heading for column in columns[len(shown) :]), _MOST_NAMES)
         console.print(f"No room for: {names}. A wider terminal shows them, and so does --json.", style="dim")
+
+
+#: As many factors or measures are named in one line.
+_MOST_NAMES = 12
 
 
 def _mark_columns(model: RunTableModel, runs: Sequence[PlannedRun]) -> list[Column]:
@@ -171,7 +176,7 @@ def later_orders_in_words(model: RunTableModel) -> list[str]:
 
 def measures_in_words(columns: MeasureColumns) -> str:
     """Return the measure columns of the run table with their units."""
-    return ", ".join(_with_unit(column) for column in columns.in_table) or "none"
+    return listed(map(_with_unit, columns.in_table), _MOST_NAMES) or "none"
 
 
 def _with_unit(column: MeasureColumn) -> str:

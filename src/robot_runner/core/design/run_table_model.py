@@ -210,6 +210,46 @@ class RunTableModel:
             raise DesignError.of_findings(exclusions.errors) from exclusions.cause
         return exclusions.kept
 
+    def repeated(self, repetitions: int) -> RunTableModel:
+        """Return the same plan with another number of repetitions, as a study is planned that has not begun.
+
+        Raises:
+            DesignError: the design cannot have so many.
+        """
+        return self.designed(self.design, repetitions=repetitions)
+
+    def designed(
+        self,
+        design: Design | CombinationDesign,
+        *,
+        repetitions: int | None = None,
+        more: Sequence[Factor] = (),
+        blocks: str | None = None,
+    ) -> RunTableModel:
+        """Return what another design makes of the same factors and exclusions.
+
+        Args:
+            design: chooses the combinations, or the runs.
+            repetitions: how often each combination is executed; None for as often as here.
+            more: factors that the design takes besides, such as whole plots; they come first.
+            blocks: what runs are kept together by; None for what it is here, where the design leaves that open.
+
+        Raises:
+            DesignError: the design cannot be.
+        """
+        chosen = blocks or (self.blocks if isinstance(design, CombinationDesign) else None)
+        count = self.repetitions if repetitions is None else repetitions
+        return RunTableModel(
+            (*more, *self.factors),
+            self._exclusions,
+            count,
+            self.data_columns,
+            self.shuffle,
+            self.seed,
+            chosen if chosen != REPETITION or count > 1 else None,
+            design=design,
+        )
+
     def create_experiment_run_table(self) -> RunTable:
         """Make the run table in the present order (the paper's call; returning the model itself does the same)."""
         return self.plan()
