@@ -12,7 +12,7 @@ from tests.page.conftest import executed, wait_until
 from robot_runner.core.storage.journal import read_journal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from tests.headless_browser import Browser
@@ -29,6 +29,13 @@ STEP = """\
         )
     ]
 """
+
+
+@pytest.fixture(autouse=True)
+def _leave_the_page(browser: Browser) -> Iterator[None]:
+    """Leave the page after a test, as it would go on asking a server that has ended."""
+    yield
+    browser.open("about:blank")
 
 
 def text(browser: Browser, selector: str) -> str:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 SOURCE = Path(__file__).parents[2] / "src" / "robot_runner"
 #: What reads or writes experiment folders. Plugins write into a run's new folder, which `RunContext` made.
-PACKAGES = ("core/storage", "core/execution", "core/events", "core/config", "core/sampling", "analysis", "replication")
+PACKAGES = ("core/storage", "core/execution", "core/events", "core/config", "core/sampling", "analysis", "page", "replication")
 OPENERS = {"read_text", "write_text", "read_bytes", "write_bytes", "touch"}
 COPIERS = {"copyfile", "copy", "copy2", "copytree"}
 READERS = {"read_csv", "open_csv", "read_parquet", "scan_csv"}
