@@ -95,7 +95,7 @@ class ServedPage:
         connection.request("GET", "/api/events", headers={"Authorization": f"Bearer {self.key()}"})
         stream = connection.getresponse()
         try:
-            while not (line := stream.readline()).startswith(b'data: [') or line.strip() == b"data: []":
+            while not (line := stream.readline()).startswith(b"data: [") or line.strip() == b"data: []":
                 assert line, "the stream has ended"
         finally:
             connection.close()
@@ -123,7 +123,12 @@ def executed(config: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
     """Execute a config in a process of its own, with nobody at its terminal."""
     command = [PROGRAM, "run", str(config), *words]
     with subprocess.Popen(
-        command, cwd=config.parent, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        command,
+        cwd=config.parent,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     ) as process:
         try:
             yield process

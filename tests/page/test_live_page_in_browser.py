@@ -101,7 +101,9 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
         # A run that is chosen shows its samples, and its way.
         browser.press("button.run[data-run=r_1]")
         browser.wait_for(seen("#curves", "Samples of r_1"))
-        browser.wait_for("document.querySelectorAll('#plots canvas').length >= 2 && document.querySelector('#map .way')")
+        browser.wait_for(
+            "document.querySelectorAll('#plots canvas').length >= 2 && document.querySelector('#map .way')"
+        )
     steps = list(read_journal(root / "journal.jsonl", kinds={"operator_step"}))
     assert [each["answers"] for each in steps] == [{"voltage": 11.8, "dock": "A"}, {"voltage": 11.2, "dock": "B"}]
     assert {"paused", "continued"} <= {each["kind"] for each in read_journal(root / "journal.jsonl")}
@@ -164,7 +166,9 @@ def make_large(root: Path, runs: int) -> None:
     (root / "manifest.json").write_text(json.dumps({"format": 1, "experiment_name": "large", "design": {}, "seed": 1}))
     fields = [("run_id", "progress", "string"), ("status", "progress", "string"), ("Task", "factor", "string")]
     fields += [("Energy", "measure", "number")]
-    schema = {"fields": [{"name": n, "type": t, "robot_runner:role": r, "robot_runner:owner": ""} for n, r, t in fields]}
+    schema = {
+        "fields": [{"name": n, "type": t, "robot_runner:role": r, "robot_runner:owner": ""} for n, r, t in fields]
+    }
     (root / "run_table.schema.json").write_text(json.dumps(schema))
     lines = [f"r_{place + 1},Done,{'ABC'[place % 3]},{700 + place % 7}" for place in range(runs)]
     (root / "run_table.csv").write_text("\n".join(["run_id,status,Task,Energy", *lines]) + "\n")
@@ -173,7 +177,10 @@ def make_large(root: Path, runs: int) -> None:
 
 
 def test_10000_runs_are_shown_soon_and_scrolled_smoothly(
-    browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path, record_property: Callable[[str, object], None]
+    browser: Browser,
+    serve_page: Callable[..., ServedPage],
+    tmp_path: Path,
+    record_property: Callable[[str, object], None],
 ) -> None:
     make_large(tmp_path / "large", 10_000)
     page = serve_page(tmp_path / "large")
@@ -195,9 +202,7 @@ def test_10000_runs_are_shown_soon_and_scrolled_smoothly(
 HOSTILE = "<img src=x onerror=alert(1)>\"'</script>"
 
 
-def test_hostile_names_are_text(
-    browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path
-) -> None:
+def test_hostile_names_are_text(browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
     root = tmp_path / "<b onclick=alert(1)>x"
     make_large(root, 3)
     manifest = json.loads((root / "manifest.json").read_text()) | {"experiment_name": HOSTILE + "\x1b[2J\u202egnp"}
@@ -206,7 +211,7 @@ def test_hostile_names_are_text(
     (root / "run_table.csv").write_text(table)
     finding = {"kind": "finding", "run": HOSTILE, "owner": HOSTILE, "problem": HOSTILE, "fix": HOSTILE}
     with (root / "journal.jsonl").open("a") as file:
-        file.write(json.dumps(finding, separators=(",", ":")) + "\n{\"kind\":\"event\",\"at\":5}\nnot json\n")
+        file.write(json.dumps(finding, separators=(",", ":")) + '\n{"kind":"event","at":5}\nnot json\n')
     (root / "report").mkdir()
     (root / "report" / "report.html").write_text(
         "<title>r</title><script>try { document.title = document.cookie || 'none' } catch (e) { document.title = 'shut' }"
@@ -269,8 +274,13 @@ def test_it_is_legible_and_can_be_used_by_keyboard(
             reached.append(browser.evaluate("document.activeElement.id || document.activeElement.dataset.run || ''"))
             if reached[-1] == "r_2":
                 break
-        assert ["share", "scheme", "status", "search", "follow", "r_1"] == [
-            each for each in reached if re.fullmatch("share|scheme|status|search|follow|r_1", each)
+        assert [each for each in reached if re.fullmatch("share|scheme|status|search|follow|r_1", each)] == [
+            "share",
+            "scheme",
+            "status",
+            "search",
+            "follow",
+            "r_1",
         ]
         browser.key("Enter", 13)
         browser.wait_for(seen("#curves", "Samples of r_2"))

@@ -41,7 +41,15 @@ def one(page: ServedPage) -> str:
 
 
 def test_without_a_key_nothing_of_an_experiment_is_told(page: ServedPage, one: str) -> None:
-    paths = ["/api/about", "/api/events", "/metrics", f"{one}/events", f"{one}/rows", f"{one}/curves/r_1", f"{one}/report"]
+    paths = [
+        "/api/about",
+        "/api/events",
+        "/metrics",
+        f"{one}/events",
+        f"{one}/rows",
+        f"{one}/curves/r_1",
+        f"{one}/report",
+    ]
     for key in (None, "Guessed"):
         page.links["Guessed"] = "#key=0123456789abcdef0123456789abcdef"
         assert {path: page.ask(path, key=key).status for path in paths} == dict.fromkeys(paths, 401)
@@ -80,7 +88,9 @@ def test_other_sites_and_names_are_refused(page: ServedPage, one: str) -> None:
     assert page.ask(f"{one}/rows", Origin="http://evil.example").status == 403
     assert page.act(f"{one}/pause", {}, Origin="http://evil.example").status == 403
     assert page.act(f"{one}/pause", {}, Origin="null").status == 403
-    assert page.ask(f"{one}/pause", method="POST", body={}, X_Robot_Runner="1").status == 403  # says not where it is from
+    assert (
+        page.ask(f"{one}/pause", method="POST", body={}, X_Robot_Runner="1").status == 403
+    )  # says not where it is from
     assert page.ask(f"{one}/pause", method="POST", body={}, Origin=f"http://{own}").status == 403  # as a form would
     assert page.act(f"{one}/pause", {"a": "x" * 70_000}).status == 413
     assert page.act(f"{one}/pause", ["no object"]).status == 400
@@ -93,7 +103,9 @@ def test_every_answer_forbids_what_the_page_does_not_need(page: ServedPage, one:
         assert "default-src 'none'" in policy
         assert "unsafe" not in policy
         assert (headers["x-content-type-options"], headers["referrer-policy"]) == ("nosniff", "no-referrer")
-    assert [page.ask(f"/assets/{name}").status for name in ("..%2fpage_server.py", "page_server.py", "page.html")] == [404] * 3
+    assert [page.ask(f"/assets/{name}").status for name in ("..%2fpage_server.py", "page_server.py", "page.html")] == [
+        404
+    ] * 3
     assert page.ask("/api/experiments/..%2f..%2fetc/rows").status == 404
     assert page.ask(f"{one}/curves/..%2f..%2f..%2fetc").status == 404
     assert page.ask(f"{one}/curves/..").json in ([], {"problem": "Not Found"})
@@ -119,7 +131,7 @@ def test_prometheus_gets_figures(page: ServedPage) -> None:
     labels = 'experiment="basic_experiment",folder="lab/basic_experiment"'
     assert f'robot_runner_runs{{{labels},status="done"}} 15\n' in told
     assert f'robot_runner_state{{{labels},state="done"}} 1\n' in told
-    assert all(re.fullmatch(r'#.*|\w+(\{.*\})? -?[\d.e+]+', line) for line in told.splitlines())
+    assert all(re.fullmatch(r"#.*|\w+(\{.*\})? -?[\d.e+]+", line) for line in told.splitlines())
 
 
 def test_it_sees_what_is_recorded_within_a_second_and_ends_without_a_trace(
@@ -173,7 +185,9 @@ def test_a_port_in_use_and_a_missing_extra_are_said(tmp_path: Path) -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = str(taken.getsockname()[1])
-        answer = subprocess.run([PROGRAM, "watch", "--port", port], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+        answer = subprocess.run(
+            [PROGRAM, "watch", "--port", port], cwd=tmp_path, capture_output=True, text=True, timeout=60
+        )
     assert (answer.returncode, f"port {port} is in use" in answer.stderr) == (2, True)
     (tmp_path / "uvicorn.py").write_text("raise ImportError('gone', name='uvicorn')")
     lacking = {**os.environ, "PYTHONPATH": str(tmp_path)}

@@ -78,7 +78,7 @@ def test_a_polled_meter_and_this_computer_are_seen_while_a_run_lasts(
     assert (run / "Fan" / "samples.csv").exists()
 
 
-HEAD = '''\
+HEAD = """\
 import time
 from pathlib import Path
 from robot_runner import *
@@ -108,8 +108,8 @@ class Fan(PolledProfiler[float]):
 class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "trial"
     results_output_path = Path("results")
-'''
-TABLE = '''\
+"""
+TABLE = """\
     def create_run_table(self):
         return RunTableModel([Factor("Task", ["A", "B"])], data_columns=["CPU"])
-'''
+"""

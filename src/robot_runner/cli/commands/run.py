@@ -6,14 +6,13 @@ Runs that are done are not executed again. Exit code 0: all runs are done; 1: so
 
 from __future__ import annotations
 
-import shlex
 import sys
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cli.console import no_byte_code, output, print_json
+from robot_runner.cli.console import command_line, no_byte_code, output, print_json
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
@@ -132,7 +131,7 @@ def _executed(arguments: Namespace) -> tuple[int, dict[str, Any]]:
     with _page(arguments, preparation.experiment):
         execution = _execution(arguments, preparation.experiment, preparation.findings)
     settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
-    command = shlex.join(["robot-runner", arguments.config, *settings])
+    command = command_line(arguments.config, *settings)
     with read_or_not():
         if execution.finished:
             print_outcome(output(), execution.finished, execution.progress, command=command)
