@@ -176,7 +176,9 @@ def test_it_sees_what_is_recorded_within_a_second_and_ends_without_a_trace(
     ],
 )
 def test_what_is_wrong_is_said(words: list[str], problem: str, tmp_path: Path) -> None:
-    answer = subprocess.run([PROGRAM, "watch", *words], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    answer = subprocess.run(
+        [PROGRAM, "watch", *words], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
     assert (answer.returncode, problem in answer.stderr, "fix:" in answer.stderr) == (2, True, True)
 
 
@@ -186,12 +188,14 @@ def test_a_port_in_use_and_a_missing_extra_are_said(tmp_path: Path) -> None:
         taken.listen()
         port = str(taken.getsockname()[1])
         answer = subprocess.run(
-            [PROGRAM, "watch", "--port", port], cwd=tmp_path, capture_output=True, text=True, timeout=60
+            [PROGRAM, "watch", "--port", port], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
         )
     assert (answer.returncode, f"port {port} is in use" in answer.stderr) == (2, True)
     (tmp_path / "uvicorn.py").write_text("raise ImportError('gone', name='uvicorn')")
     lacking = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    answer = subprocess.run([PROGRAM, "watch"], cwd=tmp_path, env=lacking, capture_output=True, text=True, timeout=60)
+    answer = subprocess.run(
+        [PROGRAM, "watch"], cwd=tmp_path, env=lacking, capture_output=True, text=True, timeout=60, check=False
+    )
     assert (answer.returncode, "robot-runner[page]" in answer.stderr) == (2, True)
 
 
@@ -201,7 +205,7 @@ def test_a_page_beside_an_execution_ends_with_it(write_config: Callable[..., Pat
     config = write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
     port = claim_port()
     command = [PROGRAM, "run", str(config), "--page-at", f"127.0.0.1:{port}"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
     assert (done.returncode, done.stdout.startswith("Live page of results/trial\n")) == (0, True)
     assert f"http://127.0.0.1:{port}/#key=" in done.stdout
     with socket.socket() as probe:
@@ -210,7 +214,9 @@ def test_a_page_beside_an_execution_ends_with_it(write_config: Callable[..., Pat
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", port))
         taken.listen()
-        refused = subprocess.run([*command, "--redo", "r_1"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+        refused = subprocess.run(
+            [*command, "--redo", "r_1"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+        )
     assert (refused.returncode, f"port {port} is in use" in refused.stderr) == (2, True)
     kinds = [each["kind"] for each in read_journal(tmp_path / "results" / "trial" / "journal.jsonl")]
     assert kinds.count("experiment_started") == 1, "it was executed without its page"
