@@ -11,7 +11,10 @@ if TYPE_CHECKING:
 
 SOURCE = Path(__file__).parents[2] / "src" / "robot_runner"
 #: What reads or writes experiment folders. Plugins write into a run's new folder, which `RunContext` made.
-PACKAGES = ("core/storage", "core/execution", "core/events", "core/config", "core/sampling", "analysis", "replication")
+PACKAGES = (
+    *("core/storage", "core/execution", "core/events", "core/config", "core/sampling"),
+    *("adaptive", "analysis", "designs", "meters/power_model", "page", "replication"),
+)
 OPENERS = {"read_text", "write_text", "read_bytes", "write_bytes", "touch"}
 COPIERS = {"copyfile", "copy", "copy2", "copytree"}
 READERS = {"read_csv", "open_csv", "read_parquet", "scan_csv"}
@@ -23,7 +26,7 @@ OTHERS: dict[str, str] = {
             "core/storage/guarded_files.py: _beside",
             "core/storage/guarded_files.py: _opened",
             "core/storage/guarded_files.py: _open_regular",
-            "core/storage/guarded_paths.py: folder_inside",
+            "core/storage/guarded_paths.py: open_folder",
             "core/storage/system_refusals.py: fsync_folder",
         ),
         "what the system tells of itself: /proc, /sys, installed packages": (
@@ -68,6 +71,7 @@ OTHERS: dict[str, str] = {
             "analysis/commands/preregister.py: _power",
             "analysis/importing/description.py: read_description",
             "analysis/plan_file.py: read_plan",
+            "meters/power_model/linear_power_model.py: read_model",
             "analysis/planning/assumed_values.py: means_file",
             "replication/signatures.py: sign",
             "replication/signatures.py: _name",
@@ -84,8 +88,9 @@ OTHERS: dict[str, str] = {
         "a run's new folder, which its context made": (
             "core/sampling/meter_process.py: __init__",
             "core/sampling/meter_process.py: _take",
+            "meters/power_model/power_model.py: _keep",
         ),
-        "part of Robot Runner": ("analysis/report/rendering.py: _asset",),
+        "part of Robot Runner": ("analysis/report/rendering.py: _asset", "page/page_server.py: _asset"),
         "a package that the user names, or a new folder or file made of it": (
             "replication/opening.py: _write",
             "replication/opening.py: _header_faults",

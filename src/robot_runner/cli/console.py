@@ -45,6 +45,7 @@ __all__ = [
     "print_folded",
     "print_json",
     "quiet_loading",
+    "shortened",
     "shown_path",
     "width_of",
 ]
@@ -217,6 +218,8 @@ def folded(text: str, width: int) -> list[str]:
 
 _GAP = "  "
 _WIDEST = 28
+#: Of one treatment or measure in a sentence, in cells.
+_LONGEST = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,8 +261,16 @@ def aligned(columns: Sequence[Column], cells: Sequence[str]) -> str:
     return _GAP.join(parts).rstrip()
 
 
+def shortened(text: str, width: int = _LONGEST) -> str:
+    """Return a text that takes at most so many cells of a terminal; what is left out becomes `…`.
+
+    Example:
+        >>> shortened("a wide treatment", 7)
+        'a wide…'
+    """
+    return text if cell_len(text) <= width else set_cell_size(text, width - 1) + "…"
+
+
 def _placed(column: Column, cell: str) -> str:
-    length = cell_len(cell)
-    if length > column.width:
-        return set_cell_size(cell, column.width - 1) + "…"
-    return f"{' ' * (column.width - length)}{cell}" if column.is_number else set_cell_size(cell, column.width)
+    cell = shortened(cell, column.width)
+    return f"{' ' * (column.width - cell_len(cell))}{cell}" if column.is_number else set_cell_size(cell, column.width)

@@ -1,4 +1,4 @@
-"""The roles that factors have in a design: some are blocks of a kind (a day, a robot, a period), the others are studied."""
+"""The roles of factors in a design: some are blocks of a kind (a day, a robot, a period), the others are studied."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Roles", "factor_name", "refused", "role_findings", "shuffled", "text
 
 
 def factor_name(given: Any) -> Any:
-    """Return the name of a factor that was given by its name or itself; whatever else was given is returned as it is."""
+    """Return the name of a factor that was given by it or itself; whatever else was given is returned as it is."""
     return given.name if isinstance(given, Factor) else given
 
 

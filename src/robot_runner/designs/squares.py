@@ -193,7 +193,7 @@ def _refuse_number(design: str, roles: Roles, count: int, order: int) -> None:
 
 
 def _mixed(squares: Sequence[Square], seed: int | None, number: int) -> list[Square]:
-    """Return squares whose rows and columns are put in another order: the same for all, so that they stay orthogonal."""
+    """Return squares with their rows and columns in another order: the same for all, so that they stay orthogonal."""
     order = range(len(squares[0]))
     rows, columns = shuffled(order, seed, "rows", number), shuffled(order, seed, "columns", number)
     return [tuple(tuple(square[row][column] for column in columns) for row in rows) for square in squares]

@@ -42,7 +42,7 @@ class MeansSoFar:
         """Group the runs anew: the table was read again."""
         self._cells.clear()
         factors = [place for place, name in enumerate(self._table.factors) if name.casefold() != "repetition"]
-        groupings = [(self._table.factors[place], (place,)) for place in factors]
+        groupings: list[tuple[str, tuple[int, ...]]] = [(self._table.factors[place], (place,)) for place in factors]
         if len(factors) > 1:
             groupings.append((_COMBINATION, tuple(factors)))
         self._known = {places: {} for _, places in groupings}

@@ -1,4 +1,4 @@
-"""What a person does from a page: go on with answers, pause, take it back, stop. All that a page ever writes is here."""
+"""What a person does from a page: answer and go on, pause, take it back, stop. Nothing else of a page ever writes."""
 
 from __future__ import annotations
 

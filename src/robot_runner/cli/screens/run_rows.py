@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rich.cells import cell_len
 from rich.text import Text
 
-from robot_runner.cli.console import Column, aligned, fitting
+from robot_runner.cli.console import Column, aligned, fitting, shortened, width_of
 from robot_runner.cli.design_words import run_cells, run_columns
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
 from robot_runner.core.events.measure import Quality
@@ -45,12 +44,12 @@ def shown_measure(published: PublishedMeasure | None) -> str:
     """Return a value in four significant digits, with a question mark where it is doubtful; a missing one as a dash."""
     if published is None:
         return shown_value(None)
-    return shown_value(published.value) + ("?" if published.quality is Quality.DOUBTFUL else "")
+    return shortened(shown_value(published.value)) + ("?" if published.quality is Quality.DOUBTFUL else "")
 
 
 def treatments_in_words(task: RunTask | WaitingForUser, model: RunTableModel) -> str:
     """Return what a run varies, as `Task=Video, Repetition=3`."""
-    parts = [f"{name}={shown_treatment(treatment)}" for name, treatment in task.combination.items()]
+    parts = [f"{name}={shortened(shown_treatment(treatment))}" for name, treatment in task.combination.items()]
     if task.repetition == 0:
         parts.append("warm-up")
     elif model.repetitions > 1:
@@ -72,7 +71,7 @@ class RunRows:
         self._measures = tuple(measures)
         self._what = run_columns(experiment.model, numbered_run_id(run_count))
         headings = [heading_of(name, unit) for name, unit in measures.items()]
-        self._yields = [Column(heading, max(_MEASURE, cell_len(heading)), is_number=True) for heading in headings]
+        self._yields = [Column(heading, max(_MEASURE, width_of([heading])), is_number=True) for heading in headings]
         self._yields.append(Column("took", _TOOK, is_number=True))
 
     def header(self, width: int) -> Text:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,7 @@ from robot_runner.core.errors import AnalysisError
 from robot_runner.core.events.window import Window
 from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
 from robot_runner.core.sampling.series import Series, energy
+from robot_runner.core.storage.guarded_files import MissingFileError, read_json
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.linear_power_model import FitReport, LinearModel, check_terms, term_value
@@ -124,12 +124,12 @@ def _read_quality(path: Path) -> dict[str, Any]:
     """Return what the meter said of its samples; refuse those that do not cover the window."""
     fix = "Name another plugin that measures power, or execute the experiment with one."
     try:
-        quality: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        quality: dict[str, Any] = read_json(path)
         coverage = quality["samples"]["coverage"] if quality["window"] else 0.0
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        problem = (
-            "there is no such file" if isinstance(error, OSError) else f"the file tells of no measured window: {error}"
-        )
+    except MissingFileError as error:
+        raise AnalysisError("there is no such file", where=str(path), fix=fix) from error
+    except (KeyError, TypeError) as error:
+        problem = f"the file tells of no measured window: {error}"
         raise AnalysisError(problem, where=str(path), fix=fix) from error
     if coverage < MINIMUM_COVERAGE:
         problem = f"the power samples cover {coverage:.0f} % of the measured window"

@@ -6,6 +6,7 @@ import csv
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import AnalysisError
+from robot_runner.core.storage.guarded_files import MissingFileError, open_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,9 +22,9 @@ def heading_of(path: Path) -> list[str]:
         AnalysisError: the file is not there.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with open_text(path) as file:
             return next(csv.reader(file), [])
-    except FileNotFoundError as error:
+    except MissingFileError as error:
         raise _not_there(path) from error
 
 
@@ -49,11 +50,11 @@ def rows_of(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
         AnalysisError: the file is not there, or lacks one of them.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with open_text(path) as file:
             reader = csv.DictReader(file)
             missing = [column for column in columns if column not in (reader.fieldnames or ())]
             rows = list(reader)
-    except FileNotFoundError as error:
+    except MissingFileError as error:
         raise _not_there(path) from error
     if missing:
         fix = "Name a plugin whose raw data hold it."
