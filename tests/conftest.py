@@ -106,6 +106,14 @@ def written_config(
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _environment_is_active() -> Iterator[None]:
+    """Have the program found by its name, as in a shell in which the environment was activated."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PATH", f"{Path(PROGRAM).parent}{os.pathsep}{os.environ['PATH']}")
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _claims_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep what experiments claim on this machine apart from those of other processes that execute tests."""
     with pytest.MonkeyPatch.context() as patch:

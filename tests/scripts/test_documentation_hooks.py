@@ -1,4 +1,4 @@
-"""Tables of the documentation look the same on GitHub and on the built pages, and each page says of which version it is."""
+"""Tables of the documentation look the same on GitHub and on the built pages, which say of which version they are."""
 
 from __future__ import annotations
 
