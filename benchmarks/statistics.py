@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from benchmarks.designed_nulls import DESIGNED_NULLS
 from benchmarks.interval_coverage import COVERED
 from benchmarks.null_designs import NULL_DESIGNS, NullDesign
 from benchmarks.power_comparison import COMPARED
@@ -60,6 +61,7 @@ def main(arguments: list[str] | None = None) -> int:
     false_positives = [partial(_false_positives, design) for design in NULL_DESIGNS]
     parts: list[tuple[str, Sequence[Judge]]] = [
         (f"False positives at 5 % ({count:,} experiments a design)", false_positives),
+        ("False positives of designs of their own, at 5 %", DESIGNED_NULLS),
         ("Coverage of intervals", COVERED),
         ("Power, and what it lacks to the best test beside it", COMPARED),
     ]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
+import shutil
 import sys
 import textwrap
 from contextlib import contextmanager, redirect_stdout
@@ -31,10 +33,12 @@ __all__ = [
     "Column",
     "UserConsole",
     "aligned",
+    "command_line",
     "complaints",
     "fitting",
     "folded",
     "is_live_terminal",
+    "is_on_path",
     "no_byte_code",
     "output",
     "print_facts",
@@ -51,6 +55,7 @@ __all__ = [
 
 #: Wide enough that nothing is folded where nobody looks at a screen.
 _UNLIMITED = 100_000
+_PROGRAM = "robot-runner"
 
 
 class UserConsole(Console):
@@ -136,6 +141,26 @@ def shown_path(path: Path) -> str:
     except (ValueError, OSError):
         return str(path)
     return str(relative)
+
+
+def command_line(*words: str) -> str:
+    """Return a command of ours as it works when it is pasted into this shell, wherever the program was installed.
+
+    Example:
+        >>> command_line("check", "my study.py")
+        "robot-runner check 'my study.py'"
+    """
+    program = Path(sys.argv[0])
+    if program.parts[-2:] == ("robot_runner", "__main__.py"):
+        return shlex.join([sys.executable, "-m", "robot_runner", *words])
+    is_found = program.name != _PROGRAM or is_on_path()
+    return shlex.join([_PROGRAM if is_found else shown_path(program.absolute()), *words])
+
+
+def is_on_path() -> bool:
+    """Whether a shell that is given the program's name finds the program that is being executed."""
+    found = shutil.which(_PROGRAM)
+    return found is not None and Path(found).resolve() == Path(sys.argv[0]).resolve()
 
 
 @contextmanager

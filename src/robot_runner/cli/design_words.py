@@ -112,16 +112,17 @@ def in_words(model: RunTableModel) -> str:
         >>> in_words(RunTableModel([Factor("Task", ["Video", "Network"]), Factor("Speed", [1])], repetitions=3))
         '6 runs: Task (2) x Speed (1) x 3 repetitions'
     """
-    parts = [f"{factor.name} ({len(factor.treatments):,})" for factor in model.factors]
+    parts = [f"{factor.name} ({_treatments_in_words(factor)})" for factor in model.factors]
     if isinstance(model, ListedRunTableModel):
         return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts) or 'nothing is varied'}"
     combinations = prod(len(factor.treatments) for factor in model.factors)
     runs = sum(not run.is_warm_up for run in model.plan())
     if not model.is_full_factorial and not model.is_extended:
         kind = str(model.design_facts["kind"]).replace("_", " ")
-        full = combinations * model.repetitions
-        return f"{counted(runs, 'run')}, {kind}; the full factorial has {full:,}: {' x '.join(parts)}"
-    if model.repetitions > 1:
+        has_ranges = any(factor.range is not None for factor in model.factors)
+        full = "" if has_ranges else f"; the full factorial has {combinations * model.repetitions:,}"
+        return f"{counted(runs, 'run')}, {kind}{full}: {' x '.join(parts)}"
+    if model.repetitions > 1 and not model.design_facts.get("decides"):  # then it varies from one to another
         parts.append(f"{model.repetitions:,} repetitions")
     if model.is_extended:
         sizes = enumerated(f"{len(batch.run_ids):,}" for batch in model.batches)
@@ -129,6 +130,11 @@ def in_words(model: RunTableModel) -> str:
     excluded = combinations - runs // model.repetitions
     less = f", {counted(excluded, 'combination')} excluded" if excluded else ""
     return f"{counted(runs, 'run')}: {' x '.join(parts)}{less}"
+
+
+def _treatments_in_words(factor: Factor) -> str:
+    span = factor.range
+    return f"{len(factor.treatments):,}" if span is None else f"{span.lower} to {span.upper} {span.unit}".rstrip()
 
 
 def warm_ups_in_words(model: RunTableModel, runs: Sequence[PlannedRun]) -> str:

@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+import csv
+import json
+import shutil
+import subprocess
+from itertools import product
+from pathlib import Path
+
 import numpy as np
 import pytest
 from tests.analysis.statistics import designed_data as data
@@ -111,7 +118,7 @@ def test_lenth_is_as_published():
 
 def test_a_surface_has_coefficients_lack_of_fit_and_a_stationary_point():
     # Section 11.3 and table 11.7: 79.94 + 0.99 x1 + 0.52 x2 - 1.38 x1^2 - 1.00 x2^2 + 0.25 x1 x2.
-    facts = {"kind": "central_composite", "model": "quadratic", "coding": {"Time": [85, 5], "Temperature": [175, 5]}}
+    facts = {"kind": "central_composite", "model": "quadratic", "ranges": {"Time": [80, 90], "Temperature": [170, 180]}}
     found = analyse(designed(data.PROCESS, ["Time", "Temperature"], facts)).measure("y")
     surface = found.surface
     estimates = {each.label: each.estimate for each in surface.coefficients}
@@ -128,3 +135,98 @@ def test_a_surface_has_coefficients_lack_of_fit_and_a_stationary_point():
     assert float(surface.at(at)) == pytest.approx(surface.stationary.value)
     assert found.post_hoc == ()
     assert [effect.label for effect in found.test.effects] == ["Time", "Temperature", "Time x Temperature"]
+
+
+def with_effects(values):
+    """Values with noise of a fixed seed, and what each block adds."""
+    random = np.random.default_rng(11)
+    return [value + float(random.normal()) for value in values]
+
+
+def made_tables():
+    """Run tables by name: the columns, the facts, and the rows with a value."""
+    plots = [(f"r{r}", f"p{r}{h}", f"h{h}", f"e{e}") for r, h, e in product(range(4), range(3), range(3))]
+    of_plots = with_effects([2 * int(plot[1]) + int(plot[2]) + 0.8 * int(easy[1]) for _, plot, _, easy in plots])
+    square = [(f"r{r}", f"c{c}", f"t{(r + c) % 5}") for r, c in product(range(5), range(5))]
+    of_square = with_effects([int(r[1]) + 3 * int(c[1]) + 0.7 * int(t[1]) for r, c, t in square])
+    orders = ((0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1)) * 2
+    crossed = [(f"s{s}", f"{p + 1}", f"t{t}") for s, order in enumerate(orders) for p, t in enumerate(order)]
+    of_crossed = with_effects([2 * int(s[1]) + int(p) + 0.6 * int(t[1]) for s, p, t in crossed])
+    fano = ((0, 1, 3), (1, 2, 4), (2, 3, 5), (3, 4, 6), (4, 5, 0), (5, 6, 1), (6, 0, 2))
+    held = [(f"b{b}", f"t{t}") for b, each in enumerate(fano) for t in each]
+    single = [
+        tuple(f"{name}{level}" for name, level in zip("ABC", levels, strict=True))
+        for levels in ((0, 0, 0), (1, 1, 0), (2, 0, 1), (0, 1, 1), (1, 0, 1), (2, 1, 0), (0, 1, 0))
+    ]
+    points = [
+        (0.1, 5.0),
+        (0.1, 9.0),
+        (0.3, 5.0),
+        (0.3, 9.0),
+        (0.2, 7.0),
+        (0.2, 7.0),
+        (0.3, 7.0),
+        (0.1, 7.0),
+        (0.2, 5.0),
+        (0.2, 9.0),
+    ]
+    plot_facts = {"kind": "split_plot", "whole_plot": "Plot"}
+    crossing = {"kind": "crossover", "subject": "Subject", "period": "Period"}
+    return {
+        "split_plot": ([*"RPHE"], plot_facts, plots, of_plots),
+        "split_plot_in_replicates": ([], plot_facts | {"replicate": "Replicate"}, plots, of_plots),
+        "latin_squares": (
+            ["Row", "Column", "Treatment"],
+            {"kind": "latin_square", "row": "Row", "column": "Column"},
+            square,
+            of_square,
+        ),
+        "crossover": (["Subject", "Period", "Treatment"], crossing, crossed, of_crossed),
+        "crossover_washed_out": (["Subject", "Period", "Treatment"], crossing | {"washout": True}, crossed, of_crossed),
+        "incomplete": (
+            ["Block", "Treatment"],
+            {"kind": "blocks", "block": ["Block"]},
+            held,
+            with_effects([3 * int(b[1]) + 0.5 * int(t[1]) for b, t in held]),
+        ),
+        "single_runs": (
+            [*"ABC"],
+            {"kind": "d_optimal", "model": "main"},
+            single,
+            with_effects([2 * int(a[1]) + int(c[1]) for a, _, c in single]),
+        ),
+        "surface": (
+            ["X", "Y"],
+            {"kind": "central_composite", "model": "quadratic"},
+            points,
+            with_effects([30 * (x - 0.22) ** 2 + y for x, y in points]),
+        ),
+    }
+
+
+@pytest.mark.skipif(shutil.which("Rscript") is None, reason="R is not installed (Debian: apt install r-base-core)")
+def test_all_designs_are_analysed_as_r_does(tmp_path):
+    ours = {}
+    for name, (names, facts, rows, values) in made_tables().items():
+        names = ["Replicate", "Plot", "Hard", "Easy"] if name.startswith("split_plot") else names
+        if name == "split_plot":
+            rows, names = [row[1:] for row in rows], names[1:]
+        lines = [[*row, value] for row, value in zip(rows, values, strict=True)]
+        table = [dict(zip([*names, "y"], line, strict=True)) for line in lines]
+        if name == "crossover":
+            for one, row in zip([None, *table], table, strict=False):
+                row["Before"] = one["Treatment"] if one and one["Subject"] == row["Subject"] else ""
+        with (tmp_path / f"{name}.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(table[0]))
+            writer.writeheader()
+            writer.writerows(table)
+        for effect in effects_of(designed(lines, names, facts))[0].effects:
+            ours[name, ":".join(effect.factors)] = (*figures(effect), effect.p_value)
+    script = Path(__file__).with_name("designs_in_r.R")
+    done = subprocess.run(
+        ["Rscript", str(script), str(tmp_path)], capture_output=True, text=True, check=True, timeout=60
+    )
+    theirs = {(each["design"], each["effect"]): each["figures"] for each in map(json.loads, done.stdout.splitlines())}
+    assert len(theirs) == 15
+    for which, expected in theirs.items():
+        assert ours[which] == pytest.approx(expected, rel=1e-6), which

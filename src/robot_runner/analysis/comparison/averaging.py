@@ -35,14 +35,12 @@ from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
+    from robot_runner.analysis.statistics.tests import AnyModel
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.analysis.comparison.harmonising import MeasureChoice
-    from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
-    from robot_runner.analysis.statistics.cell_means import CellMeans
     from robot_runner.analysis.statistics.design import MeasureData
-    from robot_runner.analysis.statistics.linear_model import FittedModel
 
 __all__ = ["meta_analyse"]
 
@@ -111,7 +109,7 @@ class _Estimated(NamedTuple):
 
     experiment: str
     data: MeasureData
-    model: CellMeans | FittedModel | AdjustedMeans
+    model: AnyModel
 
 
 class _Question(NamedTuple):

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.results import Results
 from robot_runner.analysis.run_frame import RunFrame
+from robot_runner.analysis.statistics.known_design import KnownDesign
 from robot_runner.core.design.columns import BATCH, REPETITION, RUN_ID, STATUS
+from robot_runner.core.design.design import CombinationDesign
 from robot_runner.core.design.factor import treatment_text
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import AnalysisError, did_you_mean
@@ -20,7 +23,7 @@ from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.storage.table_schema import ColumnDescription
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from typing import Self
 
     from robot_runner.core.design.analysis_plan import AnalysisPlan
@@ -37,6 +40,14 @@ _SEED = 20210525
 Cell = tuple[str, ...]
 
 
+class ArrangedRun(NamedTuple):
+    """A run of a study: its combination, its repetition, and the columns that are blocks."""
+
+    cell: Cell
+    repetition: int
+    blocks: Mapping[str, str]
+
+
 @dataclass(frozen=True, slots=True)
 class Study:
     """A design that can be repeated more or less often, and how it will be analysed.
@@ -51,6 +62,8 @@ class Study:
         plan: what is fixed for the analysis; None where nothing is.
         units: the measures of the run table, with their units.
         is_repeated: whether repetitions are added until measures are precise.
+        facts: what a design of its own says of its runs; empty for a full factorial.
+        arranged: the runs of a design of its own, by the number of repetitions; None for a full factorial.
     """
 
     name: str
@@ -62,6 +75,8 @@ class Study:
     plan: AnalysisPlan | None
     units: Mapping[str, str]
     is_repeated: bool = False
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    arranged: Callable[[int], tuple[ArrangedRun, ...]] | None = None
 
     @classmethod
     def of_model(cls, name: str, model: RunTableModel, plan: AnalysisPlan | None, units: Mapping[str, str]) -> Self:
@@ -75,16 +90,23 @@ class Study:
             fix = "Describe the design with factors and repetitions."
             raise AnalysisError("the runs are listed one by one", where=f"{name}.create_run_table", fix=fix)
         model.plan()
-        combinations = model.combinations_of(model.factors)
+        facts = {} if model.is_full_factorial else dict(model.design_facts)
+        studied = [factor for factor in model.factors if factor.name not in _block_columns(model)]
+        arranged = None if model.is_full_factorial else _arranged(model, [factor.name for factor in studied])
+        found = [each.values() for each in model.combinations_of(model.factors)]
         return cls(
             name,
-            {factor.name: tuple(factor.texts) for factor in model.factors},
-            tuple(tuple(map(treatment_text, each.values())) for each in combinations),
+            {factor.name: tuple(factor.texts) for factor in studied},
+            tuple(tuple(map(treatment_text, each)) for each in found)
+            if arranged is None
+            else tuple(dict.fromkeys(run.cell for run in arranged(model.repetitions))),
             model.blocks,
             model.shuffle,
             model.repetitions,
             plan,
             units,
+            facts=facts,
+            arranged=arranged,
         )
 
     @property
@@ -115,7 +137,7 @@ class Study:
 
     def runs(self, repetitions: int) -> int:
         """Return how many runs so many repetitions make."""
-        return repetitions * len(self.cells)
+        return repetitions * len(self.cells) if self.arranged is None else len(self.arranged(repetitions))
 
     def results(self, repetitions: int, values: Mapping[str, Any], first_batch: int | None = None) -> PlannedResults:
         """Return the results that the study would have after so many repetitions.
@@ -125,19 +147,24 @@ class Study:
             values: of each measure, one a run; runs come as written: all combinations, then all again.
             first_batch: how many repetitions were executed before the experiment was extended; None where it was not.
         """
-        rows = [(cell, number) for number in range(1, repetitions + 1) for cell in self.cells]
+        rows = self._rows(repetitions)
         count = len(rows)
         frame = {
             RUN_ID: pd.array([f"r_{place}" for place in range(1, count + 1)], dtype="str"),
             STATUS: pd.Categorical([RunStatus.DONE.value] * count, [RunStatus.DONE.value]),
         }
         for place, (name, texts) in enumerate(self.factors.items()):
-            frame[name] = pd.Categorical([cell[place] for cell, _ in rows], texts, ordered=True)
-        frame[REPETITION] = pd.array([number for _, number in rows], dtype="Int64")
-        roles = dict.fromkeys((RUN_ID, STATUS), ColumnRole.PROGRESS) | dict.fromkeys(self.factors, ColumnRole.FACTOR)
+            frame[name] = pd.Categorical([run.cell[place] for run in rows], texts, ordered=True)
+        block_columns = rows[0].blocks if rows else {}
+        for name in block_columns:
+            texts = tuple(dict.fromkeys(run.blocks[name] for run in rows))
+            frame[name] = pd.Categorical([run.blocks[name] for run in rows], texts, ordered=True)
+        frame[REPETITION] = pd.array([run.repetition for run in rows], dtype="Int64")
+        roles = dict.fromkeys((RUN_ID, STATUS), ColumnRole.PROGRESS)
+        roles |= dict.fromkeys((*self.factors, *block_columns), ColumnRole.FACTOR)
         roles[REPETITION] = ColumnRole.REPETITION
         if first_batch is not None:
-            frame[BATCH] = pd.array([1 + (number > first_batch) for _, number in rows], dtype="Int64")
+            frame[BATCH] = pd.array([1 + (run.repetition > first_batch) for run in rows], dtype="Int64")
             roles[BATCH] = ColumnRole.BATCH
         if self.plan is not None and self.plan.covariates:
             frame[_STAMP] = self._stamps(repetitions)
@@ -148,14 +175,15 @@ class Study:
         }
         manifest = {
             "experiment_name": self.name,
-            "design": {"blocks": self.blocks, "repetitions": repetitions},
+            "design": {"blocks": self.blocks, "repetitions": repetitions, "facts": self.facts or None},
             "analysis": self.plan.as_mapping() if self.plan is not None else None,
         }
         return PlannedResults(Path(), manifest, columns, table=pd.DataFrame({**frame, **values}))
 
     def _stamps(self, repetitions: int) -> pd.DatetimeIndex:
         """Return when each run is measured: a minute each, in an order that is randomised as the config says."""
-        sizes = [len(self.cells)] * repetitions if self.blocks == REPETITION else [self.runs(repetitions)]
+        is_by_repetition = self.blocks == REPETITION and self.arranged is None
+        sizes = [len(self.cells)] * repetitions if is_by_repetition else [self.runs(repetitions)]
         random = np.random.default_rng(_SEED)
         orders = [random.permutation(size) if self.shuffle else np.arange(size) for size in sizes]
         places = np.concatenate([number * len(order) + order for number, order in enumerate(orders)])
@@ -163,7 +191,47 @@ class Study:
 
     def cells_of(self, repetitions: int) -> Sequence[int]:
         """Return the number of each run's combination, in the order of `results`."""
-        return list(range(len(self.cells))) * repetitions
+        places = {cell: place for place, cell in enumerate(self.cells)}
+        return [places[run.cell] for run in self._rows(repetitions)]
+
+    def _rows(self, repetitions: int) -> Sequence[ArrangedRun]:
+        if self.arranged is not None:
+            return self.arranged(repetitions)
+        return [ArrangedRun(cell, number, {}) for number in range(1, repetitions + 1) for cell in self.cells]
+
+
+def _block_columns(model: RunTableModel) -> set[str]:
+    """Return the factors that are blocks of some kind, by what a design says of them."""
+    if model.is_full_factorial:
+        return set()
+    names = [factor.name for factor in model.factors]
+    return set(KnownDesign.of_manifest({"design": {"facts": dict(model.design_facts)}}, names).columns)
+
+
+def _arranged(model: RunTableModel, studied: Sequence[str]) -> Callable[[int], tuple[ArrangedRun, ...]]:
+    """Return what arranges the runs of a design anew, for any number of repetitions; each number once."""
+
+    def listed(planned: RunTableModel) -> list[ArrangedRun]:
+        return [
+            ArrangedRun(
+                tuple(treatment_text(run.combination[name]) for name in studied),
+                run.repetition,
+                {name: treatment_text(each) for name, each in run.combination.items() if name not in studied},
+            )
+            for run in planned.plan()
+            if not run.is_warm_up
+        ]
+
+    @cache
+    def arrange(repetitions: int) -> tuple[ArrangedRun, ...]:
+        if repetitions == model.repetitions:
+            return tuple(listed(model))
+        if isinstance(model.design, CombinationDesign):  # it has chosen once and for all
+            once = [run for run in listed(model) if run.repetition == 1]
+            return tuple(run._replace(repetition=number) for number in range(1, repetitions + 1) for run in once)
+        return tuple(listed(model.repeated(repetitions)))
+
+    return arrange
 
 
 @dataclass(frozen=True)

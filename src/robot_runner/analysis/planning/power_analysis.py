@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.power_search import Found
     from robot_runner.analysis.results import Results
 
-__all__ = ["Assumptions", "PowerAnalysis", "answer_in_words", "power_analysis", "share_in_words"]
+__all__ = ["Assumptions", "PowerAnalysis", "answer_in_words", "power_analysis", "scenarios_of", "share_in_words"]
 
 #: Without a plan every measure is a family of its own; more than a few would only take time.
 _MOST_MEASURES = 6
@@ -140,15 +140,27 @@ def power_analysis(
     Raises:
         AnalysisError: the assumptions do not suffice, or name what the study does not have.
     """
-    measures = _measures(study, assumptions)
-    pilot = pilot_values(study, assumptions.pilot, measures) if assumptions.pilot is not None else None
+    measures, pilot = _measured(study, assumptions)
+    found = tuple(search_repetitions(study, each, search, progress) for each in scenarios_of(study, assumptions))
+    return PowerAnalysis(study, search, found, tuple(_notes(study, measures, pilot, found)))
+
+
+def scenarios_of(study: Study, assumptions: Assumptions) -> list[Scenario]:
+    """Return what is assumed of the values of a study, with how blocks vary.
+
+    Raises:
+        AnalysisError: the assumptions do not suffice, or name what the study does not have.
+    """
+    measures, pilot = _measured(study, assumptions)
     scenarios = list(_scenarios(study, assumptions, measures, pilot))
     blocks = numbers_of(study, "--block-sd", assumptions.blocks, measures)
     responses = numbers_of(study, "--response-sd", assumptions.responses, measures)
-    found = tuple(
-        search_repetitions(study, with_blocks(each, blocks, responses), search, progress) for each in scenarios
-    )
-    return PowerAnalysis(study, search, found, tuple(_notes(study, measures, pilot, found)))
+    return [with_blocks(each, blocks, responses) for each in scenarios]
+
+
+def _measured(study: Study, assumptions: Assumptions) -> tuple[tuple[str, ...], Pilot | None]:
+    measures = _measures(study, assumptions)
+    return measures, pilot_values(study, assumptions.pilot, measures) if assumptions.pilot is not None else None
 
 
 def _measures(study: Study, assumptions: Assumptions) -> tuple[str, ...]:

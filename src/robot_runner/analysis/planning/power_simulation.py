@@ -16,9 +16,13 @@ from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.design import design_of
+from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.families import claim_of, contrast_key, effect_key, families_of
 from robot_runner.analysis.statistics.left_out import left_out_of
+from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.post_hoc import adjusted, contrast_of, p_value_of_contrast
+from robot_runner.analysis.statistics.response_surface import SurfaceModel
+from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
@@ -32,10 +36,9 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure, Scenario
     from robot_runner.analysis.planning.planned_study import Cell, Study
-    from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
     from robot_runner.analysis.statistics.design import Design, MeasureData
     from robot_runner.analysis.statistics.families import Key
-    from robot_runner.analysis.statistics.linear_model import FittedModel
+    from robot_runner.analysis.statistics.tests import AnyModel
     from robot_runner.core.design.hypothesis import Hypothesis
 
     Floats = NDArray[np.float64]
@@ -72,13 +75,15 @@ class _Prepared:
     Attributes:
         rows: which of the runs are compared.
         blocks: the block of each run.
-        model: of the values of one experiment.
+        data: of one experiment.
+        model: of the values of it.
     """
 
     assumed: AssumedMeasure
     rows: NDArray[np.intp]
     blocks: tuple[str, ...]
-    model: CellMeans | FittedModel | AdjustedMeans
+    data: MeasureData
+    model: AnyModel
 
 
 class Simulation:
@@ -120,7 +125,7 @@ class Simulation:
             every = design.data(assumed.name)
             if every is None:
                 raise TypeError(f"{assumed.name} was drawn, and is no number")
-            blocks = tuple(map(str, every.blocks)) if every.is_blocked else ("",) * len(self._cells)
+            blocks = tuple(every.unit_names)
             data, model = self._analysed(design, assumed.name)
             if isinstance(model, NotComputed):
                 problem = f"with {self._repetitions} repetitions nothing can be tested of {assumed.name}: {model.why}"
@@ -128,7 +133,7 @@ class Simulation:
                 raise AnalysisError(problem.rstrip("."), where="power", fix=fix)
             places = {run_id: place for place, run_id in enumerate(every.frame[RUN_ID])}
             rows = np.array([places[run_id] for run_id in data.frame[RUN_ID]])
-            prepared.append(_Prepared(assumed, rows, blocks, model))
+            prepared.append(_Prepared(assumed, rows, blocks, data, model))
         return prepared
 
     def _design(self, values: Mapping[str, Floats], random: np.random.Generator) -> Design:
@@ -139,9 +144,7 @@ class Simulation:
         design = design_of(results, blocks=self._plan.blocks if self._plan is not None else None)
         return replace(design, covariates=covariates)
 
-    def _analysed(
-        self, design: Design, name: str
-    ) -> tuple[MeasureData, CellMeans | FittedModel | AdjustedMeans | NotComputed]:
+    def _analysed(self, design: Design, name: str) -> tuple[MeasureData, AnyModel | NotComputed]:
         """Return what of a measure is compared, without the values that the plan leaves out, and the estimates."""
         gone = frozenset(each.run_id for each in left_out_of(design, name, self._plan, ()))
         data = replace(design, without=gone).data(name)
@@ -153,7 +156,9 @@ class Simulation:
     def _is_fast(self, prepared: _Prepared) -> bool:
         """Return whether many experiments can be computed at once: the same runs count in all of them."""
         leaves_out = self._plan is not None and self._plan.outliers is not None
-        return isinstance(prepared.model, CellMeans) and not leaves_out
+        if leaves_out or (prepared.data.covariates and not isinstance(prepared.model, CellMeans)):
+            return False
+        return isinstance(prepared.model, CellMeans | StrataModel | LenthModel | SurfaceModel)
 
     @cached_property
     def claims(self) -> tuple[Claim, ...]:
@@ -229,10 +234,14 @@ class Simulation:
 
     def _of_all(self, prepared: _Prepared, values: Floats, part: int) -> dict[Key, Floats]:
         del part  # nothing is drawn
-        if not isinstance(prepared.model, CellMeans):
+        choices, mine = (self._choices.estimand, self._choices.statistic), values[:, prepared.rows]
+        model: AnyModel | NotComputed | None
+        if isinstance(prepared.model, CellMeans):
+            model = CellMeans.of_values(prepared.model.layout, mine, *choices, _DRAWS)
+        else:
+            model = designed_model_of(prepared.data, *choices, mine)
+        if model is None or isinstance(model, NotComputed):
             raise TypeError(f"{prepared.assumed.name} has to be fitted one experiment at a time")
-        choices = (self._choices.estimand, self._choices.statistic)
-        model = CellMeans.of_values(prepared.model.layout, values[:, prepared.rows], *choices, _DRAWS)
         return self._tested(prepared.assumed.name, model)
 
     def _of_each(self, prepared: _Prepared, values: Floats, part: int) -> dict[Key, Floats]:
@@ -245,7 +254,7 @@ class Simulation:
         keys = dict.fromkeys(key for each in found for key in each)
         return {key: np.array([float(each.get(key, missing)) for each in found]) for key in keys}
 
-    def _tested(self, name: str, model: CellMeans | FittedModel | AdjustedMeans) -> dict[Key, Floats]:
+    def _tested(self, name: str, model: AnyModel) -> dict[Key, Floats]:
         found = {effect_key(name, test.factors): np.asarray(test.p_value) for test in model.effects()}
         for hypothesis in self._contrasts(name):
             contrast = contrast_of(model, hypothesis)

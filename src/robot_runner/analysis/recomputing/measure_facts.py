@@ -21,6 +21,7 @@ from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
+from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import check_estimand, model_of
 from robot_runner.core.design.analysis_plan import Estimand
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.recomputing.study_facts import Number
     from robot_runner.analysis.statistics.design import Design, MeasureData
-    from robot_runner.analysis.statistics.linear_model import FittedModel
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
     from robot_runner.analysis.statistics.tested import Comparison, Effect, EffectSize, Interval, PostHoc
     from robot_runner.analysis.statistics.tests import Choices
@@ -55,6 +55,8 @@ _PROCEDURES = {
     "linear model with one variance": "model",
     "linear mixed model": "model",
 }
+#: The models that scripts know how to fit again; of others they take the p-values from the report.
+_KNOWN = (CellMeans, FittedModel)
 _OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
 
 
@@ -217,7 +219,9 @@ def _compared(
     used, _, _ = comparable(data)
     model = model_of(used, choices.estimand, choices.statistic)
     beside = model_of(used, check_estimand(choices.estimand), choices.statistic)
-    if isinstance(model, NotComputed) or measure.test is None:
+    if measure.test is None or not isinstance(model, _KNOWN) or not isinstance(beside, (*_KNOWN, NotComputed)):
+        return None
+    if isinstance(model, CellMeans) and model.layout.inverse is not None:  # of combinations that are listed
         return None
     tested, checked = (_procedures(each) for each in (model, beside))
     effects = [_effect(each, facts, model, tested, checked) for each in measure.test.effects]

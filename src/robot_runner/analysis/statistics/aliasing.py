@@ -50,12 +50,13 @@ class Aliasing(NamedTuple):
     mixed: frozenset[Term]
 
 
-def aliasing_of(codes: Mapping[str, Numbers], *, main_only: bool = False) -> Aliasing:
+def aliasing_of(codes: Mapping[str, Numbers], *, main_only: bool = False, together: int = 1) -> Aliasing:
     """Return what combinations can tell.
 
     Args:
         codes: the number of the treatment of each combination, by factor; each combination once.
         main_only: whether interactions are left out, as of designs that are made for main effects.
+        together: effects of so many factors are estimated together where they are not orthogonal.
 
     Example:
         >>> a, b = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
@@ -73,8 +74,7 @@ def aliasing_of(codes: Mapping[str, Numbers], *, main_only: bool = False) -> Ali
         columns = coded_columns(codes, sizes, term)
         told = basis.T @ columns
         share = float(np.sum(told**2) / np.sum(columns**2))
-        # Of main effects those that others explain in part are estimated together with these.
-        if share < _ROUNDING or (len(term) == 1 and _leaves_all(basis, columns)):
+        if share < _ROUNDING or (len(term) <= together and _leaves_all(basis, columns)):
             kept[term] = columns
             basis = np.column_stack([basis, _orthonormal(columns - basis @ told)])
             continue

@@ -137,13 +137,17 @@ class CellMeans:
         Args:
             weights: treatments by factor, with the weight of their mean.
         """
-        return contrast(self.moments, np.sum([each * self.layout.weights(dict(of)) for of, each in weights], axis=0))
+        return self._contrast(np.sum([each * self.layout.weights(dict(of)) for of, each in weights], axis=0))
+
+    def _contrast(self, weights: Floats) -> Contrast:
+        is_few = self.layout.inverse is not None and int(self.layout.sizes.min()) == _PAIR
+        return contrast(self.moments, weights, is_corrected=is_few)
 
     def _test(self, effect: EffectContrast) -> EffectTest:
         differences = np.einsum("ag,...gc,bc->...ab", effect.between, self.moments.means, effect.within)
         variance = np.sum(differences**2, axis=(-2, -1)) / self.layout.cells
         if len(effect.between) == len(effect.within) == 1:
-            found = contrast(self.moments, np.outer(effect.between[0], effect.within[0]))
+            found = self._contrast(np.outer(effect.between[0], effect.within[0]))
             name = BLOCK_T if self.layout.is_blocked else WELCH_T
             return EffectTest(effect.factors, name, "t", found.t_value, (found.freedom,), found.p_value, variance)
         name, tests, p_value = self._several(effect)

@@ -127,6 +127,16 @@ class MeasureData:
         names = [role_column(name) for name in (self.known.whole_plot, *self.known.plot_columns)]
         return np.asarray(self.frame.groupby(names, observed=True).ngroup(), dtype=np.intp)
 
+    @property
+    def unit_names(self) -> list[str]:
+        """Which unit each run with a value belongs to that varies as a whole: its block, whole plot or subject."""
+        if self.is_blocked:
+            return list(map(str, self.blocks))
+        if self.known.whole_plot:
+            return list(map(str, self.plots))
+        names = [self.known.subject] if self.known.subject else self.known.blocks[:1]
+        return list(self.frame[role_column(names[0])].astype(str)) if names else [""] * len(self.frame)
+
     def with_plots_as_blocks(self) -> MeasureData:
         """Return the same runs, with the whole plots of a split-plot design as blocks, and nothing else known of it."""
         frame = self.frame.assign(**{_BLOCK: self.plots.astype(str)})
@@ -313,9 +323,12 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
         results: the experiment.
         blocks: the column of the blocks; None for those that the order was randomised within.
     """
+    results = results.confirming
     done = results.done
     column = blocks if blocks in results.runs.columns else results.block
     known = KnownDesign.of_manifest(results.manifest, results.runs.columns)
+    if _are_complete(known, results):
+        known, column = PLAIN, known.blocks[0]
     if column is not None and known != PLAIN:  # complete blocks are those of a full factorial alone
         known, column = known.with_blocks((column,)), None
     columns = {RUN_ID: done[RUN_ID], PLACE: _places(done)}
@@ -345,10 +358,23 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
 
 def _treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:
     """Return the treatment that each subject had in the period before, as planned; nothing in its first period."""
-    runs = results.runs.sort_values(known.period, key=treatment_texts, kind="stable")
-    before = runs.groupby(runs[known.subject].astype("str"), observed=True)[list(names)].shift()
-    found = before.astype("str").where(before.notna(), "").set_index(runs[RUN_ID])
-    return {before_column(name): results.done[RUN_ID].map(found[name]) for name in names}
+    where, runs = [known.subject, known.period], results.runs
+    periods = runs.drop_duplicates(where).sort_values(known.period, key=treatment_texts, kind="stable")
+    texts = periods[list(names)].astype("str").set_axis(periods[RUN_ID])
+    before = texts.groupby(periods[known.subject].astype("str").to_numpy()).shift().fillna("")
+    first = runs.groupby(where, observed=True)[RUN_ID].transform("first").set_axis(runs[RUN_ID])
+    own = results.done[RUN_ID].map(first)
+    return {before_column(name): own.map(before[name]) for name in names}
+
+
+def _are_complete(known: KnownDesign, results: Results) -> bool:
+    """Return whether the blocks of a design are of one kind and each hold all combinations, as those of a factorial."""
+    if known.kind != "blocks" or len(known.blocks) != 1:
+        return False
+    names = [name for name in results.factors if name not in known.blocks]
+    planned = results.runs[[*known.blocks, *names]].astype("str").drop_duplicates()
+    held = planned.groupby(known.blocks[0]).size()
+    return bool((held == len(planned[names].drop_duplicates())).all())
 
 
 def _with_structure(known: KnownDesign, results: Results, frame: pd.DataFrame, varied: Sequence[str]) -> KnownDesign:
@@ -357,7 +383,7 @@ def _with_structure(known: KnownDesign, results: Results, frame: pd.DataFrame, v
         return known
     planned = results.runs[list(varied)].astype("str").drop_duplicates()
     codes = {name: np.unique(planned[name], return_inverse=True)[1] for name in varied}
-    known = known.with_aliasing(aliasing_of(codes, main_only=not known.has_interactions))
+    known = known.with_aliasing(aliasing_of(codes, main_only=not known.has_interactions, together=known.together))
     if known.whole_plot:
         plots = frame.groupby(role_column(known.whole_plot), observed=True)
         numbered_anew = tuple(name for name in known.blocks if plots[role_column(name)].nunique().max() > 1)

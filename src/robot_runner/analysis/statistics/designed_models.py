@@ -5,7 +5,7 @@ The design decides, and the values never do; what is left to a full factorial an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ import pandas as pd
 
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, relative_ranks
 from robot_runner.analysis.statistics.cell_means import CellMeans
-from robot_runner.analysis.statistics.design import before_column, role_column
+from robot_runner.analysis.statistics.design import BATCH, VALUE, before_column, covariate_column, role_column
 from robot_runner.analysis.statistics.designed_columns import numbers_of_levels
 from robot_runner.analysis.statistics.effect_coding import coded_columns, mean_squares, term_size
 from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
@@ -65,7 +65,28 @@ def designed_model_of(
     values = data.values if values is None else values  # noqa: PD011 - no data frame
     if estimand is Estimand.RANK:
         values = relative_ranks(values, data.batches if data.is_extended else None)
-    return _Fitting(data, values).model(estimand, statistic)
+    return _Fitting(*_of_units(data, values)).model(estimand, statistic)
+
+
+def _of_units(data: MeasureData, values: Floats) -> tuple[MeasureData, Floats]:
+    """Return one row for each combination within its blocks: runs that repeat it there are reduced to their mean.
+
+    They are not independent: what the place responds to a treatment is in all of them.
+    """
+    if not data.known.columns:
+        return data, values
+    names = [*data.factors, *map(role_column, data.known.columns), *([BATCH] if data.is_extended else [])]
+    unit = data.frame.groupby(names, observed=True, sort=False).ngroup().to_numpy()
+    count = int(unit.max()) + 1
+    if count == len(unit):
+        return data, values
+    belongs = np.eye(count)[unit]
+    belongs /= belongs.sum(axis=0)
+    frame = data.frame.iloc[np.unique(unit, return_index=True)[1]].reset_index(drop=True)
+    told = {covariate_column(name): data.covariate(name) @ belongs for name in data.covariates}
+    means = values @ belongs
+    own = {VALUE: means} if means.ndim == 1 else {}
+    return replace(data, frame=frame.assign(**told, **own)), means
 
 
 @dataclass(frozen=True)
@@ -123,7 +144,8 @@ class _Fitting:
         }
 
     def _dummies(self, name: str) -> Floats:
-        return pd.get_dummies(self.data.frame[role_column(name)].astype(str), dtype=np.float64).to_numpy()
+        dummies = pd.get_dummies(self.data.frame[role_column(name)].astype(str))
+        return dummies.to_numpy(dtype=np.float64)
 
     @cached_property
     def _blocks(self) -> Floats:
@@ -156,6 +178,8 @@ class _Fitting:
             else:
                 notes.append(self._carry_over_in_words(before, blocks, terms))
                 blocks = np.column_stack([blocks, before]) if known.carry_over else blocks
+        if len(self.data.frame) < len(self.data.every.dropna(subset=[VALUE])) and known.columns:
+            notes.append("Runs of one combination in the same blocks are reduced to their mean.")
         told = (TestMethod.CROSSOVER if known.period else self._method, self._reason, tuple(notes))
         return fit_strata(self.factors, self._hypotheses(terms), self.values, blocks, None, told)
 
@@ -198,8 +222,8 @@ class _Fitting:
         known, values = self.data.known, np.atleast_2d(self.values)[0]
         count = before.shape[1]
         treatments = np.column_stack([each.columns for each in self._hypotheses(terms).values()])
-        spread = {("before",): Hypothesis(before, np.eye(count))}
-        told = (TestMethod.CROSSOVER, "", ())
+        spread: dict[Term, Hypothesis] = {("before",): Hypothesis(before, np.eye(count))}
+        told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.CROSSOVER, "", ())
         found = fit_strata({}, spread, values, np.column_stack([blocks, treatments]), None, told)
         what = "it is in the model" if known.carry_over else "a washout was planned, and it is not in the model"
         if not isinstance(found, StrataModel):
@@ -220,7 +244,7 @@ class _Fitting:
             f"Some factors change from one {self.data.known.whole_plot} to the next only: they are compared with how "
             "these vary, and the others with how runs vary within them. One variance serves each stratum."
         )
-        told = (TestMethod.SPLIT_PLOT, reason, ())
+        told: tuple[TestMethod, str, tuple[str, ...]] = (TestMethod.SPLIT_PLOT, reason, ())
         found = fit_strata(self.factors, self._hypotheses(terms), self.values, self._blocks, plots, told)
         if isinstance(found, NotComputed):
             main = tuple(term for term in terms if len(term) == 1)

@@ -38,7 +38,7 @@ class KnownDesign:
         carry_over: whether the effect of the treatment before is in the model of a crossover: no washout was planned.
         whole_plot: the column of the whole plots; some treatments change from one to the next alone.
         plot_columns: blocks within which whole plots are numbered anew.
-        model: `quadratic` for a response surface.
+        model: `main` effects, those and `interactions` of two factors, or `quadratic` for a response surface.
         coding: the middle and half the range of factors of a response surface.
         base: the combination that one factor at a time departs from.
         terms: the effects that are tested; none where the values decide how many there can be.
@@ -86,7 +86,7 @@ class KnownDesign:
             carry_over=is_crossover and not facts.get("washout"),
             whole_plot=whole_plot,
             model=str(facts.get("model", "")),
-            coding=dict(_coded(facts.get("coding"))),
+            coding=dict(_coded(facts.get("ranges"))),
             base={str(name): str(text) for name, text in base.items()} if isinstance(base, dict) else {},
         )
 
@@ -113,7 +113,12 @@ class KnownDesign:
     @property
     def has_interactions(self) -> bool:
         """Whether interactions are estimated."""
-        return self.kind in _WITH_INTERACTIONS or bool(self.columns)
+        return self.kind in _WITH_INTERACTIONS or bool(self.columns) or self.model == "interactions"
+
+    @property
+    def together(self) -> int:
+        """Of how many factors effects are estimated together that are not orthogonal: the design is made for these."""
+        return 2 if self.model == "interactions" else 1
 
     @property
     def in_words(self) -> str:
@@ -165,8 +170,8 @@ def _names(fact: object) -> tuple[str, ...]:
     return tuple(map(str, fact)) if isinstance(fact, list | tuple) else ()
 
 
-def _coded(fact: object) -> Iterator[tuple[str, tuple[float, float]]]:
-    for name, ends in fact.items() if isinstance(fact, dict) else ():
+def _coded(ranges: object) -> Iterator[tuple[str, tuple[float, float]]]:
+    for name, ends in ranges.items() if isinstance(ranges, dict) else ():
         match ends:
-            case [int() | float() as middle, int() | float() as half] if half:
-                yield str(name), (float(middle), float(half))
+            case [int() | float() as low, int() | float() as high] if high > low:
+                yield str(name), ((low + high) / 2, (high - low) / 2)

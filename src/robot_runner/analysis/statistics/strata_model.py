@@ -168,7 +168,10 @@ class StrataModel:
         """
         rows = [weight * marginal_row(self.factors, self.terms, treatments)[1:] for treatments, weight in weights]
         row = np.sum(rows, axis=0)
-        estimate, parts, freedoms, start = 0.0, [], [], 0
+        estimate: Floats = np.zeros(self.fits[0].beta.shape[:-1])
+        parts: list[Floats] = []
+        freedoms: list[float] = []
+        start = 0
         own = {number: np.zeros(fit.beta.shape[-1]) for number, fit in enumerate(self.fits)}
         for term, hypothesis in self.hypotheses.items():
             count = hypothesis.columns.shape[1]

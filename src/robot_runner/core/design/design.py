@@ -67,12 +67,16 @@ class ChosenCombinations:
     """The combinations that a design chooses.
 
     Attributes:
-        combinations: each once, in the order as written; none twice but where the design says so, as centre points.
+        combinations: in the order as written; none twice but where the design says so, as centre points.
         facts: see `DesignedRuns.facts`.
+        factors: with the treatments that the design chose for them, as it does within a range; None for the same.
+        warnings: what the design has to say that does not refuse it.
     """
 
     combinations: list[Combination]
     facts: Mapping[str, Any] = field(default_factory=dict)
+    factors: Sequence[Factor] | None = None
+    warnings: tuple[Finding, ...] = ()
 
 
 @runtime_checkable

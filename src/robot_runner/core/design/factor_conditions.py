@@ -48,7 +48,7 @@ def impossible_treatments(factors: Sequence[Factor]) -> Iterator[dict[str, froze
         inactive = frozenset({factor.treatments.index(INACTIVE)})
         active = frozenset(range(len(factor.treatments))) - inactive
         applies = {
-            name: frozenset(filter(None.__ne__, map(by_name[name].position_of, wanted)))
+            name: frozenset(place for place in map(by_name[name].position_of, wanted) if place is not None)
             for name, wanted in factor.when.items()
         }
         yield {**applies, factor.name: inactive}

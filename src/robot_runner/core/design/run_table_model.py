@@ -145,19 +145,19 @@ class RunTableModel:
         findings += () if is_full else _refused(listed, exclude_combinations)
         if findings:
             raise DesignError.of_findings(findings) from (exclusions.cause if exclusions else None)
-        self.factors: Final = listed
+        self.factors: tuple[Factor, ...] = listed
         self.design = design or FullFactorial()
         self.repetitions: Final = repetitions
         self.data_columns: Final = None if data_columns is None else tuple(data_columns)
         self.warm_up = warm_up_of(warm_up)
-        self.warnings: Final[tuple[Finding, ...]] = exclusions.warnings if exclusions else ()
+        self.warnings: tuple[Finding, ...] = exclusions.warnings if exclusions else ()
         self._exclusions = exclude_combinations
         self._kept = exclusions.kept if exclusions else None
         self._order = _ordered(RunOrder(shuffle=shuffle), seed, blocks)
         self._planned: RunTable | None = None
         self._too_large = too_large if is_full else None
         if not is_full:
-            self.plan()  # what only choosing finds out is found here, with the config's line
+            self._choose()
 
     @property
     def shuffle(self) -> bool:
@@ -178,6 +178,15 @@ class RunTableModel:
     def blocks(self) -> str | None:
         """What runs are kept together by: `Repetition`, the name of a factor, or None."""
         return self._order.blocks
+
+    def _choose(self) -> None:
+        """Have the design choose at once, as it may choose treatments, too, and find out what cannot be."""
+        if isinstance(self.design, CombinationDesign):
+            self.factors = tuple(self._chosen.factors or self.factors)
+            self.warnings = self._chosen.warnings
+        if not self.plan():
+            problem = "the exclusions leave no run of the design"
+            raise DesignError(problem, where="exclude_combinations", fix="Exclude fewer, or choose another design.")
 
     @property
     def is_full_factorial(self) -> bool:
@@ -200,6 +209,46 @@ class RunTableModel:
         if exclusions.errors:
             raise DesignError.of_findings(exclusions.errors) from exclusions.cause
         return exclusions.kept
+
+    def repeated(self, repetitions: int) -> RunTableModel:
+        """Return the same plan with another number of repetitions, as a study is planned that has not begun.
+
+        Raises:
+            DesignError: the design cannot have so many.
+        """
+        return self.designed(self.design, repetitions=repetitions)
+
+    def designed(
+        self,
+        design: Design | CombinationDesign,
+        *,
+        repetitions: int | None = None,
+        more: Sequence[Factor] = (),
+        blocks: str | None = None,
+    ) -> RunTableModel:
+        """Return what another design makes of the same factors and exclusions.
+
+        Args:
+            design: chooses the combinations, or the runs.
+            repetitions: how often each combination is executed; None for as often as here.
+            more: factors that the design takes besides, such as whole plots; they come first.
+            blocks: what runs are kept together by; None for what it is here, where the design leaves that open.
+
+        Raises:
+            DesignError: the design cannot be.
+        """
+        chosen = blocks or (self.blocks if isinstance(design, CombinationDesign) else None)
+        count = self.repetitions if repetitions is None else repetitions
+        return RunTableModel(
+            (*more, *self.factors),
+            self._exclusions,
+            count,
+            self.data_columns,
+            self.shuffle,
+            self.seed,
+            chosen if chosen != REPETITION or count > 1 else None,
+            design=design,
+        )
 
     def create_experiment_run_table(self) -> RunTable:
         """Make the run table in the present order (the paper's call; returning the model itself does the same)."""

@@ -1,0 +1,143 @@
+"""What the designs have in common: from places and values to combinations, and what keeps factors from a design."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.factor import Combination, Factor, factor_places, full_size
+from robot_runner.core.errors import Finding
+from robot_runner.core.inactive import INACTIVE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.design import IsAllowed
+
+__all__ = [
+    "active_treatments",
+    "at_places",
+    "left_out_warning",
+    "library_findings",
+    "more_than_all",
+    "number_findings",
+    "share_value",
+    "with_conditions",
+    "with_values",
+]
+
+
+def at_places(factors: Sequence[Factor], rows: Iterable[Sequence[int]]) -> list[Combination]:
+    """Return the combinations of rows of places of treatments, one place for each factor."""
+    places = factor_places(factor.name for factor in factors)
+    listed = [factor.treatments for factor in factors]
+    return [
+        Combination(places, tuple(treatments[place] for treatments, place in zip(listed, row, strict=True)))
+        for row in rows
+    ]
+
+
+def with_values(
+    factors: Sequence[Factor], rows: Iterable[Sequence[Any]], is_allowed: IsAllowed
+) -> tuple[tuple[Factor, ...], list[Combination]]:
+    """Return combinations of values that are allowed, and the factors with the values that occur.
+
+    Of a factor with a range the values become the treatments, in ascending order; other factors keep theirs.
+
+    Args:
+        factors: as they are in the config.
+        rows: a value for each factor: treatments, or numbers within the range.
+        is_allowed: whether the exclusions leave a combination.
+    """
+    places = factor_places(factor.name for factor in factors)
+    # The factor's own objects, by which combinations are compared; equal numbers become one.
+    own: list[dict[Any, Any]] = [
+        {each: each for each in factor.treatments} if factor.range is not None else {} for factor in factors
+    ]
+    combinations = []
+    for row in rows:
+        values = (
+            known.setdefault(value, value) if factor.range else value
+            for factor, known, value in zip(factors, own, row, strict=True)
+        )
+        combination = Combination(places, tuple(values))
+        if is_allowed(combination):
+            combinations.append(combination)
+    used = [_occurring(factor, combinations) if factor.range else factor for factor in factors]
+    return tuple(used), combinations
+
+
+def _occurring(factor: Factor, combinations: Sequence[Combination]) -> Factor:
+    values = {combination[factor.name] for combination in combinations} - {INACTIVE}
+    return factor.with_treatments(sorted(values)) if values else factor
+
+
+def active_treatments(factor: Factor) -> tuple[Any, ...]:
+    """Return the treatments that are one: all but that which stands for runs where the factor does not apply."""
+    return tuple(each for each in factor.treatments if each is not INACTIVE)
+
+
+def with_conditions(factors: Sequence[Factor], values: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return a value for each factor, with `INACTIVE` for those whose conditions do not hold."""
+    by_name = {factor.name: factor for factor in factors}
+    resolved: dict[str, Any] = {}
+
+    def resolve(name: str) -> Any:
+        if name not in resolved:
+            holds = all(
+                any(resolve(other) is each for each in _own(by_name[other], wanted))
+                for other, wanted in by_name[name].when.items()
+            )
+            resolved[name] = values[name] if holds else INACTIVE
+        return resolved[name]
+
+    return tuple(map(resolve, by_name))
+
+
+def _own(factor: Factor, wanted: Iterable[Any]) -> list[Any]:
+    return [factor.treatments[place] for place in map(factor.position_of, wanted) if place is not None]
+
+
+def share_value(factor: Factor, share: float) -> Any:
+    """Return what a factor has at a share from 0 to 1: of its range, or of its treatments in their order."""
+    if factor.range is not None:
+        return factor.range.at(share)
+    treatments = active_treatments(factor)
+    return treatments[min(int(share * len(treatments)), len(treatments) - 1)]
+
+
+# What keeps factors and parameters from a design.
+
+
+def library_findings(*modules: str) -> Iterator[Finding]:
+    """Say which library is not installed."""
+    for module in modules:
+        if find_spec(module) is None:
+            yield Finding.error("design", f"it needs {module}, which is not installed", _INSTALL)
+
+
+_INSTALL = "Install it: pip install 'robot-runner[designs]'."
+
+
+def number_findings(name: str, value: object, least: int) -> Iterator[Finding]:
+    """Say whether a parameter of a design is a whole number from `least`."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        problem = f"{name}={value!r} is of type {type(value).__name__}"
+        yield Finding.error("design", problem, f"Give a whole number from {least}.")
+    elif value < least:
+        yield Finding.error("design", f"{name}={value} is less than {least}", f"Give a whole number from {least}.")
+
+
+def left_out_warning(chosen: int, left: int, consequence: str) -> tuple[Finding, ...]:
+    """Say that exclusions take combinations out of a design that is built without a look at them."""
+    if left == chosen:
+        return ()
+    problem = f"the exclusions take {chosen - left} of the {chosen} combinations out of the design: {consequence}"
+    return (Finding.warning("exclude_combinations", problem, "DOptimal(runs=...) chooses around exclusions."),)
+
+
+def more_than_all(factors: Sequence[Factor], runs: int) -> Iterator[Finding]:
+    """Say whether more runs are asked for than there are combinations."""
+    if all(factor.range is None for factor in factors) and runs > (every := full_size(factors)):
+        problem = f"runs={runs:,}, and the full factorial has {every:,}"
+        yield Finding.error("design", problem, f"Give {every:,} or fewer, or leave the design out.")

@@ -1,0 +1,309 @@
+"""Covering arrays of strength two: structured beginnings, and a tabu search column by column that completes them.
+
+An array has a row for each run and a column for each factor; the cells are places of treatments. A pair of columns is
+covered when each pair of their symbols is in some row.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import combinations, count
+from math import comb
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = ["pairwise_array"]
+
+Array = NDArray[np.int64]
+
+#: Moves that a column's search makes at most, moves without gain at most, and how often columns are gone over again.
+_MOVES, _IDLE, _ROUNDS = 400, 150, 20
+#: An array that misses more pairs than this, while it is completed, is given up: more rows are quicker than more search.
+_GIVEN_UP = 2
+#: How many moves at least a cell may not go back to the symbol that it had.
+_TENURE = 4
+#: Fields whose multiplication is not that of numbers modulo a prime: the prime, and -x^n (x^n, for 2) as a polynomial
+#: of less degree, its constant first.
+_FIELDS = {4: (2, (1, 1)), 8: (2, (1, 1, 0)), 9: (3, (1, 2)), 16: (2, (1, 1, 0, 0))}
+_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23)
+
+
+def pairwise_array(levels: Sequence[int], seed: int) -> Array:
+    """Return an array that covers each pair of symbols of each two columns.
+
+    Args:
+        levels: how many symbols each column has.
+        seed: what the search draws from; the same one gives the same array.
+    """
+    order = sorted(range(len(levels)), key=lambda column: -levels[column])
+    ordered = [levels[column] for column in order]
+    has_two = ordered[0] <= 2  # noqa: PLR2004 - which has an exact answer
+    found = _binary(ordered) if has_two else _searched(ordered, np.random.default_rng(seed))
+    array = np.empty_like(found)
+    array[:, order] = found
+    return array
+
+
+def _searched(levels: list[int], random: np.random.Generator) -> Array:
+    """Return the smallest array that is completed: the number of rows is found by doubling steps, then by halving."""
+    bases = list(_bases(levels, random))
+    sure = [len(base) for base in bases if base.shape[1] >= len(levels) and base.max() + 1 >= levels[0]]
+    fewest = levels[0] * levels[1]
+    step, rows, found = 1, fewest, None
+    while found is None:
+        found = _completed(levels, bases, rows, random)
+        if found is None:
+            fewest, rows, step = rows + 1, min([rows + step, *(each for each in sure if each > rows)]), 2 * step
+    while fewest < len(found):
+        rows = (fewest + len(found)) // 2
+        smaller = _completed(levels, bases, rows, random)
+        if smaller is None:
+            fewest = rows + 1
+        else:
+            found = smaller
+    return found
+
+
+def _completed(levels: list[int], bases: Sequence[Array], rows: int, random: np.random.Generator) -> Array | None:
+    attempts = (_Completing(levels, base, rows, random).array() for base in bases if len(base) <= rows)
+    return next((array for array in attempts if array is not None), None)
+
+
+# Two symbols: Kleitman & Spencer (1973), "Families of k-independent sets": no array has fewer rows.
+
+
+def _binary(levels: Sequence[int]) -> Array:
+    varying = sum(each > 1 for each in levels)
+    rows = next(n for n in count(4 if varying > 1 else max(levels)) if comb(n - 1, (n + 1) // 2) >= varying)
+    array = np.zeros((rows, len(levels)), dtype=np.int64)
+    chosen = combinations(range(1, rows), (rows + 1) // 2)
+    for column in range(varying):
+        array[list(next(chosen)), column] = 1
+    return array
+
+
+# Structured beginnings: a matrix whose columns cover each other, for the first columns of the levels given.
+
+
+def _bases(levels: list[int], random: np.random.Generator) -> Iterator[Array]:
+    """Yield arrays to begin with."""
+    first, second = np.divmod(np.arange(levels[0] * levels[1]), levels[1])
+    yield np.column_stack([first, second])
+    for symbols in sorted(set(levels)):
+        wanted = sum(each <= symbols for each in levels)
+        if symbols > 2 and wanted > 2:  # noqa: PLR2004 - what a grid has anyway
+            yield from _uniform(symbols, wanted, random)
+
+
+def _uniform(symbols: int, columns: int, random: np.random.Generator) -> Iterator[Array]:
+    order = next((each for each in sorted((*_PRIMES, *_FIELDS)) if each >= symbols), None)
+    if order is not None:
+        yield _orthogonal(order)
+        if columns > order + 1:
+            narrow = -(-(columns - 1) // order)
+            yield _product(_searched([order] * narrow, random) if narrow > order + 1 else _orthogonal(order), order)
+    starter = _starter(symbols, columns) if symbols > 3 and columns > symbols + 1 else None  # noqa: PLR2004
+    if starter is not None:
+        yield starter
+
+
+@lru_cache
+def _orthogonal(order: int) -> Array:
+    """Return the orthogonal array of a field: order² rows, order + 1 columns (Bush, 1952); constant rows come first."""
+    plus, times = _field(order)
+    slope, shift = np.divmod(np.arange(order**2), order)
+    columns = [plus[times[slope, point], shift] for point in range(order)]
+    return np.column_stack([*columns, slope])
+
+
+def _field(order: int) -> tuple[Array, Array]:
+    """Return the tables of addition and multiplication of a finite field."""
+    if order in _PRIMES:
+        numbers = np.arange(order)
+        return (numbers[:, None] + numbers) % order, (numbers[:, None] * numbers) % order
+    prime, power = _FIELDS[order]
+    degree = len(power)
+    digits = [[number // prime**place % prime for place in range(degree)] for number in range(order)]
+    plus = [[_number([(a + b) % prime for a, b in zip(x, y, strict=True)], prime) for y in digits] for x in digits]
+    times = [[_number(_multiplied(x, y, prime, power), prime) for y in digits] for x in digits]
+    return np.array(plus), np.array(times)
+
+
+def _multiplied(one: Sequence[int], other: Sequence[int], prime: int, power: Sequence[int]) -> list[int]:
+    product = [0] * (2 * len(power))
+    for place, digit in enumerate(one):
+        for its_place, its_digit in enumerate(other):
+            product[place + its_place] += digit * its_digit
+    for place in reversed(range(len(power), len(product))):
+        for shift, digit in enumerate(power):  # x^n is replaced by what it equals
+            product[place - len(power) + shift] += product[place] * digit * (1 if prime == 2 else -1)  # noqa: PLR2004
+    return [digit % prime for digit in product[: len(power)]]
+
+
+def _number(digits: Sequence[int], prime: int) -> int:
+    return sum(digit * prime**place for place, digit in enumerate(digits))
+
+
+def _product(array: Array, order: int) -> Array:
+    """Return the array widened by the field's order, and one column more, for order² - order rows more.
+
+    Stevens & Mendelsohn (1999), "New recursive methods for transversal covers": pairs of equal symbols are covered
+    above already, so that the constant rows of the orthogonal array are left out below.
+    """
+    below = _orthogonal(order)[order:]
+    wide = np.repeat(array, order, axis=1)
+    lower = np.tile(below[:, :order], array.shape[1])
+    extra = np.concatenate([np.zeros(len(array), dtype=np.int64), below[:, order]])
+    return np.column_stack([np.vstack([wide, lower]), extra])
+
+
+@lru_cache
+def _starter(symbols: int, columns: int) -> Array | None:
+    """Return the array that a starter vector makes: columns * (symbols - 1) + 1 rows; None where none is found.
+
+    Meagher & Stevens (2005), "Group construction of covering arrays": the vector's rotations, each with every number
+    added modulo symbols - 1 to all but one fixed symbol, and a row of that symbol. It takes a vector whose entries at
+    each distance differ by every number.
+    """
+    order = symbols - 1
+    random = np.random.default_rng(0)
+    for _ in range(40):
+        vector = random.integers(order, size=columns)
+        vector[0] = -1
+        if _improved(vector, order, random):
+            shifted = [(vector + number) % order for number in range(order)]
+            for each in shifted:
+                each[0] = order
+            rows = [np.roll(each, shift) for each in shifted for shift in range(columns)]
+            return np.vstack([*rows, np.full(columns, order)])
+    return None
+
+
+def _improved(vector: Array, order: int, random: np.random.Generator) -> bool:
+    missing = _missing_differences(vector, order)
+    for _ in range(3000):
+        if not missing:
+            return True
+        place = int(random.integers(1, len(vector)))
+        before = vector[place]
+        vector[place] = random.integers(order)
+        now = _missing_differences(vector, order)
+        if now > missing:
+            vector[place] = before
+        else:
+            missing = now
+    return False
+
+
+def _missing_differences(vector: Array, order: int) -> int:
+    lengths = np.arange(1, len(vector) // 2 + 1)
+    places = np.arange(len(vector))
+    ends = vector[(places[None, :] + lengths[:, None]) % len(vector)]
+    is_finite = (ends >= 0) & (vector >= 0)[None, :]
+    differences = np.where(is_finite, (ends - vector[None, :]) % order, order)
+    seen = np.zeros((len(lengths), order + 1), dtype=bool)
+    seen[np.arange(len(lengths))[:, None], differences] = True
+    return int((~seen[:, :order]).sum())
+
+
+# Completing: columns are added one by one, each by a search for symbols that cover it with the columns before it.
+
+
+class _Completing:
+    """An array with so many rows that is begun with a base, and completed if it can be.
+
+    Args:
+        levels: of the columns, in descending order.
+        base: its columns stand for columns of no more symbols than it has, the largest first; symbols that a column
+            does not have are drawn.
+        rows: how many the array is to have.
+        random: what the search draws from.
+    """
+
+    def __init__(self, levels: list[int], base: Array, rows: int, random: np.random.Generator) -> None:
+        self._levels = levels
+        self._random = random
+        self._starts = np.concatenate([[0], np.cumsum(levels)])
+        self._cells = random.integers(levels, size=(rows, len(levels)))
+        self._is_set = np.zeros((rows, self._starts[-1]), dtype=np.float32)  # one column for each symbol of a column
+        symbols = base.max(axis=0) + 1
+        is_grid = base.shape[1] == 2  # noqa: PLR2004 - made for the two largest columns
+        free = [column for column, each in enumerate(levels) if is_grid or each <= symbols[0]]
+        self._done = free[: base.shape[1]]
+        for place, column in enumerate(self._done):
+            known = base[:, place] < levels[column]
+            self._cells[: len(base), column][known] = base[:, place][known]
+            self._mark(column)
+        self._open = [column for column in range(len(levels)) if column not in self._done]
+
+    def array(self) -> Array | None:
+        """Return the completed array; None where a column cannot be covered."""
+        left = 0
+        for column in self._open:
+            left += self._search(column)
+            if left > _GIVEN_UP:
+                return None
+            self._done.append(column)
+        return self._cells if left == 0 or self._is_repaired() else None
+
+    def _is_repaired(self) -> bool:
+        """Go over columns that miss pairs until nothing is missing."""
+        for _ in range(_ROUNDS):
+            missing = self._missing()
+            if not missing:
+                return True
+            column = missing[int(self._random.integers(len(missing)))]
+            self._search(column)
+        return not self._missing()
+
+    def _missing(self) -> list[int]:
+        """Return the columns that miss pairs with others."""
+        together = (self._is_set.T @ self._is_set) == 0
+        for start, end in zip(self._starts, self._starts[1:], strict=False):
+            together[start:end, start:end] = False
+        return [
+            column
+            for column, (start, end) in enumerate(zip(self._starts, self._starts[1:], strict=False))
+            if together[start:end].any()
+        ]
+
+    def _mark(self, column: int) -> None:
+        start, end = self._starts[column], self._starts[column + 1]
+        self._is_set[:, start:end] = self._cells[:, column, None] == np.arange(self._levels[column])
+
+    def _search(self, column: int) -> int:
+        """Search symbols for a column by tabu search; return how many of its pairs are left uncovered."""
+        start, end = self._starts[column], self._starts[column + 1]
+        self._is_set[:, start:end] = 0
+        others = self._is_set[:, self._is_set.any(axis=0)]
+        symbols, rows = np.array(self._cells[:, column]), np.arange(len(self._cells))
+        together = others.T @ (symbols[:, None] == np.arange(self._levels[column])).astype(np.float32)
+        until = np.zeros((len(rows), self._levels[column]), dtype=np.int64)
+        least, best = int((together == 0).sum()), symbols.copy()
+        left, since = least, 0
+        for move in range(_MOVES):
+            if not least or move - since > _IDLE:
+                break
+            gain = others @ (together == 0)
+            gain -= (others @ (together == 1))[rows, symbols][:, None]
+            is_open = (until <= move) | (left - gain < least)
+            is_open[rows, symbols] = False
+            gain = np.where(is_open, gain + self._random.random(gain.shape) / 2, -np.inf)  # ties are drawn
+            row, symbol = divmod(int(np.argmax(gain)), gain.shape[1])
+            if not np.isfinite(gain[row, symbol]):
+                continue
+            until[row, symbols[row]] = move + _TENURE + self._random.integers(_TENURE)
+            together[:, symbols[row]] -= others[row]
+            together[:, symbol] += others[row]
+            symbols[row] = symbol
+            left = int((together == 0).sum())
+            if left < least:
+                least, best, since = left, symbols.copy(), move
+        self._cells[:, column] = best
+        self._mark(column)
+        return least

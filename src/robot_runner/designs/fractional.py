@@ -1,0 +1,278 @@
+"""Fractional factorials: a part of the combinations of two-level factors, and which effects it cannot tell apart."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design_findings import MAX_RUNS
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
+from robot_runner.designs.choosing import at_places, left_out_warning, number_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Factor
+
+__all__ = ["FractionalFactorial", "fraction_rows", "fraction_words"]
+
+_RESOLUTIONS = (3, 4, 5)
+#: Aliases among main effects and two-factor interactions are listed up to so many effects; a study of more screens.
+_MOST_LISTED = 2000
+#: Fractions of at most so many runs, as a power of two, are looked for, by resolution: at 5 the search takes a second.
+_MOST_BITS = {3: MAX_RUNS.bit_length() - 1, 4: MAX_RUNS.bit_length() - 1, 5: 12}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FractionalFactorial:
+    """A regular fraction of a two-level factorial, 2^(k-p): half of the combinations, a quarter, an eighth, ...
+
+    Its `resolution` says what can be told apart: at 3 main effects from each other, at 4 main effects from
+    interactions of two factors, at 5 these from each other, too (Box, Hunter & Hunter, Statistics for Experimenters,
+    2nd ed., ch. 6). A factor with a range has its two ends.
+
+    Attributes:
+        resolution: the least that it has: 3, 4 or 5. The fraction is the smallest one that is found.
+        runs: how many combinations there are, a power of two; the resolution is the best that is found. In place of
+            `resolution`.
+        generators: which factors have the product of which others, by name: `{"Load": ["Speed", "Task", "Map"]}`. In
+            place of both.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> factors = [Factor(name, [0, 1]) for name in "ABCDEFG"]
+        >>> len(FractionalFactorial(resolution=3).choose(factors, lambda combination: True).combinations)
+        8
+    """
+
+    resolution: int | None = None
+    runs: int | None = None
+    generators: Mapping[str, Sequence[str]] | None = None
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return the parameters that are given."""
+        generators = self.generators and {name: list(factors) for name, factors in self.generators.items()}
+        given = {"resolution": self._resolution, "runs": self.runs, "generators": generators}
+        return {"kind": "fractional_factorial", **{name: each for name, each in given.items() if each is not None}}
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why the fraction cannot be."""
+        del repetitions
+        for factor in factors:
+            if len(factor.treatments) != 2:  # noqa: PLR2004 - a two-level design
+                fix = "Give it two, or choose CoveringArray or DOptimal, which take any number."
+                problem = f"the factor has {len(factor.treatments)} treatments, and a fraction takes two"
+                yield Finding.error(f"factor {factor.name!r}", problem, fix)
+        given = [name for name in ("resolution", "runs", "generators") if getattr(self, name) is not None]
+        if len(given) > 1:
+            yield Finding.error("design", f"{' and '.join(given)} are given: one follows from the other", "Give one.")
+        elif self.generators is not None:
+            yield from self._generator_findings([factor.name for factor in factors])
+        elif self.runs is not None:
+            yield from self._run_findings(len(factors))
+        elif self._resolution not in _RESOLUTIONS:
+            yield Finding.error("design", f"resolution={self.resolution!r} is none of 3, 4 and 5", "Give 3, 4 or 5.")
+        else:
+            yield from _size_findings(len(factors), self._resolution or 0)
+
+    def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
+        """Return the fraction; the factors that others are made from change slowest first."""
+        names = [factor.name for factor in factors]
+        words = self._words(names)
+        every = at_places(factors, fraction_rows(words))
+        kept = [each for each in every if is_allowed(each)]
+        facts: dict[str, Any] = {
+            "kind": "fractional_factorial",
+            "resolution": _resolution_of(words),
+            "fraction": f"2^({len(names)}-{len(names) - _bits(words)})",
+            "aliases": _aliases(names, words),
+            "model": "main" if _resolution_of(words) < 5 else "interactions",  # noqa: PLR2004 - see the class
+        }
+        if len(names) * (len(names) + 1) // 2 > _MOST_LISTED:
+            facts["aliases_listed"] = False
+        warnings = left_out_warning(len(every), len(kept), "its effects are no longer orthogonal")
+        if warnings:
+            facts["left_out"] = len(every) - len(kept)
+        return ChosenCombinations(kept, facts, warnings=warnings)
+
+    @property
+    def _resolution(self) -> int | None:
+        is_open = self.resolution is None and self.runs is None and self.generators is None
+        return 4 if is_open else self.resolution
+
+    def _words(self, names: Sequence[str]) -> list[int]:
+        if self.generators is not None:
+            return _generated(names, self.generators)
+        if self.runs is not None:
+            words = _best_words(len(names), self.runs.bit_length() - 1)
+        else:
+            words = fraction_words(len(names), self._resolution or 0)
+        if words is None:  # `findings` has said so
+            raise DesignError("there is no such fraction", where="design", fix="Ask for more runs.")
+        return words
+
+    def _run_findings(self, factors: int) -> Iterator[Finding]:
+        runs: Any = self.runs
+        wrong = list(number_findings("runs", runs, 2))
+        yield from wrong
+        if wrong:
+            return
+        least = 1 << factors.bit_length()
+        below, above = 1 << (runs.bit_length() - 1), 1 << runs.bit_length()
+        if runs & (runs - 1):
+            fix = f"Give {max(below, least)} or {max(above, 2 * least)}."
+            yield Finding.error("design", f"runs={runs} is no power of two", fix)
+        elif runs < least and _best_words(factors, runs.bit_length() - 1) is None:
+            problem = f"runs={runs} cannot tell the main effects of {factors} factors apart"
+            yield Finding.error("design", problem, f"Give {least} or more.")
+        elif runs > 1 << factors:
+            problem = f"runs={runs}, and the full factorial has {1 << factors}"
+            yield Finding.error("design", problem, "Give fewer; repetitions=2 executes each combination twice.")
+
+    def _generator_findings(self, names: Sequence[str]) -> Iterator[Finding]:
+        generators: Any = self.generators
+        if not isinstance(generators, Mapping) or not all(
+            isinstance(each, Sequence) and not isinstance(each, str) and each for each in generators.values()
+        ):
+            fix = 'Give factors and the factors that they are the product of: {"Load": ["Speed", "Task"]}.'
+            yield Finding.error("design", f"generators={generators!r} are none", fix)
+            return
+        basic = [name for name in names if name not in generators]
+        found = False
+        for name, others in generators.items():
+            where = f"generators[{name!r}]"
+            if name not in names:
+                found = True
+                yield Finding.error(where, f"there is no factor {name!r}", did_you_mean(str(name), names))
+            for other in others:
+                if other not in basic:
+                    found = True
+                    is_own = other in generators
+                    problem = f"{other!r} is generated itself" if is_own else f"there is no factor {other!r}"
+                    yield Finding.error(where, problem, did_you_mean(str(other), basic))
+        if found:
+            return
+        by_word = defaultdict(list)
+        for name, word in zip(names, _generated(names, generators), strict=True):
+            by_word[word].append(name)
+        for word, same in by_word.items():
+            if len(same) > 1 or not word:
+                problem = f"the main effects of {' and '.join(same)} could not be told apart"
+                yield Finding.error("generators", problem, "Give them other products.")
+
+
+def _size_findings(factors: int, resolution: int) -> Iterator[Finding]:
+    if fraction_words(factors, resolution) is None:
+        problem = (
+            f"resolution {resolution} takes more than {1 << _MOST_BITS[resolution]:,} runs for {factors:,} factors"
+        )
+        yield Finding.error("design", problem, "Give a lower resolution, or fewer factors.")
+
+
+# A column of a fraction is a word: the bits of the basic factors that it is the product of. Basic factors have one bit.
+
+
+def fraction_words(factors: int, resolution: int) -> list[int] | None:
+    """Return the words of the smallest fraction of at least a resolution, one for each factor; None for none.
+
+    For resolutions 3 and 4 it is the smallest there is; for 5 a greedy choice, as good as the tables of Box, Hunter &
+    Hunter (2005, table 6.22) up to 11 factors.
+    """
+    most = _MOST_BITS[resolution]
+    found = next((bits for bits in range(1, most + 1) if _words_of(factors, bits, resolution)), None)
+    return None if found is None else _best_words(factors, found)
+
+
+def _best_words(factors: int, bits: int) -> list[int] | None:
+    return next((words for each in reversed(_RESOLUTIONS) if (words := _words_of(factors, bits, each))), None)
+
+
+def _words_of(factors: int, bits: int, resolution: int) -> list[int] | None:
+    basic = [1 << place for place in reversed(range(bits))]
+    if factors <= bits:
+        return basic[:factors] if factors == bits else None
+    products = [word for word in range(1, 1 << bits) if word.bit_count() > 1] if _may_fit(factors, bits) else []
+    if resolution == 3:  # noqa: PLR2004 - any distinct words do
+        words = basic + sorted(products, key=int.bit_count)
+    elif resolution == 4:  # noqa: PLR2004 - no product of two odd words is odd
+        words = basic + sorted((word for word in products if word.bit_count() % 2), key=int.bit_count)
+    else:
+        return _apart(basic, products, factors) if bits <= _MOST_BITS[5] else None
+    return words[:factors] if len(words) >= factors else None
+
+
+def _may_fit(factors: int, bits: int) -> bool:
+    return factors < 1 << bits
+
+
+def _apart(basic: list[int], products: list[int], factors: int) -> list[int] | None:
+    """Return words of which no two have the same product as two others, or as one; the longest are tried first."""
+    if factors * (factors + 1) // 2 >= 1 << len(basic):
+        return None  # main effects and interactions of two factors, each with a word of its own
+    for order in (sorted(products, key=lambda word: (-word.bit_count(), word)), products):
+        words, pairs = list(basic), {0, *basic, *(one ^ other for one, other in combinations(basic, 2))}
+        for word in order:
+            new = {word, *(word ^ other for other in words)}
+            if len(words) < factors and not new & pairs:
+                words.append(word)
+                pairs |= new
+        if len(words) == factors:
+            return words
+    return None
+
+
+def _generated(names: Sequence[str], generators: Mapping[str, Sequence[str]]) -> list[int]:
+    basic = [name for name in names if name not in generators]
+    bit_of = {name: 1 << place for place, name in zip(reversed(range(len(basic))), basic, strict=True)}
+    for name, others in generators.items():
+        word = 0
+        for other in others:
+            word ^= bit_of[other]
+        bit_of[name] = word
+    return [bit_of[name] for name in names]
+
+
+def fraction_rows(words: Sequence[int]) -> Iterator[list[int]]:
+    """Yield the rows of a fraction: 0 for the first treatment of a factor, 1 for the second.
+
+    With -1 and +1 for them, a factor is the product of those in its word.
+    """
+    lengths = [word.bit_count() for word in words]
+    for row in range(1 << _bits(words)):
+        yield [1 - (length - (row & word).bit_count()) % 2 for word, length in zip(words, lengths, strict=True)]
+
+
+def _bits(words: Sequence[int]) -> int:
+    return max(words).bit_length()
+
+
+def _resolution_of(words: Sequence[int]) -> int:
+    """Return the resolution; 5 stands for 5 and more, of which the full factorial has as many as it has factors."""
+    if _bits(words) == len(words):
+        return max(len(words) + 1, 5)
+    known = set(words)
+    pairs = [one ^ other for one, other in combinations(words, 2)]
+    if not known.isdisjoint(pairs):
+        return 3
+    return 4 if len(set(pairs)) < len(pairs) else 5
+
+
+def _aliases(names: Sequence[str], words: Sequence[int]) -> list[list[list[str]]]:
+    """Return groups of main effects and two-factor interactions that cannot be told apart, each effect as its factors.
+
+    Nothing is returned for so many factors that nobody would read it.
+    """
+    if len(names) * (len(names) + 1) // 2 > _MOST_LISTED:
+        return []
+    groups: defaultdict[int, list[list[str]]] = defaultdict(list)
+    named = list(zip(names, words, strict=True))
+    for name, word in named:
+        groups[word].append([name])
+    for (one, its), (other, others) in combinations(named, 2):
+        groups[its ^ others].append([one, other])
+    return [group for group in groups.values() if len(group) > 1]

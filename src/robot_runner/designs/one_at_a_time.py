@@ -1,0 +1,106 @@
+"""One factor at a time: a base, and each other treatment of each factor alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.inactive import INACTIVE
+from robot_runner.core.words import listed
+from robot_runner.designs.choosing import active_treatments, left_out_warning, with_conditions, with_values
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Factor
+
+__all__ = ["OneFactorAtATime"]
+
+
+@dataclass(frozen=True, slots=True)
+class OneFactorAtATime:
+    """A base combination, and for each factor its other treatments with all else as in the base.
+
+    It shows what each factor does around the base, and no interaction at all. A factor with a range has its two ends.
+
+    Attributes:
+        base: a treatment for each factor, by name; a number within the range of a numeric one. What is left out has its
+            first treatment, or the middle of its range.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> factors = [Factor("Task", ["Video", "Network"]), Factor("Speed", [0.1, 0.2, 0.3])]
+        >>> chosen = OneFactorAtATime(base={"Speed": 0.2}).choose(factors, lambda combination: True)
+        >>> [str(combination) for combination in chosen.combinations][1]
+        "Task='Network', Speed=0.2"
+    """
+
+    base: Mapping[str, Any] = field(default_factory=dict)
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return the base as text."""
+        return {"kind": "one_factor_at_a_time", "base": {str(name): str(each) for name, each in self.base.items()}}
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say what is wrong with the base."""
+        del repetitions
+        if not isinstance(self.base, Mapping):
+            problem = f"base={self.base!r} is of type {type(self.base).__name__}"
+            yield Finding.error("design", problem, 'Give a treatment for each factor: base={"Speed": 0.2}.')
+            return
+        by_name = {factor.name: factor for factor in factors}
+        for name, value in self.base.items():
+            where = f"base[{name!r}]"
+            if name not in by_name:
+                yield Finding.error(where, f"there is no factor {name!r}", did_you_mean(str(name), by_name))
+            elif not _is_treatment(by_name[name], value):
+                yield Finding.error(where, f"{value!r} is no treatment of factor {name!r}", _fix(by_name[name], value))
+
+    def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
+        """Return the base and what differs from it in one factor."""
+        base = {factor.name: _base_value(factor, self.base) for factor in factors}
+        first = with_conditions(factors, base)
+        rows, idle = {first: None}, []
+        for factor, present in zip(factors, first, strict=True):
+            if present is INACTIVE:
+                idle.append(factor.name)
+            others = () if present is INACTIVE else active_treatments(factor)
+            rows.update(
+                dict.fromkeys(
+                    with_conditions(factors, {**base, factor.name: each}) for each in others if each != present
+                )
+            )
+        used, kept = with_values(factors, rows, is_allowed)
+        shown = {factor.name: str(value) for factor, value in zip(factors, first, strict=True)}
+        facts = {"kind": "one_factor_at_a_time", "base": shown, "model": "main"}
+        warnings = left_out_warning(len(rows), len(kept), "these treatments are compared with nothing")
+        if idle:
+            problem = f"{listed(idle)} cannot be varied, as they do not apply under the base"
+            warnings += (Finding.warning("design", problem, "Choose a base under which they apply."),)
+        return ChosenCombinations(kept, facts, used, warnings)
+
+
+def _base_value(factor: Factor, base: Mapping[str, Any]) -> Any:
+    """Return the factor's own object for what it has in the base."""
+    if factor.name not in base:
+        return factor.range.at(0.5) if factor.range is not None else factor.treatments[0]
+    value = base[factor.name]
+    place = factor.position_of(value)
+    return value if place is None else factor.treatments[place]
+
+
+def _is_treatment(factor: Factor, value: Any) -> bool:
+    if factor.range is None:
+        return factor.position_of(value) is not None and value is not INACTIVE
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_number and factor.range.lower <= value <= factor.range.upper
+
+
+def _fix(factor: Factor, value: Any) -> str:
+    if factor.range is not None:
+        return f"Give a number from {factor.range.lower} to {factor.range.upper}."
+    return factor.suggestion(value)

@@ -1,0 +1,220 @@
+"""D-optimal designs: the runs from which the effects of a model are estimated most precisely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.factor import full_factorial, full_size
+from robot_runner.core.errors import DesignError, Finding, did_you_mean
+from robot_runner.core.inactive import INACTIVE
+from robot_runner.designs.choosing import (
+    active_treatments,
+    library_findings,
+    more_than_all,
+    number_findings,
+    with_conditions,
+    with_values,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Factor
+
+    Matrix = NDArray[np.float64]
+
+__all__ = ["DOptimal"]
+
+_MODELS = ("main", "interactions", "quadratic")
+#: The best of so many searches from random beginnings is taken; of fewer, where one search is long.
+_STARTS = 8
+#: Candidates times runs that a search looks at in each step, of all searches together: a second or two.
+_AT_ONCE = 500_000
+#: Of more candidates than this a random sample is searched: the full factorial is never listed where it is large.
+_MOST_CANDIDATES = 4000
+#: A search ends when no exchange of a run makes the determinant of the information larger by this part.
+_GAIN = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class DOptimal:
+    """So many of the allowed combinations that the effects of a model are estimated most precisely.
+
+    It maximises the determinant of the information matrix by exchanges (Fedorov, 1972), from several beginnings. Only
+    what the exclusions leave is ever looked at. Factors may have any number of treatments, and conditions.
+
+    Attributes:
+        runs: how many combinations there are.
+        model: `main` for the main effects, `interactions` for those of two factors as well, `quadratic` for squares of
+            numeric factors on top.
+        seed: what the beginnings are drawn from.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> factors = [Factor("Task", ["Video", "Network", "Map"]), Factor("Speed", [0.1, 0.2]), Factor("Load", [0, 1])]
+        >>> len(DOptimal(runs=6).choose(factors, lambda combination: True).combinations)
+        6
+    """
+
+    runs: int
+    model: str = "main"
+    seed: int = 0
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return its parameters."""
+        return {"kind": "d_optimal", "runs": self.runs, "model": self.model, "seed": self.seed}
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be."""
+        del repetitions
+        yield from library_findings("numpy")
+        yield from number_findings("seed", self.seed, 0)
+        wrong = list(number_findings("runs", self.runs, 1))
+        yield from wrong
+        if self.model not in _MODELS:
+            yield Finding.error("design", f"there is no model {self.model!r}", did_you_mean(str(self.model), _MODELS))
+        elif not wrong:
+            needed = _parameters(factors, self.model)
+            if self.runs < needed:
+                problem = f"runs={self.runs}, and the model {self.model!r} has {needed} parameters"
+                yield Finding.error("design", problem, f"Give {needed} runs or more, or a smaller model.")
+            else:
+                yield from more_than_all(factors, self.runs)
+
+    def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
+        """Return the combinations whose information has the largest determinant that is found."""
+        import numpy as np  # noqa: PLC0415 - an extra
+
+        random = np.random.default_rng(self.seed)
+        used, candidates = with_values(factors, _candidates(factors, self.model, random), is_allowed)
+        if len(candidates) < self.runs:
+            problem = f"runs={self.runs}, and the exclusions leave {len(candidates)} combinations"
+            raise DesignError(problem, where="design", fix="Give fewer runs, or exclude fewer.")
+        matrix = _model_matrix(used, [combination.treatments for combination in candidates], self.model)
+        parameters = int(np.linalg.matrix_rank(matrix))
+        starts = min(_STARTS, max(1, _AT_ONCE // (len(matrix) * self.runs)))
+        found = [_exchanged(matrix, self.runs, random) for _ in range(starts)]
+        best, value = max(found, key=lambda each: each[1])
+        if parameters < matrix.shape[1] or not np.isfinite(value):
+            problem = f"what the exclusions leave does not tell all effects of the model {self.model!r} apart"
+            raise DesignError(problem, where="design", fix="Exclude fewer, or choose a smaller model.")
+        kept = [candidates[place] for place in sorted(best)]
+        # Relative to an orthogonal design, in which each effect-coded column has length one a run.
+        efficiency = float(np.exp(value / parameters) / self.runs)
+        facts = {
+            "kind": "d_optimal",
+            "model": self.model,
+            "parameters": parameters,
+            "candidates": len(candidates),
+            "d_efficiency": round(efficiency, 4),
+        }
+        final, _ = with_values(factors, [each.treatments for each in kept], lambda _: True)
+        return ChosenCombinations(kept, facts, final)
+
+
+def _parameters(factors: Sequence[Factor], model: str) -> int:
+    widths = [1 if each.range is not None else len(active_treatments(each)) - 1 for each in factors]
+    count = 1 + sum(widths)
+    if model != "main":
+        count += sum(widths[one] * widths[other] for one, other in _pairs(factors))
+    return count + (sum(each.range is not None for each in factors) if model == "quadratic" else 0)
+
+
+def _pairs(factors: Sequence[Factor]) -> Iterator[tuple[int, int]]:
+    """Yield the places of factors that can interact: a factor does not with one that decides whether it applies."""
+    for one, other in combinations(range(len(factors)), 2):
+        if factors[one].name not in factors[other].when and factors[other].name not in factors[one].when:
+            yield one, other
+
+
+def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generator) -> Iterator[tuple[Any, ...]]:
+    """Yield what may be chosen: every combination, or a random part of them; a range has its ends and its middle."""
+    values = [_levels(factor, model) for factor in factors]
+    size = full_size([factor.with_treatments(each) for factor, each in zip(factors, values, strict=True)])
+    if size <= _MOST_CANDIDATES:
+        listed = [factor.with_treatments(each) for factor, each in zip(factors, values, strict=True)]
+        yield from (combination.treatments for combination in full_factorial(listed))
+        return
+    seen: set[tuple[int, ...]] = set()
+    for _ in range(4 * _MOST_CANDIDATES):
+        places = tuple(int(random.integers(len(each))) for each in values)
+        if places not in seen and len(seen) < _MOST_CANDIDATES:
+            seen.add(places)
+            drawn = {factor.name: each[place] for factor, each, place in zip(factors, values, places, strict=True)}
+            yield with_conditions(factors, drawn)
+
+
+def _levels(factor: Factor, model: str) -> tuple[Any, ...]:
+    if factor.range is None or model != "quadratic":
+        return active_treatments(factor)
+    lower, upper = active_treatments(factor)
+    return (lower, factor.range.at(0.5), upper)
+
+
+def _model_matrix(factors: Sequence[Factor], rows: Sequence[tuple[Any, ...]], model: str) -> Matrix:
+    """Return the model's columns: the constant, effects, their products, squares.
+
+    Effects are coded as orthogonal contrasts of length one a run when balanced; an inactive factor has zeros.
+    """
+    import numpy as np  # noqa: PLC0415 - an extra
+
+    columns = [_effects(factor, [row[place] for row in rows]) for place, factor in enumerate(factors)]
+    parts = [np.ones((len(rows), 1)), *columns]
+    if model != "main":
+        parts += [
+            (columns[one][:, :, None] * columns[other][:, None, :]).reshape(len(rows), -1)
+            for one, other in _pairs(factors)
+        ]
+    if model == "quadratic":
+        parts += [each**2 for factor, each in zip(factors, columns, strict=True) if factor.range is not None]
+    return np.hstack(parts)
+
+
+def _effects(factor: Factor, values: Sequence[Any]) -> Matrix:
+    import numpy as np  # noqa: PLC0415 - an extra
+
+    if factor.range is not None:
+        span = factor.range
+        return np.array([[0.0 if each is INACTIVE else 2 * span.share_of(each) - 1] for each in values])
+    treatments = active_treatments(factor)
+    count = len(treatments)
+    place_of = {id(each): place for place, each in enumerate(treatments)}
+    contrasts = np.zeros((count + 1, max(count - 1, 0)))  # the last row is that of an inactive factor
+    for column in range(count - 1):  # Helmert: each treatment against those before it
+        contrasts[: column + 1, column] = -1
+        contrasts[column + 1, column] = column + 1
+        contrasts[:, column] *= np.sqrt(count / ((column + 1) * (column + 2)))
+    return contrasts[[place_of.get(id(each), count) for each in values]]
+
+
+def _exchanged(matrix: Matrix, runs: int, random: np.random.Generator) -> tuple[list[int], float]:
+    """Return rows chosen by exchanges, and the logarithm of the determinant of their information.
+
+    Each step makes the exchange of one run for one candidate that raises the determinant most: by the factor
+    (1 + d_c)(1 - d_r) + d_cr², with d_xy = x' M^-1 y (Fedorov, 1972).
+    """
+    import numpy as np  # noqa: PLC0415 - an extra
+
+    width = matrix.shape[1]
+    chosen = random.choice(len(matrix), runs, replace=False)
+    ridge = 1e-9 * np.eye(width)  # a beginning may not tell all effects apart
+    for _ in range(10 * runs):  # each step gains; so many are never needed
+        inverse = np.linalg.inv(matrix[chosen].T @ matrix[chosen] + ridge)
+        projected = matrix @ inverse
+        every = np.einsum("ij,ij->i", projected, matrix)
+        between = projected @ matrix[chosen].T
+        factor = (1 + every)[:, None] * (1 - every[chosen])[None, :] + between**2
+        factor[chosen] = -np.inf  # no combination twice
+        into, out = np.unravel_index(int(np.argmax(factor)), factor.shape)
+        if factor[into, out] < 1 + _GAIN:
+            break
+        chosen[out] = into
+    sign, value = np.linalg.slogdet(matrix[chosen].T @ matrix[chosen])
+    return list(map(int, chosen)), float(value) if sign > 0 else -np.inf

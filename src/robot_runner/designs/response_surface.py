@@ -1,0 +1,165 @@
+"""Designs for a response surface of numeric factors: central composite and Box-Behnken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.errors import Finding
+from robot_runner.designs.choosing import left_out_warning, number_findings, with_values
+from robot_runner.designs.fractional import fraction_rows, fraction_words
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Factor
+
+__all__ = ["BoxBehnken", "CentralComposite"]
+
+_INSCRIBED, _FACED = "inscribed", "faced"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CentralComposite:
+    """Corners, axial points and the centre: all that a quadratic response surface takes (Box & Wilson, 1951).
+
+    No run lies outside the ranges. The corners are a fraction of resolution 5 where there are many factors.
+
+    Attributes:
+        centre: how often the centre is executed: what tells how much repeated runs scatter.
+        axial: `inscribed` puts the axial points at the ends of the ranges and the corners inside, so that predictions
+            are equally precise in all directions (rotatable: the axial distance is the fourth root of the number of
+            corners); `faced` puts both at the ends, with three values for each factor.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.numeric_range import Range
+        >>> factors = [Factor("Speed", Range(0.0, 1.0)), Factor("Load", Range(0.0, 1.0))]
+        >>> len(CentralComposite(centre=3).choose(factors, lambda combination: True).combinations)
+        11
+    """
+
+    centre: int = 4
+    axial: str = _INSCRIBED
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return its parameters."""
+        return {"kind": "central_composite", "centre": self.centre, "axial": self.axial}
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be."""
+        del repetitions
+        yield from number_findings("centre", self.centre, 1)
+        if self.axial not in {_INSCRIBED, _FACED}:
+            problem = f"axial={self.axial!r} is neither {_INSCRIBED!r} nor {_FACED!r}"
+            yield Finding.error("design", problem, "Give one of these.")
+        yield from _numeric_findings(factors, 2)
+        if len(factors) > 1 and fraction_words(len(factors), 5) is None:
+            problem = f"{len(factors)} factors take too many corners"
+            yield Finding.error("design", problem, "Screen them first with FractionalFactorial, or choose Sobol.")
+
+    def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
+        """Return corners, axial points and centre points."""
+        words = fraction_words(len(factors), 5) or []
+        corners = [[2 * place - 1 for place in row] for row in fraction_rows(words)]
+        distance = 1.0 if self.axial == _FACED else len(corners) ** 0.25
+        points = [[sign / distance for sign in row] for row in corners]
+        points += [_axis(len(factors), place, sign) for place in range(len(factors)) for sign in (-1, 1)]
+        return _surface(self, factors, points, is_allowed, {"axial_distance": round(distance, 6)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoxBehnken:
+    """Midpoints of edges and the centre: a quadratic response surface without a run at any corner of the ranges.
+
+    For where all factors at their ends at once would be too much for the robot; three values for each factor. Blocks of
+    factors as in Box & Behnken (1960), Technometrics 2(4), table 4: pairs of 3 to 5 factors, triples of 6 and 7.
+
+    Attributes:
+        centre: how often the centre is executed.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.numeric_range import Range
+        >>> factors = [Factor(name, Range(0.0, 1.0)) for name in ("Speed", "Load", "Rate")]
+        >>> len(BoxBehnken(centre=3).choose(factors, lambda combination: True).combinations)
+        15
+    """
+
+    centre: int = 3
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return its parameters."""
+        return {"kind": "box_behnken", "centre": self.centre}
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be."""
+        del repetitions
+        yield from number_findings("centre", self.centre, 1)
+        yield from _numeric_findings(factors, 3)
+        if len(factors) > max(_BLOCKS):
+            problem = f"there are {len(factors)} factors, and it is known for 3 to {max(_BLOCKS)}"
+            yield Finding.error("design", problem, "Choose CentralComposite, or fewer factors.")
+
+    def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
+        """Return the midpoints and centre points."""
+        points = []
+        for block in _BLOCKS[len(factors)]:
+            for signs in product((-1.0, 1.0), repeat=len(block)):
+                point = [0.0] * len(factors)
+                for place, sign in zip(block, signs, strict=True):
+                    point[place] = sign
+                points.append(point)
+        return _surface(self, factors, points, is_allowed, {})
+
+
+#: Which factors are at their ends together, by the number of factors.
+_BLOCKS: dict[int, list[tuple[int, ...]]] = {
+    **{factors: list(combinations(range(factors), 2)) for factors in (3, 4, 5)},
+    6: [(0, 1, 3), (1, 2, 4), (2, 3, 5), (0, 3, 4), (1, 4, 5), (0, 2, 5)],
+    7: [(3, 4, 5), (0, 5, 6), (1, 4, 6), (0, 1, 3), (2, 3, 6), (0, 2, 4), (1, 2, 5)],
+}
+
+
+def _axis(factors: int, place: int, sign: int) -> list[float]:
+    return [float(sign) if each == place else 0.0 for each in range(factors)]
+
+
+def _surface(
+    design: CentralComposite | BoxBehnken,
+    factors: Sequence[Factor],
+    points: Iterable[Sequence[float]],
+    is_allowed: IsAllowed,
+    facts: Mapping[str, Any],
+) -> ChosenCombinations:
+    """Return points with coordinates from -1 to 1 as combinations, and the centre behind them."""
+    every = [*points, *([0.0] * len(factors) for _ in range(design.centre))]
+    rows = [
+        [factor.range.at((each + 1) / 2) for factor, each in zip(factors, point, strict=True) if factor.range]
+        for point in every
+    ]
+    used, kept = with_values(factors, rows, is_allowed)
+    told = {
+        "kind": design.as_mapping()["kind"],
+        "numeric_factors": [factor.name for factor in factors],
+        "ranges": {factor.name: [factor.range.lower, factor.range.upper] for factor in factors if factor.range},
+        "centre_points": design.centre,
+        "model": "quadratic",
+        **facts,
+    }
+    warnings = left_out_warning(len(every), len(kept), "the surface may not be estimable")
+    return ChosenCombinations(kept, told, used, warnings)
+
+
+def _numeric_findings(factors: Sequence[Factor], least: int) -> Iterator[Finding]:
+    for factor in factors:
+        if factor.range is None or factor.when:
+            what = "applies under a condition" if factor.when else "has listed treatments"
+            fix = "Give it a range and no condition, as in Range(0.05, 0.22), or choose DOptimal."
+            yield Finding.error(f"factor {factor.name!r}", f"the factor {what}: a surface takes numbers", fix)
+    if len(factors) < least:
+        problem = f"there {'is 1 factor' if len(factors) == 1 else f'are {len(factors)} factors'}"
+        yield Finding.error("design", f"{problem}, and it takes {least}", "Add one, or choose another design.")

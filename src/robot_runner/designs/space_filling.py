@@ -1,0 +1,172 @@
+"""Designs that spread runs over the ranges of numeric factors: Latin hypercubes and Sobol' sequences."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.errors import DesignError, Finding
+from robot_runner.designs.choosing import library_findings, number_findings, share_value, with_conditions, with_values
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Combination, Factor
+
+__all__ = ["LatinHypercube", "Sobol"]
+
+#: So many times the runs that are wanted are drawn where exclusions take some of them away.
+_MOST_DRAWN = 64
+
+
+@dataclass(frozen=True, slots=True)
+class LatinHypercube:
+    """Runs spread so that each of them has a slice of each numeric factor's range of its own.
+
+    McKay, Beckman & Conover (1979), Technometrics 21(2), by `scipy.stats.qmc.LatinHypercube`. Factors with listed
+    treatments have these as equally often as can be. Where exclusions take points away, a denser hypercube is drawn.
+
+    Attributes:
+        runs: how many combinations there are.
+        seed: what they are drawn from.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.numeric_range import Range
+        >>> factors = [Factor("Speed", Range(0, 9)), Factor("Load", Range(0, 9))]
+        >>> chosen = LatinHypercube(runs=5).choose(factors, lambda combination: True)
+        >>> len({combination["Speed"] for combination in chosen.combinations})
+        5
+    """
+
+    runs: int
+    seed: int = 0
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return its parameters."""
+        return {"kind": "latin_hypercube", "runs": self.runs, "seed": self.seed}
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be."""
+        del repetitions
+        yield from _findings(self, factors)
+
+    def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
+        """Return the points that are allowed."""
+        from scipy.stats import qmc  # noqa: PLC0415 - an extra
+
+        for drawn in _growing(self.runs):
+            points = qmc.LatinHypercube(len(factors), rng=self.seed).random(drawn)
+            used, kept = _chosen(factors, points, is_allowed)
+            if len(kept) >= self.runs:
+                return _space_filling(self, used, kept[: self.runs], drawn)
+        raise _too_few(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Sobol:
+    """The first points of a scrambled Sobol' sequence: even coverage of all ranges together, for models and maps.
+
+    Sobol' (1967) with Owen's scrambling, by `scipy.stats.qmc.Sobol`. Even coverage takes a power of two.
+    Exclusions are stepped over: the sequence goes on until there are enough points.
+
+    Attributes:
+        runs: how many combinations there are.
+        seed: what the scrambling comes from.
+
+    Example:
+        >>> from robot_runner.core.design.factor import Factor
+        >>> from robot_runner.core.design.numeric_range import Range
+        >>> factors = [Factor("Speed", Range(0.0, 1.0)), Factor("Load", Range(0.0, 1.0))]
+        >>> chosen = Sobol(runs=8).choose(factors, lambda combination: True)
+        >>> sum(combination["Speed"] < 0.5 for combination in chosen.combinations)
+        4
+    """
+
+    runs: int
+    seed: int = 0
+
+    def as_mapping(self) -> Mapping[str, Any]:
+        """Return its parameters."""
+        return {"kind": "sobol", "runs": self.runs, "seed": self.seed}
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be."""
+        del repetitions
+        yield from _findings(self, factors)
+
+    def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
+        """Return the first points that are allowed."""
+        from scipy.stats import qmc  # noqa: PLC0415 - an extra
+
+        for drawn in _growing(self.runs):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # no power of two: said below
+                points = qmc.Sobol(len(factors), rng=self.seed).random(drawn)
+            used, kept = _chosen(factors, points, is_allowed)
+            if len(kept) >= self.runs:
+                odd = self.runs & (self.runs - 1)
+                below = 1 << (self.runs.bit_length() - 1)
+                problem = f"runs={self.runs} is no power of two, and the points are spread less evenly"
+                uneven = Finding.warning("design", problem, f"Give {below} or {2 * below}.")
+                return _space_filling(self, used, kept[: self.runs], drawn, (uneven,) if odd else ())
+        raise _too_few(self)
+
+
+def _findings(design: LatinHypercube | Sobol, factors: Sequence[Factor]) -> Iterator[Finding]:
+    yield from number_findings("runs", design.runs, 2)
+    yield from number_findings("seed", design.seed, 0)
+    yield from library_findings("scipy")
+    if all(factor.range is None for factor in factors):
+        problem = "no factor is numeric: there is no space to fill"
+        fix = 'Give a factor a range, as in Factor("Speed", Range(0.05, 0.22)), or choose CoveringArray.'
+        yield Finding.error("design", problem, fix)
+
+
+def _growing(runs: int) -> Iterator[int]:
+    """Yield how many points are drawn: as many as are wanted, then more, for exclusions."""
+    drawn = runs
+    while drawn <= runs * _MOST_DRAWN:
+        yield drawn
+        drawn += max(1, drawn // 4)
+
+
+def _chosen(
+    factors: Sequence[Factor], points: Sequence[Sequence[float]], is_allowed: IsAllowed
+) -> tuple[Sequence[Factor], list[Combination]]:
+    names = [factor.name for factor in factors]
+    shares = (map(float, point) for point in points)
+    rows = [
+        with_conditions(factors, dict(zip(names, map(share_value, factors, point), strict=True))) for point in shares
+    ]
+    return with_values(factors, dict.fromkeys(rows), is_allowed)  # coarse steps may give one combination twice
+
+
+def _space_filling(
+    design: LatinHypercube | Sobol,
+    factors: Sequence[Factor],
+    kept: list[Combination],
+    drawn: int,
+    said: tuple[Finding, ...] = (),
+) -> ChosenCombinations:
+    facts = {
+        "kind": design.as_mapping()["kind"],
+        "numeric_factors": [factor.name for factor in factors if factor.range is not None],
+        "drawn": drawn,
+        "model": "quadratic",
+    }
+    used = tuple(
+        factor.with_treatments([each for each in factor.treatments if any(each is run[factor.name] for run in kept)])
+        if factor.range is not None
+        else factor
+        for factor in factors
+    )
+    return ChosenCombinations(kept, facts, used, said)
+
+
+def _too_few(design: LatinHypercube | Sobol) -> DesignError:
+    problem = f"fewer than {design.runs} combinations are allowed among {design.runs * _MOST_DRAWN} points"
+    return DesignError(problem, where="design", fix="Exclude less, give finer steps, or fewer runs.")

@@ -1,0 +1,46 @@
+# Reads run tables of designs and prints F, degrees of freedom and p of each effect, as JSON lines.
+folder <- commandArgs(TRUE)[1]
+options(contrasts = c("contr.sum", "contr.poly"))
+tell <- function(name, effect, f, df1, df2, p) {
+  cat(sprintf('{"design": "%s", "effect": "%s", "figures": [%.12g, %g, %g, %.12g]}\n', name, effect, f, df1, df2, p))
+}
+of_aov <- function(name, fit, effects) {
+  for (stratum in summary(fit)) {
+    table <- stratum[[1]]
+    rownames(table) <- trimws(rownames(table))
+    for (effect in intersect(effects, rownames(table))) {
+      row <- table[effect, ]
+      if (!is.null(row[["F value"]])) {
+        tell(name, effect, row[["F value"]], row[["Df"]], table["Residuals", "Df"], row[["Pr(>F)"]])
+      }
+    }
+  }
+}
+last <- function(name, effect, fit) {
+  table <- drop1(fit, effect, test = "F")
+  tell(name, sub("~", "", deparse(effect)), table[2, "F value"], table[2, "Df"], fit$df.residual, table[2, "Pr(>F)"])
+}
+read <- function(name) read.csv(file.path(folder, paste0(name, ".csv")), colClasses = "character")
+typed <- function(data) { data$y <- as.numeric(data$y); for (each in setdiff(names(data), "y")) data[[each]] <- factor(data[[each]]); data }
+
+split <- typed(read("split_plot"))
+of_aov("split_plot", aov(y ~ Hard * Easy + Error(Plot), split), c("Hard", "Easy", "Hard:Easy"))
+blocked <- typed(read("split_plot_in_replicates"))
+of_aov("split_plot_in_replicates", aov(y ~ Replicate + Hard * Easy + Error(Plot), blocked), c("Hard", "Easy", "Hard:Easy"))
+square <- typed(read("latin_squares"))
+last("latin_squares", ~Treatment, lm(y ~ Row + Column + Treatment, square))
+carried <- typed(read("crossover"))
+sum_coded <- contr.sum(nlevels(carried$Treatment))
+before <- read("crossover")$Before
+carry <- t(sapply(before, function(each) if (each == "") rep(0, ncol(sum_coded)) else sum_coded[match(each, levels(carried$Treatment)), ]))
+last("crossover", ~Treatment, lm(y ~ Subject + Period + carry + Treatment, carried))
+last("crossover_washed_out", ~Treatment, lm(y ~ Subject + Period + Treatment, carried))
+last("incomplete", ~Treatment, lm(y ~ Block + Treatment, typed(read("incomplete"))))
+single <- typed(read("single_runs"))
+for (effect in c("A", "B", "C")) last("single_runs", as.formula(paste0("~", effect)), lm(y ~ A + B + C, single))
+surface <- read("surface"); surface[] <- lapply(surface, as.numeric)
+full <- lm(y ~ X + Y + I(X^2) + I(Y^2) + X:Y, surface)
+without <- lm(y ~ Y + I(Y^2), surface)
+table <- anova(without, full)
+tell("surface", "X", table[2, "F"], table[2, "Df"], full$df.residual, table[2, "Pr(>F)"])
+last("surface", ~X:Y, full)
