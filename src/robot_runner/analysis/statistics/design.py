@@ -297,6 +297,7 @@ class Design:
             smallest_group=min(found, default=0),
             largest_group=max(found, default=0),
             sentence=self._sentence(found),
+            kind=self.known.kind,
         )
 
     @property
