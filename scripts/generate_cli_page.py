@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+import textwrap
 from pathlib import Path
 
 from robot_runner.cli.commands import command_module, installed_commands
@@ -11,6 +13,10 @@ from robot_runner.cli.main import overview
 from robot_runner.cli.parser import Parser, parser_of
 
 _PAGE = Path(__file__).parents[1] / "docs" / "cli.md"
+#: How many characters of code a page shows in a line, and where the overview's descriptions go on in the next.
+_WIDTH, _INDENT = 96, 19
+#: Stands for a space at which no line may end.
+_HELD = "\0"
 
 _HEAD = """\
 # Command line
@@ -55,7 +61,17 @@ def main() -> int:
 def current_page() -> str:
     """Return what the page is to hold."""
     names = installed_commands()
-    return "\n".join([_HEAD.format(overview=overview()), *map(_section, names)])
+    folded = "\n".join(_wrapped(line, indent=_INDENT) for line in overview().splitlines())
+    return "\n".join([_HEAD.format(overview=folded), *map(_section, names)])
+
+
+def _wrapped(line: str, *, indent: int) -> str:
+    """Fold a line that is too wide for a page at 1280 px; an option and its value stay together."""
+    whole = re.sub(r"\[[^\]]*\]", lambda option: option[0].replace(" ", _HELD), line)
+    folded = textwrap.fill(
+        whole, _WIDTH, subsequent_indent=" " * indent, break_on_hyphens=False, break_long_words=False
+    )
+    return folded.replace(_HELD, " ")
 
 
 def _section(command: str) -> str:
@@ -67,7 +83,16 @@ def _section(command: str) -> str:
 
 
 def _described(level: str, parser: Parser) -> str:
-    lines = [f"{level} {parser.prog}", "", parser.description or "", "", "```text", _usage(parser), "```", ""]
+    lines = [
+        f"{level} {parser.prog}",
+        "",
+        parser.description or "",
+        "",
+        "```text",
+        _wrapped(_usage(parser), indent=4),
+        "```",
+        "",
+    ]
     lines += ["| argument | means |", "|---|---|"]
     lines += [f"| `{_name(action)}` | {_cell((action.help or '') % vars(action))} |" for action in parser.documented]
     return "\n".join([line.rstrip() for line in lines]) + "\n"

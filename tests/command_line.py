@@ -81,7 +81,7 @@ class Terminal:
             timeout=60,
             env={
                 "TERM": "xterm-256color",
-                "PATH": "/usr/bin:/bin",
+                "PATH": f"{Path(PROGRAM).parent}:/usr/bin:/bin",
                 "HOME": str(folder),
                 "LANG": "C.UTF-8",
                 **(environment or {}),

@@ -1,4 +1,4 @@
-"""A headless Chromium that tests open pages with, spoken to by its own protocol over two pipes."""
+"""A headless Chromium that tests open pages with, spoken to by its DevTools protocol over two pipes."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+__all__ = ["Browser", "browser", "started_browser"]
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _DEADLINE = 60.0
@@ -53,12 +55,13 @@ class Browser:
         assert "error" not in answer, answer
         return answer["result"]
 
-    def open(self, path: Path, *, width: int = 1280, height: int = 900, is_phone: bool = False) -> None:
+    def open(self, path: Path | str, *, width: int = 1280, height: int = 900, is_phone: bool = False) -> None:
+        """Open a file, or an address, in a window of this size."""
         self.call(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=is_phone
         )
         self.events.clear()
-        self.call("Page.navigate", url=path.as_uri())
+        self.call("Page.navigate", url=path if isinstance(path, str) else path.as_uri())
         while not any(method == "Page.loadEventFired" for method, _ in self.events):
             self._take(self._next())
         self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
@@ -78,6 +81,44 @@ class Browser:
         for step in (3, 0):
             self.call("Input.dispatchMouseEvent", type="mouseMoved", x=place[0] - step, y=place[1])
         self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def wait_for(self, condition: str, *, seconds: float = _DEADLINE) -> Any:
+        """Wait until an expression is true in the page, and return its value."""
+        deadline = time.monotonic() + seconds
+        while not (value := self.evaluate(condition)):
+            seen = self.evaluate("document.body.innerText")
+            assert time.monotonic() < deadline, f"this never came: {condition}\n{seen}"
+            time.sleep(0.05)
+        return value
+
+    def press(self, selector: str) -> None:
+        """Press what a selector names with the pointer, where it is on the screen."""
+        place = self.evaluate(
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); e.scrollIntoView({{block: 'center',"
+            f" behavior: 'instant'}}); const r = e.getBoundingClientRect();"
+            f" return [r.left + r.width / 2, r.top + r.height / 2]; }})()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
+
+    def key(self, name: str, code: int = 0) -> None:
+        """Press a key, such as Tab or Enter."""
+        text = {"Enter": "\r"}.get(name, "")
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=name, code=name, windowsVirtualKeyCode=code, text=text)
+
+    def write(self, text: str) -> None:
+        """Type a text where the focus is."""
+        self.call("Input.insertText", text=text)
+
+    def screenshot(self, *, whole: bool = False) -> bytes:
+        """Return what is seen, or the whole page, as PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])
+
+    def is_dark(self, is_dark: bool) -> None:
+        """Have the reader prefer a dark page, or a light one."""
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}
+        self.call("Emulation.setEmulatedMedia", features=[scheme])
 
     def pdf(self, *, paper: tuple[float, float] = (8.5, 11.0)) -> bytes:
         """Print on paper of this width and height, inches."""
@@ -117,7 +158,7 @@ class Browser:
 
 
 @contextmanager
-def _started(program: str, profile: Path) -> Iterator[Browser]:
+def started_browser(program: str, profile: Path) -> Iterator[Browser]:
     with ExitStack() as closing:
         theirs_in, ours_out = os.pipe()
         ours_in, theirs_out = os.pipe()
@@ -151,5 +192,5 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     program = next(filter(None, map(shutil.which, _NAMES)), None)
     if program is None:
         pytest.skip("no Chromium is installed (Debian: apt install chromium)")
-    with _started(program, tmp_path_factory.mktemp("chromium")) as started:
+    with started_browser(program, tmp_path_factory.mktemp("chromium")) as started:
         yield started

@@ -29,6 +29,12 @@ def locked_names(lock: Path) -> list[str]:
     return re.findall(r"^([\w.-]+)==", lock.read_text("utf-8"), re.MULTILINE)
 
 
+def is_locked_environment(lock: Path) -> bool:
+    """Return whether the tests run with the versions of a lock, and not with the oldest or newest ones."""
+    pinned = re.findall(r"^rich==([\w.]+)", lock.read_text("utf-8"), re.MULTILINE)
+    return pinned == [metadata.version("rich")]
+
+
 def make_linked_environment(folder: Path, names: Iterable[str], *, code: Path) -> Path:
     """Make an environment with these distributions, as links, and Robot Runner as if it were installed from `code`.
 

@@ -86,7 +86,8 @@ def test_a_pause_ends_with_its_session(
     assert "Paused" not in resumed.stdout
     told = call(program, tmp_path, "status", "config.py").stdout
     broken = ", 1 of them broken off" if ending is signal.SIGKILL else ""
-    assert re.search(rf"Sessions +2{broken}; the first began 20.*Z; .* in all", told)
+    assert re.search(rf"Sessions +2{broken}; .* in all", told)
+    assert re.search(r"Started +20.*Z\n +Resumed +20.*Z", told)
 
 
 def test_enter_ends_a_pause_in_its_own_terminal(

@@ -18,7 +18,7 @@ KINDS = (
     "index.html",
     "extend.html",
     "cli.html",
-    "reference.html",
+    "reference-plugins.html",
     "what-a-value-means.html",
     "decisions/0012-one-keeper-per-run.html",
 )

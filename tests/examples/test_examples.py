@@ -64,6 +64,7 @@ SETTINGS = {
     "listing_1": (["robot=simulated", "operation_type=auto"], 15),
     "basic_experiment": (["repetitions=1"], 3),
     "sorting_algorithms": (["largest=100"], 12),
+    "speed_and_energy": (["repetitions=1"], 3),
     "two_rooms": (["repetitions=1", "task_s=0.5"], 5),
     "offloading": (["repetitions=1"], 10),
 }
@@ -108,7 +109,7 @@ def test_every_example_is_executed_here_and_listed_in_the_readme() -> None:
     assert set(re.findall(r"\[`(\w+)\.py`\]", readme)) == set(SETTINGS)
 
 
-@pytest.mark.parametrize("name", ["basic_experiment", "sorting_algorithms"])
+@pytest.mark.parametrize("name", ["basic_experiment", "sorting_algorithms", "speed_and_energy"])
 def test_an_example_fills_its_run_table(name: str, executed: Callable[[str], Path]) -> None:
     assert_full(name, table_of(executed(name)))
 

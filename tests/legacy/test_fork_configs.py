@@ -253,3 +253,63 @@ def test_a_fork_may_import_under_a_guard_what_is_not_there(config: Callable[...,
     guard = "try:\n    from Plugins.Profilers.ForkOnly import Meter\nexcept ImportError:\n    Meter = None\n"
     head = RUNNER.replace("from pathlib", f"{guard}from pathlib", 1)
     assert prepare(config(head=head)).experiment is not None
+
+
+@pytest.mark.parametrize("tool", ["experiment-runner", "robot-runner/robot-runner"])
+def test_what_stands_beside_the_main_file_of_a_clone_is_importable(
+    config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed], tool: str
+) -> None:
+    write("", f"clone/{tool}/__main__.py")
+    write("", f"clone/{tool}/Plugins/__init__.py")
+    write("def doubled(seconds): return seconds * 2\n", f"clone/{tool}/fork_{len(tool)}_helpers.py")
+    head = RUNNER.replace("from pathlib", f"from fork_{len(tool)}_helpers import doubled\nfrom pathlib")
+    methods = "def populate_run_data(self, context): return {'seconds': doubled(4)}"
+    path = config(methods, head=head, name="clone/experiments/study/RunnerConfig.py")
+    assert {row["seconds"] for row in execute(path).table} == {"8"}
+
+
+def test_an_event_at_which_a_fork_validated_is_heard_before_the_experiment(
+    config: Callable[..., Path], execute: Callable[..., Executed], tmp_path: Path
+) -> None:
+    methods = """\
+        def note(self, word):
+            with (self.ROOT_DIR / "order").open("a") as file:
+                file.write(word + " ")
+
+        def before_experiment(self): self.note("before")
+
+        def validate(self): self.note("validated")
+    """
+    path = config(methods, subscribe="(RunnerEvents.VALIDATE_EXPERIMENT, self.validate),")
+    said = " ".join(finding.problem for finding in prepare(path).findings)
+    assert "this event is a fork's own: its callback is called at before_experiment" in said
+    execute(path)
+    assert (tmp_path / "order").read_text().split() == ["validated", "before"]
+
+
+def test_who_only_parses_a_log_needs_no_program_and_who_measures_does(config: Callable[..., Path]) -> None:
+    head = RUNNER.replace("from pathlib", "from Plugins.Profilers.EnergiBridge import EnergiBridge\nfrom pathlib")
+    parsing = config("def populate_run_data(self, context): return EnergiBridge.parse_log('e.csv')", head=head)
+    assert problems(prepare(parsing)) == []
+    measuring = "def start_run(self, context): self.meter = EnergiBridge(target_program='sleep 1')"
+    assert "needs the program energibridge" in "".join(problems(prepare(config(measuring, head=head))))
+
+
+@pytest.mark.parametrize(("kind", "name"), [("factor", "__done"), ("factor", "__run_id"), ("measure", "__done")])
+def test_a_name_of_the_tools_own_columns_is_refused_instead_of_lost(
+    config: Callable[..., Path], kind: str, name: str
+) -> None:
+    factors = f'[FactorModel("size", [1, 2]){f""", FactorModel("{name}", [3, 4])""" if kind == "factor" else ""}]'
+    columns = f"['{name}']" if kind == "measure" else "['seconds']"
+    table = f"    def create_run_table_model(self):\n        return RunTableModel({factors}, data_columns={columns})\n"
+    (said,) = problems(prepare(config(table=table)))
+    assert f"a {kind} is named {name!r}, which is the tool's own column: it would be lost" in said
+    assert f"Name it {name.strip('_')!r}." in said
+
+
+def test_the_first_of_two_errors_is_told(config: Callable[..., Path], write: Callable[..., Path]) -> None:
+    head = RUNNER.replace(
+        "class RunnerConfig", "try:\n    {}['rate']\nexcept KeyError:\n    print(undefined)\n\n\nclass RunnerConfig"
+    )
+    (said,) = problems(prepare(config(head=head)))
+    assert "NameError while it was loaded: name 'undefined' is not defined (after KeyError: 'rate')" in said

@@ -24,6 +24,8 @@ from robot_runner.ros.shapes import completed
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
 
+#: No message is shorter: its encoding, and no field.
+EMPTY_CDR = b"\0\1\0\0"
 STAND_IN = Path(__file__).with_name("bag_program.py")
 
 
@@ -119,8 +121,8 @@ def test_a_bag_that_begins_after_the_mission_says_by_how_much(tmp_path):
     definition = TypeCatalogue.of(2).definition("std_msgs/String")
     late, later = (bag.add_topic(name, "std_msgs/String", definition) for name in ("/late", "/at_the_end"))
     for number in range(20):
-        bag.write(late, begin + 350_000_000 + number * 100_000_000, b"")
-    bag.write(later, begin + 3_000_000_000, b"")
+        bag.write(late, begin + 350_000_000 + number * 100_000_000, EMPTY_CDR)
+    bag.write(later, begin + 3_000_000_000, EMPTY_CDR)
     bag.close()
     assert began_late(tmp_path, begin) == pytest.approx(0.25)
     assert began_late(tmp_path, begin + 300_000_000) == 0.0

@@ -45,3 +45,5 @@ def test_the_page_has_a_section_for_every_command_and_every_option() -> None:
     ]
     assert "| `--set NAME=VALUE` | " in page
     assert "robot-runner new [FILE] [--debug]" in page
+    assert "%(" not in page, "a default that argparse was to fill in"
+    assert max(len(line) for line in page.splitlines() if not line.startswith("|")) <= 120

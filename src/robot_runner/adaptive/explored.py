@@ -15,13 +15,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.design.asking import Told
-    from robot_runner.core.design.factor import Combination, Factor
+    from robot_runner.core.design.factor import Combination
 
 __all__ = [
     "Direction",
     "Explored",
-    "baseline_findings",
-    "baseline_of",
     "best_of",
     "confirmation",
     "count_findings",
@@ -140,11 +138,6 @@ def confirmation(points: Sequence[Explored], often: int, known: str, facts: Mapp
     return Decision(name="confirmation", in_words=words, runs=runs, confirms=True, facts={"why": words, **facts})
 
 
-def baseline_of(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the key of the combination that the best is compared with; factors of one treatment need no mention."""
-    return tuple(str(baseline.get(factor.name, factor.treatments[0])) for factor in factors)
-
-
 # What is wrong with what was asked for.
 
 
@@ -169,18 +162,3 @@ def count_findings(where: str, least: int = 0, **counts: object) -> Iterator[Fin
             yield Finding.error(where, f"{name} is {value!r}, of type {type(value).__name__}", "Give a whole number.")
         elif value < least:
             yield Finding.error(where, f"{name} is {value}", f"Give a whole number from {least}.")
-
-
-def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Iterator[Finding]:
-    """Say where a baseline is no combination of these factors."""
-    known = {factor.name: factor for factor in factors}
-    for name, treatment in baseline.items():
-        if name not in known:
-            yield Finding.error(where, f"the baseline names the factor {name!r}", did_you_mean(str(name), known))
-        elif known[name].position_of(treatment) is None:
-            problem = f"the baseline has {treatment!r}, which is no treatment of {name}"
-            yield Finding.error(where, problem, known[name].suggestion(treatment))
-    for factor in factors:
-        if factor.name not in baseline and len(factor.treatments) > 1:
-            problem = f"the baseline has no treatment of {factor.name}"
-            yield Finding.error(where, problem, f"Add it, such as {factor.name!r}: {factor.treatments[0]!r}.")

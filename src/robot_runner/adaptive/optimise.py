@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.adaptive.explored import (
     Direction,
     Explored,
-    baseline_findings,
-    baseline_of,
     best_of,
     confirmation,
     count_findings,
@@ -25,7 +23,7 @@ from robot_runner.adaptive.explored import (
     key_of,
     shown,
 )
-from robot_runner.adaptive.searched_space import Places, SearchedSpace
+from robot_runner.adaptive.searched_space import Places, SearchedSpace, baseline_findings, baseline_of
 from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.design import ChosenCombinations
 from robot_runner.core.errors import DesignError, Finding
@@ -45,6 +43,7 @@ __all__ = ["Optimise"]
 _LEAST_START = 5
 #: How long Optuna may take to answer, in s: it takes one or two.
 _PATIENCE = 300.0
+_PROGRAM = "robot_runner.adaptive.optuna_program"
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -162,7 +161,7 @@ class Optimise:
         if not first:
             fix = "Exclude fewer."
             raise DesignError("the exclusions leave no combination that could be found", where="design", fix=fix)
-        if self.baseline and not is_allowed(_baseline(factors, self.baseline)):
+        if self.baseline and not is_allowed(baseline_of(factors, self.baseline)):
             problem = "the baseline is a combination that is excluded"
             raise DesignError(problem, where="design", fix="Choose another baseline, or exclude fewer.")
         return ChosenCombinations([space.combination(places) for places in first], self._facts())
@@ -187,13 +186,6 @@ class Optimise:
             decides += f"; then {counted(self.confirm, 'run')} of the best{beside}, which confirm it"
         confirming = self.confirm * ((1 if len(self.directions) == 1 else self.runs) + bool(self.baseline))
         return {"kind": "optimise", "decides": decides, "most_runs": self.runs + confirming}
-
-
-def _baseline(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Combination:
-    space = SearchedSpace(factors, lambda _: True)
-    key = baseline_of(factors, baseline)
-    places = tuple([str(each) for each in levels].index(text) for levels, text in zip(space.levels, key, strict=True))
-    return space.combination(places)
 
 
 class _Search:
@@ -221,7 +213,8 @@ class _Search:
         if any(each.run.batch > 1 for each in told):
             words = f"{words}. The runs that confirm it are done"
             return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
-        left = design.runs // self._repetitions - len(points)
+        # Where nothing has a value, the fault is not in the treatments: the runs that are left are worth keeping.
+        left = design.runs // self._repetitions - len(points) if best else 0
         wanted = self._next(points, min(design.at_a_time, left)) if left > 0 else []
         if wanted:
             words = f"{words}. Next: {listed(shown(each) for each in wanted)}"
@@ -231,7 +224,7 @@ class _Search:
         if not best:
             odd = [*odd, (f"no combination has a value of {enumerated(self.measures)}", "See why its runs failed.")]
         ended = "the search has had its runs" if left <= 0 else "no further combination is allowed"
-        words = f"{words}: {ended}"
+        words = f"{words}: {ended if best else 'nothing tells where to search'}"
         if design.confirm and best:
             return confirmation(self._to_confirm(points, best), design.confirm, words, facts)
         return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
@@ -264,7 +257,7 @@ class _Search:
             "count": count,
             "seed": seed,
         }
-        command = [sys.executable, "-m", "robot_runner.adaptive.optuna_program"]
+        command = [sys.executable, "-m", _PROGRAM]
         # A group of its own: Ctrl-C is for the experiment, which ends once this is answered.
         asked = subprocess.run(  # noqa: S603 - a program of ours, and what it is told is no command
             command,
@@ -285,7 +278,7 @@ class _Search:
     def _to_confirm(self, points: Sequence[Explored], best: Sequence[Explored]) -> list[Explored]:
         if not self._design.baseline:
             return list(best)
-        beside = _baseline(self._factors, self._design.baseline)
+        beside = baseline_of(self._factors, self._design.baseline)
         known = {key_of(each.combination): each for each in (Explored(beside), *points)}
         chosen = {key_of(each.combination): each for each in (*best, known[key_of(beside)])}
         return list(chosen.values())

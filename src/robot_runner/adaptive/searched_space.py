@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import RunOrder, arranged
+from robot_runner.core.errors import Finding, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
     from typing import Any
 
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["Places", "SearchedSpace"]
+__all__ = ["Places", "SearchedSpace", "baseline_findings", "baseline_of", "settings"]
 
 #: A combination as the place of each factor's treatment.
 Places = tuple[int, ...]
@@ -30,7 +31,7 @@ _FEW = 20_000
 class SearchedSpace:
     """What a search chooses from.
 
-    Treatments that are numbers have places in ascending order, others as they are listed.
+    Treatments that are numbers have places in ascending order, others as they are listed; a range has all its steps.
 
     Args:
         factors: what is varied.
@@ -50,7 +51,7 @@ class SearchedSpace:
     def __init__(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> None:
         self.are_numbers = [all(map(_is_number, factor.treatments)) for factor in factors]
         self.levels: list[list[Any]] = [
-            sorted(factor.treatments) if is_numeric else list(factor.treatments)
+            sorted(settings(factor)) if is_numeric else settings(factor)
             for factor, is_numeric in zip(factors, self.are_numbers, strict=True)
         ]
         self._is_allowed = is_allowed
@@ -113,6 +114,43 @@ class SearchedSpace:
                 number, place = divmod(number, len(levels))  # noqa: PLW2901 - what is left of it
                 places.append(place)
             yield tuple(places)
+
+
+def settings(factor: Factor) -> list[Any]:
+    """Return what a factor can be set to: its treatments, or of a range all of its steps."""
+    span = factor.range
+    if span is None:
+        return list(factor.treatments)
+    own = dict(zip(factor.texts, factor.treatments, strict=True))  # its own objects: exclusions go by these
+    steps = (span.at(number / span.step_count) for number in range(span.step_count + 1))
+    return list({str(each): own.get(str(each), each) for each in steps}.values())
+
+
+def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Iterator[Finding]:
+    """Say where a baseline is no combination of these factors."""
+    known = {factor.name: factor for factor in factors}
+    for name, treatment in baseline.items():
+        if name not in known:
+            yield Finding.error(where, f"the baseline names the factor {name!r}", did_you_mean(str(name), known))
+            continue
+        whole = known[name].with_treatments(settings(known[name]))
+        if whole.position_of(treatment) is None:
+            problem = f"the baseline has {treatment!r}, which is no treatment of {name}"
+            yield Finding.error(where, problem, whole.suggestion(treatment))
+    for factor in factors:
+        if factor.name not in baseline and len(factor.treatments) > 1:
+            problem = f"the baseline has no treatment of {factor.name}"
+            yield Finding.error(where, problem, f"Add it, such as {factor.name!r}: {factor.treatments[0]!r}.")
+
+
+def baseline_of(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Combination:
+    """Return the combination that a baseline names, which has no findings; factors of one treatment need no mention."""
+    treatments = []
+    for factor in factors:
+        whole = factor.with_treatments(settings(factor))
+        place = whole.position_of(baseline.get(factor.name, factor.treatments[0])) or 0
+        treatments.append(whole.treatments[place])
+    return Combination(factor_places(factor.name for factor in factors), tuple(treatments))
 
 
 def _is_number(treatment: object) -> bool:

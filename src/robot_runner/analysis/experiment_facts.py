@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.events.measure import QUALITY_SUFFIX
 from robot_runner.core.storage.table_columns import ColumnRole
@@ -60,6 +61,17 @@ class ExperimentFacts:
     def batch(self) -> str | None:
         """The column that says in which batch a run was planned, where the experiment was extended: a stratum."""
         return next(iter(self._named(ColumnRole.BATCH)), None)
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether the design decided on runs from results: what it searched among is exploratory."""
+        return bool((self.manifest.get("design") or {}).get("facts", {}).get("decides"))
+
+    @property
+    def confirming_batches(self) -> tuple[int, ...]:
+        """The batches that confirm what a design has found that decides on its runs."""
+        batches = (self.manifest.get("design") or {}).get("batches", ())
+        return tuple(each["batch"] for each in batches if each.get("role") == CONFIRMATION)
 
     @property
     def measures(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -53,6 +53,7 @@ class Results(ExperimentFacts):
         columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
         with_excluded: whether runs that were excluded are among the others.
         with_warm_ups: whether warm-up runs are among the others; else they are left out everywhere.
+        only_confirming: whether runs of a search are left out everywhere; see `confirming`.
 
     Example:
         >>> results = load_results("experiments/basic_experiment")  # doctest: +SKIP
@@ -62,6 +63,26 @@ class Results(ExperimentFacts):
 
     with_excluded: bool = False
     with_warm_ups: bool = False
+    only_confirming: bool = False
+
+    @property
+    def confirming(self) -> Results:
+        """The results with those runs alone that a planned analysis is about.
+
+        Where a design decided on its runs and had what it found confirmed, these are the runs that confirm it;
+        else all. Statistics and reports are of these.
+        """
+        return replace(self, only_confirming=True) if self.confirming_batches and self.batch else self
+
+    @property
+    def with_exploration(self) -> Results:
+        """The results with all runs, those that a design searched among included."""
+        return replace(self, only_confirming=False) if self.only_confirming else self
+
+    @property
+    def is_exploratory(self) -> bool:
+        """Whether these are runs of a search, so that no test is right: the best of many looks better than it is."""
+        return self.is_adaptive and not self.only_confirming
 
     @property
     def warm_ups(self) -> tuple[str, ...]:
@@ -325,11 +346,16 @@ class Results(ExperimentFacts):
     @cached_property
     def _run_frame(self) -> RunFrame:
         read = read_run_frame(self._files, tuple(self.columns.values()), self.manifest)
+        if self.only_confirming and self.batch is not None:
+            read = read.of_batches(self.batch, self.confirming_batches)
         return read if self.with_warm_ups else read.without_warm_ups()
 
     @cached_property
     def _history(self) -> History:
         history = read_history(self._files.journal)
+        if self.only_confirming:
+            own = set(self._run_frame.frame[RUN_ID])
+            history = history.without(set(self.with_exploration.all_runs[RUN_ID]) - own)
         return history if self.with_warm_ups else history.without(self.warm_ups)
 
     @cached_property

@@ -62,6 +62,17 @@ class RunFrame:
         kept.attrs = self.frame.attrs
         return replace(self, frame=kept)
 
+    def of_batches(self, batch: str, numbers: Sequence[int]) -> RunFrame:
+        """Return the table with the runs of these batches alone.
+
+        Args:
+            batch: the column of the batches.
+            numbers: of those whose runs are kept.
+        """
+        kept = self.frame[self.frame[batch].isin(numbers)].reset_index(drop=True)
+        kept.attrs = self.frame.attrs
+        return replace(self, frame=kept)
+
 
 def column_descriptions(folder: ExperimentFolder, manifest: Mapping[str, Any]) -> tuple[ColumnDescription, ...]:
     """Return what each column of the run table is; from the manifest where there is no schema.

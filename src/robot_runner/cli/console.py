@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
+import shlex
+import shutil
 import sys
 import textwrap
 from contextlib import contextmanager, redirect_stdout
@@ -31,16 +33,19 @@ __all__ = [
     "Column",
     "UserConsole",
     "aligned",
+    "command_line",
     "complaints",
     "fitting",
     "folded",
     "is_live_terminal",
+    "is_on_path",
     "no_byte_code",
     "output",
     "print_facts",
     "print_folded",
     "print_json",
     "quiet_loading",
+    "shortened",
     "shown_path",
     "width_of",
 ]
@@ -50,6 +55,7 @@ __all__ = [
 
 #: Wide enough that nothing is folded where nobody looks at a screen.
 _UNLIMITED = 100_000
+_PROGRAM = "robot-runner"
 
 
 class UserConsole(Console):
@@ -137,6 +143,26 @@ def shown_path(path: Path) -> str:
     return str(relative)
 
 
+def command_line(*words: str) -> str:
+    """Return a command of ours as it works when it is pasted into this shell, wherever the program was installed.
+
+    Example:
+        >>> command_line("check", "my study.py")
+        "robot-runner check 'my study.py'"
+    """
+    program = Path(sys.argv[0])
+    if program.parts[-2:] == ("robot_runner", "__main__.py"):
+        return shlex.join([sys.executable, "-m", "robot_runner", *words])
+    is_found = program.name != _PROGRAM or is_on_path()
+    return shlex.join([_PROGRAM if is_found else shown_path(program.absolute()), *words])
+
+
+def is_on_path() -> bool:
+    """Whether a shell that is given the program's name finds the program that is being executed."""
+    found = shutil.which(_PROGRAM)
+    return found is not None and Path(found).resolve() == Path(sys.argv[0]).resolve()
+
+
 @contextmanager
 def no_byte_code() -> Iterator[None]:
     """While a config is looked at, no byte code is written beside the modules that it imports."""
@@ -192,6 +218,8 @@ def folded(text: str, width: int) -> list[str]:
 
 _GAP = "  "
 _WIDEST = 28
+#: Of one treatment or measure in a sentence, in cells.
+_LONGEST = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +261,16 @@ def aligned(columns: Sequence[Column], cells: Sequence[str]) -> str:
     return _GAP.join(parts).rstrip()
 
 
+def shortened(text: str, width: int = _LONGEST) -> str:
+    """Return a text that takes at most so many cells of a terminal; what is left out becomes `…`.
+
+    Example:
+        >>> shortened("a wide treatment", 7)
+        'a wide…'
+    """
+    return text if cell_len(text) <= width else set_cell_size(text, width - 1) + "…"
+
+
 def _placed(column: Column, cell: str) -> str:
-    length = cell_len(cell)
-    if length > column.width:
-        return set_cell_size(cell, column.width - 1) + "…"
-    return f"{' ' * (column.width - length)}{cell}" if column.is_number else set_cell_size(cell, column.width)
+    cell = shortened(cell, column.width)
+    return f"{' ' * (column.width - cell_len(cell))}{cell}" if column.is_number else set_cell_size(cell, column.width)

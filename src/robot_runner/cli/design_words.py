@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict
 from math import prod
 from typing import TYPE_CHECKING, Any
@@ -56,7 +55,7 @@ def run_cells(model: RunTableModel, run_id: str, combination: Mapping[str, objec
     return [*cells, str(repetition) if repetition else "warm-up"] if model.repetitions > 1 else cells
 
 
-#: A table of more runs than this is abbreviated on a terminal.
+#: Of a table of more runs than this, the first and the last ones are shown.
 _LONG = 40
 _FIRST, _LAST = 20, 5
 
@@ -64,21 +63,27 @@ _FIRST, _LAST = 20, 5
 def print_runs(
     console: UserConsole, model: RunTableModel, runs: Sequence[PlannedRun], *, shows_all: bool = False
 ) -> None:
-    """Print planned runs as a table; a long one is abbreviated on a terminal, where not all are asked for."""
-    is_abbreviated = sys.stdout.isatty() and not shows_all and len(runs) > _LONG
-    columns = [*run_columns(model, max((run.run_id for run in runs), key=len)), *_mark_columns(model, runs)]
+    """Print planned runs as a table; of a long one its head and its tail, where not all runs are asked for."""
+    is_abbreviated = not shows_all and len(runs) > _LONG
+    head, tail = (runs[:_FIRST], runs[-_LAST:]) if is_abbreviated else (runs, ())
+    longest = max((run.run_id for run in (*head, *tail)), key=len)
+    columns = [*run_columns(model, longest), *_mark_columns(model, runs)]
     shown = columns[: fitting(columns, console.width)]
     console.print(aligned(shown, [column.heading for column in columns]), style="bold", soft_wrap=True)
-    for run in runs[:_FIRST] if is_abbreviated else runs:
+    for run in head:
         print(aligned(shown, _cells(run, model)))
     if is_abbreviated:
         left_out = len(runs) - _FIRST - _LAST
         console.print(f"… {counted(left_out, 'run')} left out: --all shows them …", style="dim")
-        for run in runs[-_LAST:]:
-            print(aligned(shown, _cells(run, model)))
+    for run in tail:
+        print(aligned(shown, _cells(run, model)))
     if len(shown) < len(columns):
-        names = ", ".join(column.heading for column in columns[len(shown) :])
+        names = listed((column.heading for column in columns[len(shown) :]), _MOST_NAMES)
         console.print(f"No room for: {names}. A wider terminal shows them, and so does --json.", style="dim")
+
+
+#: As many factors or measures are named in one line.
+_MOST_NAMES = 12
 
 
 def _mark_columns(model: RunTableModel, runs: Sequence[PlannedRun]) -> list[Column]:
@@ -107,16 +112,17 @@ def in_words(model: RunTableModel) -> str:
         >>> in_words(RunTableModel([Factor("Task", ["Video", "Network"]), Factor("Speed", [1])], repetitions=3))
         '6 runs: Task (2) x Speed (1) x 3 repetitions'
     """
-    parts = [f"{factor.name} ({len(factor.treatments):,})" for factor in model.factors]
+    parts = [f"{factor.name} ({_treatments_in_words(factor)})" for factor in model.factors]
     if isinstance(model, ListedRunTableModel):
         return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts) or 'nothing is varied'}"
     combinations = prod(len(factor.treatments) for factor in model.factors)
     runs = sum(not run.is_warm_up for run in model.plan())
     if not model.is_full_factorial and not model.is_extended:
         kind = str(model.design_facts["kind"]).replace("_", " ")
-        full = combinations * model.repetitions
-        return f"{counted(runs, 'run')}, {kind}; the full factorial has {full:,}: {' x '.join(parts)}"
-    if model.repetitions > 1:
+        has_ranges = any(factor.range is not None for factor in model.factors)
+        full = "" if has_ranges else f"; the full factorial has {combinations * model.repetitions:,}"
+        return f"{counted(runs, 'run')}, {kind}{full}: {' x '.join(parts)}"
+    if model.repetitions > 1 and not model.design_facts.get("decides"):  # then it varies from one to another
         parts.append(f"{model.repetitions:,} repetitions")
     if model.is_extended:
         sizes = enumerated(f"{len(batch.run_ids):,}" for batch in model.batches)
@@ -124,6 +130,11 @@ def in_words(model: RunTableModel) -> str:
     excluded = combinations - runs // model.repetitions
     less = f", {counted(excluded, 'combination')} excluded" if excluded else ""
     return f"{counted(runs, 'run')}: {' x '.join(parts)}{less}"
+
+
+def _treatments_in_words(factor: Factor) -> str:
+    span = factor.range
+    return f"{len(factor.treatments):,}" if span is None else f"{span.lower} to {span.upper} {span.unit}".rstrip()
 
 
 def warm_ups_in_words(model: RunTableModel, runs: Sequence[PlannedRun]) -> str:
@@ -165,7 +176,7 @@ def later_orders_in_words(model: RunTableModel) -> list[str]:
 
 def measures_in_words(columns: MeasureColumns) -> str:
     """Return the measure columns of the run table with their units."""
-    return ", ".join(_with_unit(column) for column in columns.in_table) or "none"
+    return listed(map(_with_unit, columns.in_table), _MOST_NAMES) or "none"
 
 
 def _with_unit(column: MeasureColumn) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 from robot_runner.cli.commands import command_module, installed_commands, summary_of
@@ -33,6 +34,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _execute(words: list[str]) -> int:
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks what fits the line that is being typed
+        from robot_runner.cli.completing import complete  # noqa: PLC0415 - an extra
+
+        complete()
     if words and words[0] == "help":
         words = [*words[1:], "--help"]
     if not words or words[0] in {"-h", "--help"}:  # answered before anything slow is imported
@@ -93,8 +98,6 @@ def _lines(text: str, width: int) -> list[str]:
 
 def _width() -> int:
     """Return how many cells a line of the terminal has; no limit where there is none."""
-    import os  # noqa: PLC0415 - for a quick --help
-
     try:
         return os.get_terminal_size(sys.stdout.fileno()).columns or _UNLIMITED
     except (OSError, ValueError):  # no terminal

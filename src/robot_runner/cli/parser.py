@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 from robot_runner.core.errors import RobotRunnerError, did_you_mean, nearest
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
 __all__ = [
     "RUNS_HELP",
@@ -68,11 +68,21 @@ class Parser(argparse.ArgumentParser):
             formatter_class=_Folding,
         )
 
-    def add_argument(self, *names: Any, **settings: Any) -> argparse.Action:
-        """Add an argument, and remember it for the documentation."""
-        action = super().add_argument(*names, **settings)
+    def add_argument(
+        self, *names: Any, completer: Callable[..., Iterable[str]] | None = None, **settings: Any
+    ) -> argparse.Action:
+        """Add an argument, and remember it for the documentation.
+
+        Args:
+            names: of the option, or of the argument.
+            completer: what a shell offers at TAB, as argcomplete calls it; files if it is left out.
+            settings: as argparse takes them.
+        """
+        action: Any = super().add_argument(*names, **settings)
+        if completer is not None:
+            action.completer = completer
         self.documented.append(action)
-        return action
+        return action  # type: ignore[no-any-return]
 
     def parse(self, words: Sequence[str]) -> argparse.Namespace:
         """Return what the words mean.
@@ -166,7 +176,16 @@ def add_set(parser: Parser) -> None:
         action="append",
         default=[],
         help="set a static parameter of the config, such as robot=simulated; may be given several times",
+        completer=_assignments,
     )
+
+
+def _assignments(prefix: str, **_: Any) -> list[str]:
+    from robot_runner.core.config.parameters import PARAMETERS  # noqa: PLC0415 - for who presses TAB alone
+    from robot_runner.core.links.kinds import installed_links  # noqa: PLC0415 - as above
+
+    links = [f"robot={link}" for link in installed_links()]
+    return [each for each in [*links, *(f"{name}=" for name in PARAMETERS)] if each.startswith(prefix)]
 
 
 #: How runs are named on the command line.

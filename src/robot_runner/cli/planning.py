@@ -174,8 +174,8 @@ def _with_duration(
         may_repeat=plan.model.repetitions < most_repetitions(rules),
     )
     plan = replace(plan, repeated=rule_in_words(rules, as_configured(plan.model).repetitions))
-    is_probed = parameters.probe
-    probed = probe_window_of(probed_plugins(plugins, events, parameters.robot)) if is_probed else 0.0
+    window = probe_window_of(probed_plugins(plugins, events, parameters)) if parameters.probe else 0.0
+    probed = window * max(1, len(parameters.robots))  # beside one robot after another
     estimate = durations.estimate(probe_s=probed)
     findings = (*plan.findings, *durations.knowledge.findings)
     return replace(plan, duration=estimate, durations=durations, findings=findings)

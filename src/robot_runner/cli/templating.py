@@ -12,8 +12,8 @@ _TEMPLATES = Path(__file__).parent / "templates"
 
 
 def template(name: str) -> str:
-    """Return the text of a template: `demo` or `new`, after the command that writes it."""
-    return (_TEMPLATES / f"{name}_config.py").read_text(encoding="utf-8")
+    """Return the text of a template, by the name of its file, such as `demo_config.py`."""
+    return (_TEMPLATES / name).read_text(encoding="utf-8")
 
 
 def write_new_file(path: Path, text: str, *, instead: str) -> None:

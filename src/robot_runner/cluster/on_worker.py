@@ -32,6 +32,8 @@ __all__ = ["TOPIC", "describe", "discard", "execute", "join", "leave", "read_pie
 TOPIC = "robot-runner"
 #: How often the records of a run are sent while it is executed, s, and how many of them at a time.
 _SENDING, _MOST_RECORDS = 0.5, 200
+#: As much of a lease is left for a run to begin; half of it is, where it was renewed as it should be, see the gateway.
+_ENOUGH = 0.25
 #: How long a host may take to close a run after its worker has let go of it, s, beside the grace.
 _CLOSING = 30.0
 
@@ -123,6 +125,7 @@ class _Session:
         self.folder.mkdir(mode=0o700)
         self._facts = facts
         self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
         self._begun: set[str] = set()
         self._stopped: dict[str, Mapping[str, Any]] = {}
         self._idle: list[_HostProcess] = []
@@ -155,16 +158,18 @@ class _Session:
         The orchestrator asks again only once it has the answer to the last time. So it was there when that was
         answered, and knows that the lease does not outlast the moment at which it asks by more than its length.
         """
-        self._until, self._seen = self._seen + self._facts["lease"], time.monotonic()
-        with self._lock:
+        with self._changed:
+            self._until, self._seen = self._seen + self._facts["lease"], time.monotonic()
+            self._changed.notify_all()
             for host in self._hosts:
                 host.ask("lease", {"until": self._until})
 
     def stop(self, token: str, request: Mapping[str, Any]) -> None:
         """Pass the request on to the process that executes the run; one that has not begun does not begin."""
-        with self._lock:
+        with self._changed:
             host = self._of_attempt.get(token)
             self._stopped[token] = request
+            self._changed.notify_all()
         if host is not None:
             host.ask(request["kind"], {"token": token, **request})
 
@@ -175,6 +180,7 @@ class _Session:
             if token in self._begun:
                 raise RuntimeError("the attempt was begun before")
             self._begun.add(token)
+            self._await_lease(token)
             stopped = self._stopped.pop(token, None)
         outgoing = _Outgoing(self._facts["session"], token, tell)
         if stopped is not None:
@@ -194,6 +200,20 @@ class _Session:
             else:
                 self._hosts.remove(host)
         outgoing.end(ended)
+
+    def _await_lease(self, token: str) -> None:
+        """Wait until enough of the lease is left, or the attempt is stopped. The lock is held.
+
+        Where the network was cut for nearly as long as the lease, the first renewal after it leaves hardly anything: a
+        run that began then would be lost at once, and with it all of its attempts.
+
+        Raises:
+            RuntimeError: the lease is not renewed any more.
+        """
+        lease = self._facts["lease"]
+        enough = lambda: token in self._stopped or self._until - time.monotonic() >= lease * _ENOUGH  # noqa: E731
+        if not self._changed.wait_for(enough, timeout=lease):
+            raise RuntimeError("the orchestrator did not renew the lease of its worker")
 
     def outbox(self, token: str, name: str) -> Path:
         """Return the file of an attempt that is to be sent home, or, without a name, the list of them."""

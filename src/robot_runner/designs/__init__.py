@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import Design as Design
     from robot_runner.core.design.design import DesignedRuns as DesignedRuns
     from robot_runner.core.design.design import FullFactorial as FullFactorial
+    from robot_runner.designs.blocks import Blocks as Blocks
     from robot_runner.designs.covering import CoveringArray as CoveringArray
+    from robot_runner.designs.crossover import Crossover as Crossover
     from robot_runner.designs.fractional import FractionalFactorial as FractionalFactorial
     from robot_runner.designs.one_at_a_time import OneFactorAtATime as OneFactorAtATime
     from robot_runner.designs.optimal import DOptimal as DOptimal
@@ -23,5 +25,8 @@ if TYPE_CHECKING:
     from robot_runner.designs.response_surface import CentralComposite as CentralComposite
     from robot_runner.designs.space_filling import LatinHypercube as LatinHypercube
     from robot_runner.designs.space_filling import Sobol as Sobol
+    from robot_runner.designs.split_plot import SplitPlot as SplitPlot
+    from robot_runner.designs.squares import GraecoLatinSquare as GraecoLatinSquare
+    from robot_runner.designs.squares import LatinSquare as LatinSquare
 else:
     __getattr__, __dir__ = open_door(__name__)

@@ -1,8 +1,8 @@
 """Balanced incomplete block designs: each treatment equally often, and each pair of treatments in equally many blocks.
 
-They are found by prescribing a group of symmetries (Kramer and Mesner, t-designs on hypergraphs, Discrete Mathematics 15
-(1976), 263-296; with the residues of v this is Bose's method of differences, Annals of Eugenics 9 (1939), 353-399): each
-block brings its images, so that a few base blocks, whose differences cover each orbit of pairs equally often, are all.
+They are found by prescribing a group of symmetries (Kramer and Mesner, t-designs on hypergraphs, Discrete Mathematics
+15 (1976), 263-296; with the residues of v this is Bose's method of differences, Annals of Eugenics 9 (1939), 353-399):
+each block brings its images, so that a few base blocks are all, whose differences cover each orbit of pairs equally.
 """
 
 from __future__ import annotations
@@ -101,10 +101,9 @@ def _translations(cycles: Sequence[int], copies: int, fixed: int) -> list[_Permu
     def moved(shift: Sequence[int]) -> Iterable[int]:
         return (place[tuple((a + b) % n for a, b, n in zip(e, shift, cycles, strict=True))] for e in elements)
 
-    return [
-        (*chain.from_iterable([copy * size + each for each in images] for copy in range(copies)), *range(size * copies, size * copies + fixed))
-        for images in (list(moved(shift)) for shift in elements)
-    ]
+    moves = [list(moved(shift)) for shift in elements]
+    still = range(size * copies, size * copies + fixed)
+    return [(*(copy * size + each for copy in range(copies) for each in images), *still) for images in moves]
 
 
 # The search for base blocks.
@@ -118,7 +117,7 @@ class _Orbit:
     covers: Counter[int]
 
 
-class _TriedEnough(Exception):
+class _TriedEnoughError(Exception):
     """The search has lasted long enough."""
 
 
@@ -151,7 +150,7 @@ class _Search:
                     if bases is not None:
                         images = (self._images(base) for base in bases)
                         return tuple(chain(*(orbit.blocks for orbit in short), *images))
-        except _TriedEnough:
+        except _TriedEnoughError:
             pass
         return None
 
@@ -229,7 +228,7 @@ class _Search:
     def _count(self, more: int = 1) -> None:
         self._tried += more
         if self._tried > _MOST_TRIED:
-            raise _TriedEnough
+            raise _TriedEnoughError
 
 
 def _cycles(permutation: _Permutation) -> Iterator[_Block]:

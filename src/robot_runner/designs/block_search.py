@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from itertools import combinations
+from itertools import combinations, product
 from random import Random
 from typing import TYPE_CHECKING, Final
 
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 __all__ = ["concurrences", "distributed", "efficiency", "efficiency_bound"]
 
-#: So many exchanges of two treatments are tried for each place, in each of so many beginnings.
+#: So many exchanges of two treatments are tried for each place, in several beginnings, and so many in all (under 1 s).
 _TRIED_PER_PLACE: Final = 60
-_MOST_TRIED: Final = 30_000
-_BEGINNINGS: Final = 4
+_MOST_TRIED: Final = 20_000
+_MOST_BEGINNINGS: Final = 24
 
 
 def distributed(treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int) -> list[list[int]]:
@@ -24,7 +24,8 @@ def distributed(treatments: int, replicates: int, cells: Sequence[tuple[int, ...
     Cells are as large as each other, or by one run larger. Pairs of treatments are to be in one block of each kind
     about equally often, and no treatment more often in one block than in another by more than one: the sum of the
     squares of how often is minimised by exchanges (the (M,S) criterion of Eccleston and Hedayat, On the theory of
-    connected designs, Annals of Statistics 2 (1974), 1238-1255).
+    connected designs, Annals of Statistics 2 (1974), 1238-1255). Of several designs that are found so, the most
+    efficient one is taken.
 
     Args:
         treatments: how many there are.
@@ -35,12 +36,20 @@ def distributed(treatments: int, replicates: int, cells: Sequence[tuple[int, ...
     Returns:
         the treatments of each cell.
     """
-    best: tuple[int, list[list[int]]] | None = None
-    for beginning in range(_BEGINNINGS):
-        found = _Exchange(treatments, replicates, cells, Random(f"{seed}/{beginning}")).found()  # noqa: S311
-        if best is None or found[0] < best[0]:
-            best = found
-    return best[1] if best else []
+    tried = treatments * replicates * _TRIED_PER_PLACE
+    beginnings = max(1, min(_MOST_BEGINNINGS, _MOST_TRIED // tried))
+    # Not secret, and reproducible.
+    randoms = [Random(f"{seed}/{beginning}") for beginning in range(beginnings)]  # noqa: S311
+    found = [_Exchange(treatments, replicates, cells, random).found(min(tried, _MOST_TRIED)) for random in randoms]
+
+    def worth(design: list[list[int]]) -> float:
+        blocks: list[dict[int, list[int]]] = [{} for _ in cells[0]]
+        for cell, held in zip(cells, design, strict=True):
+            for kind, block in enumerate(cell):
+                blocks[kind].setdefault(block, []).extend(held)
+        return min(efficiency(treatments, list(each.values())) for each in blocks)
+
+    return max(found, key=worth) if beginnings > 1 else found[0]
 
 
 class _Exchange:
@@ -58,20 +67,19 @@ class _Exchange:
         #: How often each treatment is in each block of each kind.
         self._in_block: list[dict[int, Counter[int]]] = [{} for _ in self._kinds]
         for place, treatment in enumerate(self._at):
-            for kind, block in enumerate(self._cells[self._cell_of[place]]):
-                self._in_block[kind].setdefault(block, Counter())[treatment] += 1
+            for kind, number in enumerate(self._cells[self._cell_of[place]]):
+                self._in_block[kind].setdefault(number, Counter())[treatment] += 1
         #: How often two treatments are in one block, over the blocks of all kinds.
         self._together = [[[0] * treatments for _ in range(treatments)] for _ in self._kinds]
         for kind in self._kinds:
             for block in self._in_block[kind].values():
-                for one, count in block.items():
-                    for other, more in block.items():
-                        self._together[kind][one][other] += count * more
+                for one, other in product(block, repeat=2):
+                    self._together[kind][one][other] += block[one] * block[other]
 
-    def found(self) -> tuple[int, list[list[int]]]:
-        """Return the criterion, and the treatments of each cell."""
+    def found(self, tried: int) -> list[list[int]]:
+        """Return the treatments of each cell after so many exchanges were tried."""
         places = len(self._at)
-        for _ in range(min(_MOST_TRIED, places * _TRIED_PER_PLACE)):
+        for _ in range(tried):
             one, other = int(self._random() * places), int(self._random() * places)
             if self._at[one] != self._at[other] and self._cell_of[one] != self._cell_of[other]:
                 before = self._criterion_of(one, other)
@@ -81,8 +89,7 @@ class _Exchange:
         cells: list[list[int]] = [[] for _ in self._cells]
         for place, treatment in enumerate(self._at):
             cells[self._cell_of[place]].append(treatment)
-        total = sum(count * count for kind in self._together for row in kind for count in row)
-        return total, [sorted(each) for each in cells]
+        return [sorted(each) for each in cells]
 
     def _criterion_of(self, one: int, other: int) -> int:
         """Return the part of the criterion that an exchange of two places changes."""
@@ -127,7 +134,7 @@ def concurrences(treatments: int, blocks: Sequence[Sequence[int]]) -> Counter[tu
 
 
 def efficiency(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
-    """Return the average efficiency factor of a design: 1 where comparisons lose nothing to the blocks, 0 where one is lost.
+    """Return the average efficiency factor: 1 where comparisons lose nothing to the blocks, 0 where one is lost.
 
     It is the harmonic mean of the canonical efficiency factors. Source: John and Williams, Cyclic and Computer
     Generated Designs, 2nd ed., 1995, section 2.2.
@@ -135,15 +142,17 @@ def efficiency(treatments: int, blocks: Sequence[Sequence[int]]) -> float:
     replicates = Counter(each for block in blocks for each in block)
     if treatments < 2:  # noqa: PLR2004
         return 1.0
-    # The information matrix on the scale of its treatments, plus the matrix of means, which makes it regular.
-    matrix = [[1 / treatments] * treatments for _ in range(treatments)]
+    # The information matrix, scaled by the replicates, plus what projects on the mean, which makes it regular.
+    total = replicates.total()
+    roots = [replicates[each] ** 0.5 for each in range(treatments)]
+    matrix = [[one * other / total for other in roots] for one in roots]
     for each in range(treatments):
         matrix[each][each] += 1.0
     for block in blocks:
         counts = Counter(block)
         for one, count in counts.items():
             for other, more in counts.items():
-                matrix[one][other] -= count * more / len(block) / (replicates[one] * replicates[other]) ** 0.5
+                matrix[one][other] -= count * more / len(block) / (roots[one] * roots[other])
     trace = _trace_of_inverse(matrix)
     return 0.0 if trace is None else (treatments - 1) / (trace - 1)
 
@@ -179,4 +188,3 @@ def _trace_of_inverse(matrix: list[list[float]]) -> float | None:
             if other != place and (factor := rows[other][place]):
                 rows[other] = [a - factor * b for a, b in zip(rows[other], rows[place], strict=True)]
     return sum(rows[place][size + place] for place in range(size))
-

@@ -7,7 +7,6 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import DesignedRuns
-from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.balanced_blocks import balanced_blocks, pair_count
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.design.design import IsAllowed
+    from robot_runner.core.design.factor import Factor
 
 __all__ = ["Blocks"]
 
@@ -47,6 +47,7 @@ class Blocks:
         by: the factors whose treatments are the blocks.
 
     Example:
+        >>> from robot_runner.core.design.factor import Factor
         >>> from robot_runner.core.design.run_table_model import RunTableModel
         >>> factors = [Factor("Day", ["Mon", "Tue", "Wed"]), Factor("Planner", ["A", "B", "C"])]
         >>> model = RunTableModel(factors, repetitions=2, design=Blocks("Day"))
@@ -125,12 +126,14 @@ def _spread(treatments: int, replicates: int, blocks: Sequence[Factor], seed: in
     complete, rest = divmod(replicates, len(cells))
     spread = [list(range(treatments)) * complete for _ in cells]
     if rest:
-        for held, more in zip(spread, _incomplete(treatments, rest, cells, seed), strict=True):
-            held += more
+        more = _incomplete(treatments, rest, cells, seed)
+        spread = [held + extra for held, extra in zip(spread, more, strict=True)]
     return [sorted(held) for held in spread]
 
 
-def _incomplete(treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int | None) -> list[list[int]]:
+def _incomplete(
+    treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int | None
+) -> list[list[int]]:
     """Return the treatments of each cell where there are fewer replicates than cells."""
     size, rest = divmod(treatments * replicates, len(cells))
     balanced = None if rest or len(cells[0]) > 1 else _balanced(treatments, size, len(cells), seed)

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import DesignedRuns
+from robot_runner.core.design.held_order import HELD_ORDER, HeldOrder
 from robot_runner.core.errors import Finding
+from robot_runner.core.words import counted
 from robot_runner.designs.factor_roles import (
     Roles,
     factor_name,
@@ -46,16 +48,15 @@ class Crossover:
     """Each unit (a robot, a machine, a person) gets each treatment in one period, in sequences that balance carry-over.
 
     The other factors are studied; there are as many periods as they have combinations. Repetitions are executed within
-    the period, before the unit changes to its next treatment. With `shuffle`, treatments and units are assigned to the
-    sequences at random; units come in the order as written, each with its periods in their order, whatever else goes
-    on at the same time.
+    the period, before the unit changes to its next treatment; `WarmUp(2, per="combination")` begins each period with
+    runs that wash the treatment before out, and are not analysed. With `shuffle`, treatments and units are assigned to
+    the sequences at random. Units come in the order as written, each with its periods in their order: where several
+    runs are executed at once, those of one unit are not.
 
     Attributes:
         unit: the factor whose treatments are the units; a multiple of the number of sequences.
         period: the factor that counts the periods, in their order.
         washout_in_s: how long a unit rests between two periods, s, so that what one treatment left is gone.
-        washout_runs: how many runs of its next treatment each unit has at the beginning of a period that are not
-            analysed: they bring it to where this treatment alone would have brought it.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -69,21 +70,19 @@ class Crossover:
     unit: str | Factor
     period: str | Factor
     washout_in_s: float = 0
-    washout_runs: int = 0
 
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say which factors there are not, and what is wrong with the washout."""
         del repetitions
         named = [("unit", factor_name(self.unit)), ("period", factor_name(self.period))]
         yield from role_findings("Crossover", named, factors)
-        if isinstance(self.washout_in_s, bool) or not isinstance(self.washout_in_s, int | float) or not (
-            0 <= self.washout_in_s < float("inf")
+        if (
+            isinstance(self.washout_in_s, bool)
+            or not isinstance(self.washout_in_s, int | float)
+            or not (0 <= self.washout_in_s < float("inf"))
         ):
             problem = f"{self.washout_in_s!r} is no time to wait"
             yield Finding.error("design: Crossover(washout_in_s=...)", problem, "Give seconds, from 0.")
-        if isinstance(self.washout_runs, bool) or not isinstance(self.washout_runs, int) or self.washout_runs < 0:
-            problem = f"{self.washout_runs!r} is no number of runs"
-            yield Finding.error("design: Crossover(washout_runs=...)", problem, "Give a whole number from 0.")
 
     def as_mapping(self) -> Mapping[str, Any]:
         """Return its kind, unit, period and washout."""
@@ -92,7 +91,6 @@ class Crossover:
             "unit": factor_name(self.unit),
             "period": factor_name(self.period),
             "washout_in_s": self.washout_in_s,
-            "washout_runs": self.washout_runs,
         }
 
     def runs(
@@ -120,22 +118,22 @@ class Crossover:
             (roles.combined((units, unit), (periods, period), treatment), repetition, number)
             for number, (unit, sequence) in enumerate(zip(units.treatments, per_unit, strict=True), start=1)
             for period, treatment in zip(periods.treatments, sequence, strict=True)
-            for repetition in range(1 - self.washout_runs, repetitions + 1)
+            for repetition in range(1, repetitions + 1)
         ]
         texts = [[texts_of_combination(each) for each in sequence] for sequence in per_unit]
+        held = HeldOrder(one_by_one=units.name, rest_between=periods.name, rest_in_s=self.washout_in_s)
         follows = len(units.treatments) // len(treatments)
         return DesignedRuns.in_order(
-            ((combination, max(0, repetition), number) for combination, repetition, number in runs),
+            runs,
             {
                 **self.as_mapping(),
                 "subject": units.name,
-                "washout": bool(self.washout_in_s or self.washout_runs),
+                "washout": bool(self.washout_in_s),
                 "sequences": dict(zip(units.texts, texts, strict=True)),
                 "follows": follows,
-                "ordered_within": units.name,
-                "rest_within_in_s": self.washout_in_s,
+                HELD_ORDER: held.as_mapping(),
                 "block_columns": [units.name, periods.name],
-                "notes": [f"each treatment follows each other one in {follows} units"],
+                "notes": [f"each treatment follows each other one in {counted(follows, 'unit')}"],
                 "layout": [
                     {
                         "title": "Sequences",

@@ -1,4 +1,4 @@
-"""The roles that factors have in a design: some are blocks of a kind (a day, a robot, a period), the others are studied."""
+"""The roles of factors in a design: some are blocks of a kind (a day, a robot, a period), the others are studied."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Roles", "factor_name", "refused", "role_findings", "shuffled", "text
 
 
 def factor_name(given: Any) -> Any:
-    """Return the name of a factor that was given by its name or itself; whatever else was given is returned as it is."""
+    """Return the name of a factor that was given by it or itself; whatever else was given is returned as it is."""
     return given.name if isinstance(given, Factor) else given
 
 
@@ -45,7 +45,9 @@ def role_findings(design: str, roles: Sequence[tuple[str, Any]], factors: Sequen
             taken[name] = role
     for factor in factors:
         if factor.when and (factor.name in taken or set(factor.when) & set(taken)):
-            problem = f"factor {factor.name!r} applies in some runs only, and its condition concerns {listed_roles(taken)}"
+            problem = (
+                f"factor {factor.name!r} applies in some runs only, and its condition concerns {listed_roles(taken)}"
+            )
             yield Finding.error(f"design: {design}", problem, "Make it a factor that applies always.")
     if len(taken) == len(known):
         yield Finding.error(f"design: {design}", "no factor is left to be studied", "Add one beside these.")
@@ -106,9 +108,7 @@ class Roles:
         cells = list(product(*(factor.treatments for factor in self.blocks)))
         left = []
         for treatment in self.treatments():
-            allowed = [
-                is_allowed(self.combined(treatment, *zip(self.blocks, cell, strict=True))) for cell in cells
-            ]
+            allowed = [is_allowed(self.combined(treatment, *zip(self.blocks, cell, strict=True))) for cell in cells]
             if any(allowed) and not all(allowed):
                 cell = cells[allowed.index(False)]
                 place = ", ".join(f"{factor.name}={each!r}" for factor, each in zip(self.blocks, cell, strict=True))

@@ -178,14 +178,14 @@ def _wilson(order: int) -> _Rows:
     for *points, last in _array(t, 5):
         if last < u:  # symbol 0 of order 4 is the point `last`; the row that shows nothing else is left to order u
             array += [
-                tuple(3 * t + last if not each else 3 * point + each - 1 for point, each in zip(points, row, strict=True))
+                tuple(
+                    3 * t + last if not each else 3 * point + each - 1 for point, each in zip(points, row, strict=True)
+                )
                 for row in _array(4, 4)
                 if any(row)
             ]
         else:
-            array += [
-                tuple(3 * point + each for point, each in zip(points, row, strict=True)) for row in _array(3, 4)
-            ]
+            array += [tuple(3 * point + each for point, each in zip(points, row, strict=True)) for row in _array(3, 4)]
     return array + [tuple(3 * t + each for each in row) for row in _array(u, 4)]
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence as IsSequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import DesignedRuns
-from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.held_order import HELD_ORDER, HeldOrder
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.factor_roles import (
@@ -17,14 +16,13 @@ from robot_runner.designs.factor_roles import (
     refused,
     role_findings,
     shuffled,
-    texts_of_combination,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Combination
+    from robot_runner.core.design.factor import Combination, Factor
 
 __all__ = ["SplitPlot"]
 
@@ -50,14 +48,13 @@ class SplitPlot:
         ['wood', 'wood', 'carpet', 'carpet']
     """
 
-    hard: str | Factor | Sequence[str | Factor]
+    hard: str | Factor | list[str | Factor] | tuple[str | Factor, ...]
     plot: str | Factor
 
     @property
     def hard_names(self) -> list[Any]:
         """The names of the factors that are hard to change."""
-        several = isinstance(self.hard, IsSequence) and not isinstance(self.hard, str | bytes | Factor)
-        return [factor_name(each) for each in (self.hard if several else [self.hard])]
+        return [factor_name(each) for each in (self.hard if isinstance(self.hard, list | tuple) else [self.hard])]
 
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say which factors there are not, and whether there is none that is easy to change."""
@@ -83,14 +80,12 @@ class SplitPlot:
         roles = Roles.of(factors, [factor_name(self.plot)])
         (plots,) = roles.blocks
         drawn = seed if shuffle else None
-        by_hard = self._by_hard(roles, roles.allowed_treatments("SplitPlot", is_allowed))
+        by_hard = self._by_hard(roles.allowed_treatments("SplitPlot", is_allowed))
         replicates, rest = divmod(len(plots.treatments), len(by_hard))
         if rest:
             raise _uneven(self.hard_names, len(by_hard), plots)
         held = [
-            each
-            for number in range(replicates)
-            for each in shuffled(by_hard.values(), drawn, "whole plots", number)
+            each for number in range(replicates) for each in shuffled(by_hard.values(), drawn, "whole plots", number)
         ]
         runs = [
             (roles.combined((plots, plot), treatment), repetition, number)
@@ -102,7 +97,7 @@ class SplitPlot:
         ]  # fmt: skip
         return DesignedRuns.in_order(runs, self._facts(plots, held, repetitions, replicates))
 
-    def _by_hard(self, roles: Roles, treatments: Sequence[Combination]) -> dict[tuple[int, ...], list[Combination]]:
+    def _by_hard(self, treatments: Sequence[Combination]) -> dict[tuple[int, ...], list[Combination]]:
         """Return the combinations of the studied factors by those of the hard ones."""
         found: dict[tuple[int, ...], list[Combination]] = {}
         for treatment in treatments:
@@ -126,7 +121,7 @@ class SplitPlot:
             "whole_plot": plots.name,
             "whole_plot_factors": self.hard_names,
             "changes": changes,
-            "ordered_within": plots.name,
+            HELD_ORDER: HeldOrder(one_after_another=plots.name).as_mapping(),
             "block_columns": [plots.name],
             "notes": notes,
             "layout": [

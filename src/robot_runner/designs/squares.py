@@ -159,7 +159,9 @@ class GraecoLatinSquare:
             drawn = seed if shuffle else None
             one, other = (shuffled(each, drawn, kind, number) for kind, each in (("latin", latin), ("greek", greek)))
             pair = _mixed(orthogonal_pair(order), drawn, number)
-            squares.append([[(one[a], other[b]) for a, b in zip(*rows, strict=True)] for rows in zip(*pair, strict=True)])
+            squares.append(
+                [[(one[a], other[b]) for a, b in zip(*rows, strict=True)] for rows in zip(*pair, strict=True)]
+            )
         facts = {**self.as_mapping(), "row": names[0], "column": names[1]}
         made = _in_order(roles, squares, facts)
         for run in made.runs:
@@ -191,7 +193,7 @@ def _refuse_number(design: str, roles: Roles, count: int, order: int) -> None:
 
 
 def _mixed(squares: Sequence[Square], seed: int | None, number: int) -> list[Square]:
-    """Return squares whose rows and columns are put in another order: the same for all, so that they stay orthogonal."""
+    """Return squares with their rows and columns in another order: the same for all, so that they stay orthogonal."""
     order = range(len(squares[0]))
     rows, columns = shuffled(order, seed, "rows", number), shuffled(order, seed, "columns", number)
     return [tuple(tuple(square[row][column] for column in columns) for row in rows) for square in squares]

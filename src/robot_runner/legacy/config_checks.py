@@ -16,7 +16,15 @@ from robot_runner.legacy.recognition import Dialect, Recognised, is_earlier_impo
 from robot_runner.legacy.run_ids import Clone, clone_around
 from robot_runner.legacy.stand_ins.events import CONTEXT_ATTRIBUTES, RobotRunnerEvents, RunnerEvents, own_event
 from robot_runner.legacy.stand_ins.modules import MODULES, PACKAGES, names_in
-from robot_runner.legacy.syntax import ImportedName, attributes_of, bound_names, classes_of, imports_of, used_names
+from robot_runner.legacy.syntax import (
+    ImportedName,
+    attributes_of,
+    bound_names,
+    classes_of,
+    imports_of,
+    nodes,
+    used_names,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -224,11 +232,18 @@ def _used_plugins(files: Iterable[Path]) -> Iterator[tuple[str, EarlierPlugin]]:
             _, tree = read_tree(file)
         except ConfigError:  # a neighbour that Python could read in another way
             continue
-        used = used_names(tree)
+        used = used_names(tree) - _only_asked(tree)
         for each in imports_of(tree):
             plugin = plugin_of(f"{each.module}.{each.name}")
             if plugin is not None and plugin.names and not each.is_guarded and each.bound_as in used:
                 yield f"{file}:{each.line}", plugin
+
+
+def _only_asked(tree: ast.Module) -> set[str]:
+    """Return the names of which nothing is used but `parse_log`: a file is read without what has written it."""
+    asked = {id(owner) for owner, node in attributes_of(tree, used_names(tree)) if node.attr == "parse_log"}
+    names = [node for node in nodes(tree, ast.Name) if isinstance(node.ctx, ast.Load)]
+    return {node.id for node in names if id(node) in asked} - {node.id for node in names if id(node) not in asked}
 
 
 def _missing(where: str, plugin: EarlierPlugin) -> Iterator[Finding]:

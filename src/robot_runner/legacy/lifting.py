@@ -7,7 +7,7 @@ import random
 import re
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from secrets import randbits
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -36,6 +36,7 @@ from robot_runner.legacy.config_checks import (
 )
 from robot_runner.legacy.earlier_experiment import EarlierExperiment
 from robot_runner.legacy.profilers.self_measure import COLUMN, SelfMeasure
+from robot_runner.legacy.run_ids import clone_around
 from robot_runner.legacy.run_tables import EarlierDesign, design_of
 from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.stand_ins.modules import StandIns
@@ -120,12 +121,20 @@ class _Lifting:
     def executing(self, when: str) -> Iterator[None]:
         """Have the earlier tool's modules there, and what is raised become a ConfigError."""
         with (
-            importable(self._recognised.path.parent),
+            self._importable(),
             active_session(self.session),
             self._stand_ins.present(),
             raised_in(self._recognised.path, when),
             exits_raised(),
         ):
+            yield
+
+    @contextmanager
+    def _importable(self) -> Iterator[None]:
+        """Let be imported what stands beside the config, and then what stands beside the tool's `__main__.py`."""
+        with ExitStack() as stack:
+            for folder in (*reversed(clone_around(self._recognised.path).entries), self._recognised.path.parent):
+                stack.enter_context(importable(folder))
             yield
 
     def load(self) -> None:

@@ -47,6 +47,11 @@ class Clone:
         below = Path(*module.split(".")).with_suffix(".py")
         return next((folder / below for folder in self.folders if (folder / below).is_file()), None)
 
+    @property
+    def entries(self) -> tuple[Path, ...]:
+        """The folders with a `__main__.py`: Python put them on its path, so that what is in them could be imported."""
+        return tuple(folder for folder in self.folders if (folder / "__main__.py").is_file())
+
     def text_of(self, module: str) -> str:
         """Return the text of a module; nothing where the clone does not have it, or it cannot be read."""
         file = self.file_of(module)

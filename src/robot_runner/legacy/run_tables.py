@@ -184,6 +184,8 @@ def design_of(session: Session, returned: Any, config: Any, more_columns: Sequen
         returned = returned.generate_experiment_run_table()
     rows = _checked_rows(returned)
     model = session.models[-1] if session.models else None
+    if model is not None:
+        _check_names(model)
     factors, data_columns = _columns_of(rows, model)
     data_columns += [column for column in more_columns if column not in data_columns]
     names = named_columns([*factors, *data_columns])
@@ -195,6 +197,20 @@ def design_of(session: Session, returned: Any, config: Any, more_columns: Sequen
         order=RunOrder(shuffle=model is not None and model.is_shuffled, seed=session.seed),
     )
     return EarlierDesign(design, names, tuple(factors), tuple(data_columns))
+
+
+def _check_names(model: RunTableModel) -> None:
+    """Refuse a factor or a measure that is named like the tool's own columns: those would take its place.
+
+    Raises:
+        ConfigError: there is one.
+    """
+    named = [("factor", factor.factor_name) for factor in model.get_factors()]
+    named += [("measure", column) for column in model.get_data_columns()]
+    for kind, name in named:
+        if name in PROGRESS:
+            problem = f"a {kind} is named {name!r}, which is the tool's own column: it would be lost"
+            raise ConfigError(problem, where=_WHERE, fix=f"Name it {str(name).strip('_')!r}.")
 
 
 def _checked_rows(returned: Any) -> list[Mapping[Any, Any]]:

@@ -35,11 +35,13 @@ class EarlierSubscription:
 
     Attributes:
         place: the code that subscribed it: a config that derives from another replaces what that one subscribed.
+        is_of_fork: whether it was subscribed to an event of a fork's own, which stands beside the one that it is here.
     """
 
     event: RobotRunnerEvents
     callback: Callable[..., Any]
     place: CodeType
+    is_of_fork: bool = False
 
 
 @dataclass(slots=True)

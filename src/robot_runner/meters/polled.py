@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import SIMULATED
 from robot_runner.core.links.measured_machine import clock_details, machine_clock
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.periodic import PeriodicSampler
+from robot_runner.core.sampling.live_samples import LiveSamples
+from robot_runner.core.sampling.periodic import PeriodicSampler, Sampling
 from robot_runner.core.sampling.quality import Column, report_quality, write_samples
 from robot_runner.core.sampling.series import Series
 
@@ -19,9 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.events.window import Window
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.periodic import Sampling
 
 __all__ = ["Meter", "PolledProfiler", "Sampler", "known_series", "reach_findings"]
 
@@ -119,6 +119,7 @@ class PolledProfiler(Profiler, Generic[R]):
         self._sampler: Sampler[R] | None = None
         self._sampling: Sampling[R] | None = None
         self._is_written = False
+        self._live: LiveSamples | None = None
 
     def open(self, context: RobotRunnerContext) -> Meter[R]:
         """Return the meter.
@@ -157,7 +158,14 @@ class PolledProfiler(Profiler, Generic[R]):
     def sampler(self, context: RobotRunnerContext) -> Sampler[R]:
         """Return what takes the readings: the opened meter's `read`, called at the rate in a thread of the run."""
         self._meter = self.open(context)
-        return PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+        sampler = PeriodicSampler(self._meter.read, rate=self.rate_hz, clock=machine_clock(context))
+        live = self._live = LiveSamples(context.raw_data_folder / "samples.csv")
+        sampler.on_reading = lambda time, reading: live.show(lambda: self._columns_of(time, reading))
+        return sampler
+
+    def _columns_of(self, time: float, reading: R) -> Sequence[Column]:
+        one = Sampling([time], [reading], Window(time, time), self.rate_hz)
+        return [Column("time_s", [time]), *self.columns(one)]
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Open the meter and begin to read it."""
@@ -181,6 +189,8 @@ class PolledProfiler(Profiler, Generic[R]):
         time = Column("time_s", self._sampling.times)
         write_samples(context.raw_data_folder / "samples.csv", [time, *self.columns(self._sampling)])
         self._is_written = True
+        if self._live is not None:
+            self._live.close()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no value where too little was read."""

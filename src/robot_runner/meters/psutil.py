@@ -18,6 +18,7 @@ from robot_runner.core.links.host import (
     RemoteHost,
     ReportingSampler,
     SamplingReport,
+    TellingSampler,
     process_selector,
 )
 from robot_runner.core.links.measured_machine import Computer, host_findings, machine_clock
@@ -25,6 +26,8 @@ from robot_runner.core.links.on_board_session import FORMS
 from robot_runner.core.links.utilisation import Selection, Utilisation
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import publish_measures
+from robot_runner.core.sampling.live_samples import LiveSamples
+from robot_runner.core.sampling.quality import Column
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -121,6 +124,7 @@ class PsUtil(Profiler):
         self._sampled: Window | None = None
         self._begun_at = 0.0
         self._utilisation: Utilisation | None = None
+        self._live: LiveSamples | None = None
 
     @property
     def measured_computer(self) -> Computer | None:
@@ -165,6 +169,9 @@ class PsUtil(Profiler):
         self._sampler = self._begun(self._link)
         if isinstance(self._sampler, PromptSampler):
             context.times.at_edges(self._sampler.take_now)
+        if isinstance(self._sampler, TellingSampler):
+            live = self._live = LiveSamples(context.raw_data_folder / "samples.csv")
+            self._sampler.tell(lambda sample: live.show(lambda: _shown(sample)))
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """End sampling; other profilers need not wait for samples that come over a network."""
@@ -181,6 +188,8 @@ class PsUtil(Profiler):
         self._collect(context)
         if self._utilisation is not None:
             self._utilisation.write(context.raw_data_folder, context.times.window(self._clock))
+        if self._live is not None:
+            self._live.close()
 
     def _collect(self, context: RobotRunnerContext) -> None:
         sampler, self._sampler = self._sampler, None
@@ -232,6 +241,11 @@ class PsUtil(Profiler):
                 fix="Leave processes and cores out.",
             )
         return link.sample_utilisation(self.rate_hz)
+
+
+def _shown(sample: UtilisationSample) -> list[Column]:
+    told = {"time_s": sample.time, "cpu_percent": sample.cpu, "memory_percent": sample.memory}
+    return [Column(name, [value]) for name, value in told.items()]
 
 
 def _refuse_idle(plugin: str, parameters: Mapping[str, object], reason: str) -> None:

@@ -69,7 +69,9 @@ class Viewer:
 class Channel:
     """One followed thing, its viewers, and the task that looks at it while there are any."""
 
-    def __init__(self, look: Callable[[], Mapping[str, Any]], snapshot: Callable[[], Mapping[str, Any]], every: float) -> None:
+    def __init__(
+        self, look: Callable[[], Mapping[str, Any]], snapshot: Callable[[], Mapping[str, Any]], every: float
+    ) -> None:
         self._look, self._snapshot, self._every = look, snapshot, every
         self._viewers: set[Viewer] = set()
         self._last: dict[str, bytes] = {}
@@ -155,7 +157,10 @@ class Followers:
             channel.stop()
 
     def _make_room(self) -> None:
-        idle = sorted((folder for folder, (_, channel) in self._followed.items() if not len(channel)), key=lambda each: self._followed[each][1].used_at)
+        idle = sorted(
+            (folder for folder, (_, channel) in self._followed.items() if not len(channel)),
+            key=lambda each: self._followed[each][1].used_at,
+        )
         for folder in itertools.islice(idle, max(0, len(self._followed) - _MOST_FOLLOWED + 1)):
             self._followed.pop(folder)[1].stop()
 
@@ -177,7 +182,12 @@ class EventStream:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send what there is, and then what comes."""
         del scope
-        head = {**self._headers, "content-type": "text/event-stream", "cache-control": "no-store", "x-accel-buffering": "no"}
+        head = {
+            **self._headers,
+            "content-type": "text/event-stream",
+            "cache-control": "no-store",
+            "x-accel-buffering": "no",
+        }
         raw = [(name.encode(), value.encode()) for name, value in head.items()]
         await send({"type": "http.response.start", "status": 200, "headers": raw})
         viewer = await self._channel.join()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
-from collections import deque
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.operator_steps import Question
+from robot_runner.core.entry_points import named_entry_point
 from robot_runner.core.errors import RobotRunnerError, StorageError
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status, status_of
@@ -15,6 +16,7 @@ from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of, pause_is_requested
+from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.words import harmless
 from robot_runner.page.followed_table import FollowedTable
 from robot_runner.page.journal_tail import JournalTail
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = ["FollowedExperiment"]
+
+_log = logging.getLogger(__name__)
 
 #: Rows of which the cells are sent as they change; where more change at once, pages fetch those that they show.
 _MOST_ROWS = 50
@@ -60,8 +64,9 @@ class FollowedExperiment:
         self._curves: RunCurves | None = None
         self._signs: tuple[Any, ...] = ()
         self._table_is_due = True
+        self._refused_table = (0, 0)
+        self._robot: str | None = None
         self._has_caught_up = False
-        self._passed: deque[tuple[str, str]] = deque(maxlen=20)
 
     @property
     def is_behind(self) -> bool:
@@ -75,7 +80,10 @@ class FollowedExperiment:
                 return self._look()
             except RobotRunnerError as error:
                 self._error = error
-                return {"state": self._state()}
+            except Exception:  # noqa: BLE001 - whatever a folder does to us, those who look are told, and others are served
+                _log.exception("%s cannot be followed.", self.folder)
+                self._error = StorageError("this experiment cannot be shown", fix="Ask robot-runner status.")
+            return {"state": self._state()}
 
     def rows(self, start: int, count: int, *, status: str = "", text: str = "") -> dict[str, Any]:
         """Return some rows of the table: all that there are where nothing is looked for, or those that were found."""
@@ -117,10 +125,14 @@ class FollowedExperiment:
     def _read_table(self) -> dict[str, Any]:
         """Read the run table, once it is there."""
         self._files = ExperimentFolder.found_at(self.folder)
+        sign = self._files.run_table.stat() if self._files.run_table.is_file() else None
+        if sign is None or (sign.st_size, sign.st_mtime_ns) == self._refused_table:
+            return {}
+        self._refused_table = (sign.st_size, sign.st_mtime_ns)  # one that cannot be read is not read again and again
         rows = self.table.read(self._files)
         if rows is None:
-            return {}
-        self._table_is_due = False
+            return {"table": self._columns()}
+        self._table_is_due, self._refused_table = False, (0, 0)
         if self._has_caught_up:
             self._history.take_rows(rows)
         self._means.begin_anew()
@@ -161,6 +173,7 @@ class FollowedExperiment:
         self._error = None
         if self._has_caught_up and self._files.manifest.exists():
             self._status = status_of(self._files, self._history)
+            self._robot = self._robot or _pictured(read_manifest(self._files.manifest).get("robot"))
         elif self._has_caught_up and self._files.run_table.exists():
             self._status = read_status(self.folder)
         self._mark_in_flight()
@@ -185,19 +198,27 @@ class FollowedExperiment:
 
     def _columns(self) -> dict[str, Any]:
         measures = [{"name": name, "unit": self.table.units.get(name, "")} for name in self.table.measures]
-        return {"total": len(self.table), "factors": list(self.table.factors), "measures": measures}
+        note = (
+            "The run table is too large for this page: see run_table.csv."
+            if self.table.is_too_large(self._files)
+            else ""
+        )
+        return {"total": len(self.table), "factors": list(self.table.factors), "measures": measures, "note": note}
 
     def snapshot(self) -> dict[str, Any]:
         """Return all parts of the page, for a viewer who comes."""
         with self._lock:
             parts = {"state": self._state(), "table": self._columns(), "findings": self._findings()}
-            parts["means"] = self._means.told(self._excluded())
-            return parts | self._of_runs_in_flight(anew=True)
+            return parts | {"means": self._means.told(self._excluded())} | self._of_runs_in_flight()
 
     def _state(self) -> dict[str, Any]:
         status = self._status
         if self._error is not None or status is None:
-            return {"name": self.folder.name, "word": "unreadable" if self._error else self._word(), "problem": self._problem()}
+            return {
+                "name": self.folder.name,
+                "word": "unreadable" if self._error else self._word(),
+                "problem": self._problem(),
+            }
         waiting = status.waiting_for
         return {
             "name": status.experiment_name[:_LONGEST_TEXT],
@@ -217,6 +238,7 @@ class FollowedExperiment:
             "precision": list(status.precision),
             "order": status.order,
             "damaged": self._tail.damaged,
+            "has_pictures": self._robot is not None,
             "has_report": (self._files.report / "report.html").is_file(),
             "problem": None,
         }
@@ -244,12 +266,22 @@ class FollowedExperiment:
 
     def _flying(self, each: Any) -> dict[str, Any]:
         place = self.table.place(each.run)
-        treatments = dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
-        return {"run": each.run, "place": each.place, "event": each.event, "treatments": treatments, **self._doing.get(each.run, {})}
+        treatments = (
+            dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        )
+        return {
+            "run": each.run,
+            "place": each.place,
+            "event": each.event,
+            "treatments": treatments,
+            **self._doing.get(each.run, {}),
+        }
 
     def _waiting(self, waiting: Mapping[str, Any]) -> dict[str, Any]:
         place = self.table.place(waiting["next_run"])
-        treatments = dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        treatments = (
+            dict(zip(self.table.factors, self.table.treatments[place], strict=True)) if place is not None else {}
+        )
         questions = [Question.from_mapping(facts) for facts in waiting["questions"]]
         asked = [question.as_mapping() | {"hint": question.hint} for question in questions]
         return {"run": waiting["next_run"], "step": waiting["step"], "treatments": treatments, "questions": asked}
@@ -258,11 +290,13 @@ class FollowedExperiment:
         if self._status is None:
             return {"total": 0, "last": [], "failures": []}
         findings = [*self._status.findings][-_MOST_FINDINGS:]
-        told = [{name: getattr(each, name)[:_LONGEST_TEXT] for name in ("where", "problem", "fix")} for each in findings]
+        told = [
+            {name: getattr(each, name)[:_LONGEST_TEXT] for name in ("where", "problem", "fix")} for each in findings
+        ]
         failures = [each[:_LONGEST_TEXT] for each in self._status.failures[-_MOST_FINDINGS:]]
         return {"total": len(self._status.findings), "last": told, "failures": failures}
 
-    def _of_runs_in_flight(self, *, anew: bool = False) -> dict[str, Any]:
+    def _of_runs_in_flight(self) -> dict[str, Any]:
         """Return the end of the log of the run in flight, and whether there are new samples of it."""
         run = next(iter(self._status.in_flight), None) if self._status else None
         if run is None:
@@ -271,7 +305,10 @@ class FollowedExperiment:
         if self._curves is None or self._curves.run_id != run.run:
             self._curves = RunCurves(self._files, run.run)
         self._curves.look()
-        return {"samples": {"run": run.run, "version": self._curves.version}, "log": {"run": run.run, "text": self._log()}}
+        return {
+            "samples": {"run": run.run, "version": self._curves.version},
+            "log": {"run": run.run, "text": self._log()},
+        }
 
     def curves(self, run_id: str) -> list[dict[str, Any]]:
         """Return the curves of a run: those of the one in flight as they are, another's read now."""
@@ -285,6 +322,16 @@ class FollowedExperiment:
             pass
         return curves.told()
 
+    @property
+    def robot(self) -> str | None:
+        """How the robot is reached, where that is a way of which pictures can be made; None elsewhere."""
+        return self._robot
+
+    def pose(self, run_id: str) -> tuple[float, float, float] | None:
+        """Return where the robot was seen last in a run (m, m, rad); None where nothing tells."""
+        poses = (each.get("pose") for each in self.curves(run_id))
+        return next((pose for pose in poses if pose is not None), None)
+
     def _log(self) -> str:
         try:
             with open_to_read(self._files.current_log) as file:
@@ -296,3 +343,8 @@ class FollowedExperiment:
         lines = text.splitlines()[1 if size > _LOG_BYTES else 0 :]
         # What a program printed by itself is hidden only when its run has ended.
         return harmless(without_environment_secrets("\n".join(lines)))
+
+
+def _pictured(robot: object) -> str | None:
+    """Return how the robot is reached, if there is anything that makes pictures of it."""
+    return robot if isinstance(robot, str) and named_entry_point("pictures", robot) is not None else None

@@ -100,7 +100,20 @@ class FoundExperiments:
 
 
 def _shortened(state: dict[str, Any]) -> dict[str, Any]:
-    names = ("name", "word", "counts", "left", "left_is_least", "told_at", "waiting", "host", "started_at", "finished_at", "problem", "gate")
+    names = (
+        "name",
+        "word",
+        "counts",
+        "left",
+        "left_is_least",
+        "told_at",
+        "waiting",
+        "host",
+        "started_at",
+        "finished_at",
+        "problem",
+        "gate",
+    )
     short = {name: state.get(name) for name in names}
     short["in_flight"] = [{"run": each["run"], "event": each["event"]} for each in state.get("in_flight", ())]
     return short
@@ -127,7 +140,11 @@ def _below(folder: Path) -> Iterator[Path]:
                 yield here
             elif depth < _DEEPEST:
                 with os.scandir(here) as entries:
-                    names = sorted(each.name for each in entries if each.is_dir(follow_symlinks=False) and not each.name.startswith("."))
+                    names = sorted(
+                        each.name
+                        for each in entries
+                        if each.is_dir(follow_symlinks=False) and not each.name.startswith(".")
+                    )
                 left += [(here / name, depth + 1) for name in names]
         except (OSError, RobotRunnerError):
             continue

@@ -80,6 +80,7 @@ class JournalTail:
         return block[:end].splitlines()
 
     def _parsed(self, line: bytes) -> dict[str, Any] | None:
+        record: dict[str, Any] | None
         try:
             record = parsed_json(line.decode())
         except (ValueError, RecursionError):

@@ -42,7 +42,7 @@ class MeansSoFar:
         """Group the runs anew: the table was read again."""
         self._cells.clear()
         factors = [place for place, name in enumerate(self._table.factors) if name.casefold() != "repetition"]
-        groupings = [(self._table.factors[place], (place,)) for place in factors]
+        groupings: list[tuple[str, tuple[int, ...]]] = [(self._table.factors[place], (place,)) for place in factors]
         if len(factors) > 1:
             groupings.append((_COMBINATION, tuple(factors)))
         self._known = {places: {} for _, places in groupings}
@@ -74,7 +74,9 @@ class MeansSoFar:
                 if key not in self._cells:
                     self._cells[key] = [self._cell(runs, measure, excluded) for measure in numeric]
                 rows.append({"treatment": ", ".join(treatments), "cells": self._cells[key]})
-            measures = [{"name": table.measures[each], "unit": table.units.get(table.measures[each], "")} for each in numeric]
+            measures = [
+                {"name": table.measures[each], "unit": table.units.get(table.measures[each], "")} for each in numeric
+            ]
             told.append({"factor": name, "measures": measures, "rows": rows, "confidence": CONFIDENCE})
         return told
 

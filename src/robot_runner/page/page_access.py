@@ -113,8 +113,8 @@ def _is_same(one: str, other: str) -> bool:
 
 
 def _state_folder() -> Path:
-    base = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(base) if os.path.isabs(base) else Path.home() / ".local" / "state") / "robot-runner"
+    base = Path(os.environ.get("XDG_STATE_HOME", ""))
+    return (base if base.is_absolute() else Path.home() / ".local" / "state") / "robot-runner"
 
 
 # Where a request comes from.

@@ -21,6 +21,7 @@ from robot_runner.page.page_access import Keys, RateLimit, Role, is_known_host, 
 from robot_runner.page.page_metrics import metrics_text
 from robot_runner.page.person_actions import ACTIONS, RefusedAnswersError
 from robot_runner.page.report_copy import Reports
+from robot_runner.page.robot_pictures import RobotPictures
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable
@@ -33,11 +34,27 @@ if TYPE_CHECKING:
 
 __all__ = ["LivePage", "PageSettings"]
 
-_KINDS = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".svg": "image/svg+xml", ".txt": "text/plain"}
+_KINDS = {
+    ".js": "text/javascript",
+    ".css": "text/css",
+    ".html": "text/html",
+    ".svg": "image/svg+xml",
+    ".txt": "text/plain",
+}
 #: The files of the page, by the package whose they are.
 _ASSETS = {
     **dict.fromkeys(
-        ("page.html", "page.css", "app.js", "parts.js", "table.js", "curves.js", "actions.js", "icon.svg"),
+        (
+            "page.html",
+            "page.css",
+            "app.js",
+            "parts.js",
+            "experiment.js",
+            "index.js",
+            "table.js",
+            "curves.js",
+            "icon.svg",
+        ),
         "robot_runner.page",
     ),
     **dict.fromkeys(
@@ -108,6 +125,7 @@ class LivePage:
         self._index = Channel(self._found.look, self._found.snapshot, _INDEX_EVERY)
         self._followers = Followers()
         self._reports = Reports()
+        self._pictures: dict[str, RobotPictures] = {}
         self._assets = {name: _asset(name, package) for name, package in _ASSETS.items()}
         acts, looks = Role.ACTS, Role.LOOKS
         one = "/api/experiments/{experiment}"
@@ -121,6 +139,7 @@ class LivePage:
             Route(f"{one}/events", _for(looks, self._events)),
             Route(f"{one}/rows", _for(looks, self._rows)),
             Route(f"{one}/curves/{{run}}", _for(looks, self._curves)),
+            Route(f"{one}/picture/{{run}}", _for(looks, self._picture)),
             Route(f"{one}/report", _for(looks, self._report)),
             Route(f"{one}/{{action}}", _for(acts, self._act), methods=["POST"]),
             Route("/metrics", _for(looks, self._metrics)),
@@ -157,6 +176,8 @@ class LivePage:
             self._followers.close()
             self._index.stop()
             self._reports.close()
+            for pictures in self._pictures.values():
+                pictures.close()
 
     async def _guarded(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -176,15 +197,9 @@ class LivePage:
             return _plain(421, "This page is not served under that name. robot-runner watch --name NAME adds one.")
         if not is_of_same_origin(headers, is_action=is_action):
             return _plain(403, "This request comes from another site.")
-        if is_action and headers.get(_OWN_HEADER) != "1":
-            return _plain(403, "This request does not come from the live page.")
-        if is_action and not headers.get("content-length", "").isdecimal():
-            return _plain(411, "This request does not say how long it is.")
-        if is_action and int(headers["content-length"]) > _MOST_BODY:
-            return _plain(413, "This request is too long.")
         if not self._settings.requests.lets_pass(address):
             return _plain(429, "Too many requests: wait a moment.")
-        return None
+        return _refused_action(headers) if is_action else None
 
     # What anybody may ask for: files that hold nothing of an experiment.
 
@@ -246,6 +261,18 @@ class LivePage:
         found = await asyncio.to_thread(experiment.curves, request.path_params["run"])
         return Response(await asyncio.to_thread(as_json, found), media_type="application/json")
 
+    async def _picture(self, request: Request) -> Response:
+        experiment = await self._followers.looked_at(await self._folder(request))
+        image = await asyncio.to_thread(self._rendered, experiment, request.path_params["run"])
+        return Response(image, media_type="image/png")
+
+    def _rendered(self, experiment: FollowedExperiment, run: str) -> bytes:
+        """Return a picture of the robot where it is in a run, or was at its end."""
+        pose = experiment.pose(run)
+        if experiment.robot is None or pose is None:
+            raise HTTPException(404, "Nothing tells where the robot is.")
+        return self._pictures.setdefault(experiment.robot, RobotPictures(experiment.robot)).picture(pose)
+
     async def _report(self, request: Request) -> Response:
         content = await asyncio.to_thread(self._reports.content, await self._folder(request))
         return Response(content, media_type="text/html", headers={"content-security-policy": _REPORT_POLICY})
@@ -275,6 +302,17 @@ class LivePage:
         if self._followers.viewers + len(self._index) >= self._settings.most_viewers:
             raise HTTPException(503, f"{self._settings.most_viewers} people look already.")
         return EventStream(channel, _HEADERS)
+
+
+def _refused_action(headers: dict[str, str]) -> Response | None:
+    """Return why a request that changes something is refused, by its headers; None where it is not."""
+    if headers.get(_OWN_HEADER) != "1":
+        return _plain(403, "This request does not come from the live page.")
+    if not headers.get("content-length", "").isdecimal():
+        return _plain(411, "This request does not say how long it is.")
+    if int(headers["content-length"]) > _MOST_BODY:
+        return _plain(413, "This request is too long.")
+    return None
 
 
 def _for(least: Role, endpoint: Callable[[Request], Awaitable[Any]]) -> Callable[[Request], Awaitable[Any]]:

@@ -1,4 +1,4 @@
-"""What a person does from a page: go on with answers, pause, take it back, stop. All that a page ever writes is here."""
+"""What a person does from a page: answer and go on, pause, take it back, stop. Nothing else of a page ever writes."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ def _go_on(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     if (said.get("run"), said.get("step")) != (waiting.get("next_run"), waiting.get("step")):
         raise ExecutionError("it no longer waits for this", where=str(said.get("run")), fix="Look at what it asks now.")
     given = said.get("answers", {})
-    answers = {str(name): str(text)[:_LONGEST_ANSWER] for name, text in (given.items() if isinstance(given, dict) else ())}
+    answers = {
+        str(name): str(text)[:_LONGEST_ANSWER] for name, text in (given.items() if isinstance(given, dict) else ())
+    }
     _, refused = read_answers(questions_of(status), answers)
     if refused:
         raise RefusedAnswersError.of_findings([_for_a_page(each) for each in refused])
@@ -88,7 +90,9 @@ def _status(experiment: FollowedExperiment) -> ExperimentStatus:
     experiment.look()
     status = experiment.status()
     if status is None:
-        raise ExecutionError("nothing is known of this experiment yet", where=experiment.folder.name, fix="Wait a moment.")
+        raise ExecutionError(
+            "nothing is known of this experiment yet", where=experiment.folder.name, fix="Wait a moment."
+        )
     return status
 
 

@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.sampling.live_samples import LIVE
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
 
@@ -27,9 +28,7 @@ _POINTS = 400
 _AT_ONCE, _MOST_BYTES = 4_000_000, 48_000_000
 _MOST_FILES, _MOST_COLUMNS, _LONGEST_NAME = 16, 16, 80
 _TIMES = ("time_s", "t_s", "timestamp_s", "time", "t")
-#: What profilers write while they sample, until the samples themselves are written.
-LIVE = ".live"
-_WAY = ("x_m", "y_m")
+_WAY, _HEADING = ("x_m", "y_m"), "heading_rad"
 
 
 class ThinnedSamples:
@@ -96,6 +95,7 @@ class _SampleFile:
         self.samples: ThinnedSamples | None = None
         self.way: list[tuple[float, float]] | None = None
         self._way_each = self._way_due = 1
+        self._pose: tuple[float, float, float] | None = None
         self.is_behind = False
         self._path, self._root = path, root
         self._offset = 0
@@ -138,7 +138,8 @@ class _SampleFile:
         self.columns = [headings[place][:_LONGEST_NAME] for place in self._places]
         self.samples = ThinnedSamples(len(self._places))
         if all(name in folded for name in _WAY):
-            self._way_places = [folded.index(name) for name in _WAY]
+            named = (*_WAY, *([_HEADING] if _HEADING in folded else []))
+            self._way_places = [folded.index(name) for name in named]
             self.way = []
 
     def _take(self, row: list[str]) -> None:
@@ -152,10 +153,11 @@ class _SampleFile:
         if self.way is not None and max(self._way_places) < len(row):
             self._go(*(_number(row[place]) for place in self._way_places))
 
-    def _go(self, x: float | None, y: float | None) -> None:
+    def _go(self, x: float | None, y: float | None, heading: float | None = 0.0) -> None:
         """Take a place of the robot: one in two, four, ... of them, as there are more."""
         if self.way is None or x is None or y is None:
             return
+        self._pose = (x, y, heading or 0.0)
         self._way_due -= 1
         if self._way_due == 0:
             if len(self.way) == 2 * _POINTS:
@@ -177,6 +179,7 @@ class _SampleFile:
             "times": self.samples.times,
             "columns": [{"name": self.columns[each], "low": low[each], "high": high[each]} for each in shown],
             "way": self.way,
+            "pose": self._pose,
         }
 
 
@@ -242,6 +245,8 @@ class RunCurves:
 def _regular(folder: Path) -> list[Path]:
     try:
         with os.scandir(folder) as entries:
-            return sorted(folder / each.name for each in entries if stat.S_ISREG(each.stat(follow_symlinks=False).st_mode))
+            return sorted(
+                folder / each.name for each in entries if stat.S_ISREG(each.stat(follow_symlinks=False).st_mode)
+            )
     except OSError:
         return []

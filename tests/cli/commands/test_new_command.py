@@ -1,14 +1,17 @@
 from __future__ import annotations
 
+import importlib.util
+import json
+import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
@@ -64,3 +67,62 @@ def test_the_new_config_is_clean_by_the_rules_of_the_house(robot_runner: Callabl
     ]
     answer = subprocess.run([*command, "experiment.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stdout
+
+
+def test_a_command_works_as_it_is_printed_where_the_program_is_not_on_the_path(program: str, tmp_path: Path) -> None:
+    anywhere = {**os.environ, "PATH": "/usr/bin:/bin"}
+    told = subprocess.run([program, "new"], env=anywhere, cwd=tmp_path, capture_output=True, text=True, check=True)
+    commands = dict(line.strip().split("  ", 1) for line in told.stdout.splitlines() if line.startswith("  "))
+    for command in (commands["Check"], commands["Plan"]):
+        subprocess.run(["sh", "-c", command.strip()], env=anywhere, cwd=tmp_path, capture_output=True, check=True)
+    as_module = [sys.executable, "-m", "robot_runner", "new", "other.py"]
+    told = subprocess.run(as_module, env=anywhere, cwd=tmp_path, capture_output=True, text=True, check=True)
+    command = next(line for line in told.stdout.splitlines() if "Check" in line).partition("Check")[2].strip()
+    subprocess.run(["sh", "-c", command], env=anywhere, cwd=tmp_path, capture_output=True, check=True)
+
+
+@pytest.mark.parametrize(("kind", "robot"), [("profiler", []), ("system", ["--set", "robot=simulated"])])
+def test_a_plugins_package_is_installed_found_by_its_name_tried_and_passes_its_own_tests(
+    program: str, tmp_path: Path, kind: str, robot: list[str]
+) -> None:
+    def call(*words: object, **more: str) -> str:
+        environment = {**os.environ, **more}
+        told = subprocess.run(
+            [*map(str, words)], env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert told.returncode == 0, told.stdout + told.stderr
+        return told.stdout
+
+    told = call(program, "new", "--plugin", kind, "lab-thing")
+    assert f"the {kind} LabThing, which works as it is" in told
+    package, site = tmp_path / "lab-thing", tmp_path / "site"
+    # Without hatchling here, pip builds in isolation and fetches it.
+    isolation = ["--no-build-isolation", "--no-index"] if importlib.util.find_spec("hatchling") else []
+    quiet = ["--quiet", "--disable-pip-version-check", "--no-input", "--no-deps"]
+    call(sys.executable, "-m", "pip", "install", *isolation, *quiet, "--target", site, package)
+    installed = {"PYTHONPATH": str(site)}
+    listed = json.loads(call(program, "plugins", "--json", **installed))[f"{kind}s"]
+    (found,) = [each for each in listed if each["name"] == "LabThing"]
+    assert (found["package"], found["findings"]) == ("lab-thing", [])
+    tried = call(
+        program, "try", "LabThing", "--json", *robot, *(["--seconds", "1"] * (kind == "profiler")), **installed
+    )
+    (measure,) = json.loads(tried)["measures"].values()
+    assert measure["value"] > 0
+    assert " passed" in call(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", package, **installed)
+    rules = Path(__file__).parents[3] / "pyproject.toml"
+    ignored = "D,S101,ANN,PLR6301,ARG,INP001,E501,I001"
+    call(sys.executable, "-m", "ruff", "check", "--quiet", "--config", rules, "--extend-ignore", ignored, package)
+
+
+def test_a_name_that_is_no_packages_is_refused_and_nothing_is_overwritten(
+    robot_runner: Callable, tmp_path: Path
+) -> None:
+    refused = robot_runner("new", "--plugin", "profiler", "My Meter")
+    assert refused.code == 2
+    assert "Use lower-case letters" in refused.err
+    (tmp_path / "my_robot").mkdir()
+    there = robot_runner("new", "--plugin", "system")
+    assert (there.code, "there is a file or folder of this name already" in there.err) == (2, True)
+    assert list((tmp_path / "my_robot").iterdir()) == []
+    assert robot_runner("new", "--plugin", "robot").code == 2

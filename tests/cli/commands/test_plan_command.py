@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -139,11 +140,14 @@ def test_what_is_wrong_with_the_run_table_refuses_the_plan(
     assert "the factor has no treatments" in answer.err
 
 
-def test_a_long_table_is_whole_in_a_file_and_abbreviated_on_a_terminal(
+def test_of_a_long_table_head_and_tail_are_shown_and_all_of_it_by_option(
     robot_runner: Callable, write_config: Callable[..., Path], terminal: Callable
 ) -> None:
     write_config(table=DRAWN.replace("range(30)", "range(1000)"))
-    assert len(robot_runner("plan", "config.py").out.partition("\n\n")[0].splitlines()) == 1001
+    short = robot_runner("plan", "config.py").out.partition("\n\n")[0].splitlines()
+    assert len(short) == 1 + 20 + 1 + 5
+    assert short[21] == "… 975 runs left out: --all shows them …"
+    assert len(robot_runner("plan", "config.py", "--all").out.partition("\n\n")[0].splitlines()) == 1001
     shown = terminal("plan", "config.py")
     assert shown.finish() == 0
     assert "975 runs left out: --all shows them" in shown.text
@@ -151,6 +155,29 @@ def test_a_long_table_is_whole_in_a_file_and_abbreviated_on_a_terminal(
     whole = terminal("plan", "config.py", "--all", lines=1100)
     assert whole.finish() == 0
     assert sum(line.startswith("r_") for line in whole.text.splitlines()) == 1000
+
+
+WIDE = """
+    def create_run_table(self):
+        columns = [f"Measure{number}" for number in range(60)]
+        return RunTableModel([Factor("Prompt", ["p" * 500, "q" * 300]), Factor("B", range(50_000))],
+                             shuffle=True, seed=7, data_columns=columns)
+"""
+
+
+def test_many_runs_with_wide_treatments_are_planned_in_bounded_time_and_width(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    write_config(table=WIDE)
+    began = time.process_time()
+    out = robot_runner("plan", "config.py").out
+    took = time.process_time() - began
+    assert "99,975 runs left out" in out
+    assert "100,000 runs: Prompt (2) x B (50,000)" in out
+    assert max(map(len, out.splitlines())) < 250
+    assert "ppp…" in out
+    assert "Measure11 and 48 more" in out
+    assert took < 10  # about 1 s
 
 
 def test_columns_that_do_not_fit_are_named(write_config: Callable[..., Path], terminal: Callable) -> None:

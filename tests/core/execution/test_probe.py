@@ -324,3 +324,67 @@ def test_a_check_probes_on_request(robot_runner: Program, study: Callable[..., P
     assert answer.code == 2
     assert [finding["where"] for finding in answer.json["findings"]] == ["plugin A"]
     assert answer.json["probe"]["profilers"]["A"]["reasons"] == ["nothing came"]
+
+
+TWO_ROBOTS = """\
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import Finding, Measure, Profiler
+
+
+class Meter(Profiler):
+    measures = (Measure("Energy", "J"),)
+    probe_s = 0.1
+
+    def check(self, circumstances):
+        found = [Finding.warning("Meter", "it is an old one")]
+        if circumstances.robot.endswith("{unknown}"):
+            found.append(Finding.{severity}("Meter", "it does not know this robot", "Name another."))
+        return found
+
+    def populate_run_data(self, context):
+        if not context.robot.endswith("9"):
+            context.publish("Energy", 1.0)
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "metered"
+    results_output_path = Path("results")
+    robot = Robots(alice="rosbridge://127.0.0.1:8", bob="rosbridge://127.0.0.1:9")
+    plugins = [Meter()]
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Load", ["same"])], repetitions=2, data_columns=["Energy"])
+"""
+
+
+def test_of_several_robots_each_is_checked_and_probed_and_findings_name_it(robot_runner: Program, here: Path) -> None:
+    config = here / "study.py"
+    config.write_text(TWO_ROBOTS.format(unknown="8", severity="error"), encoding="utf-8")
+    refused = robot_runner("check", "study.py")
+    assert refused.code == 2
+    assert "Meter, robot alice: it does not know this robot" in refused.err + refused.out
+    assert "robot bob: it does not know" not in refused.err + refused.out
+    assert (refused.err + refused.out).count("it is an old one") == 1
+
+    config.write_text(TWO_ROBOTS.format(unknown="none", severity="error"), encoding="utf-8")
+    result = robot_runner("study.py")
+    assert result.code == 2, result
+    assert "plugin Meter, robot bob: the probe got no value of Energy" in result.err
+    assert "robot alice" not in result.err
+    seen = robot_runner("check", "study.py", "--probe", "--json").json["probe"]
+    assert seen["profilers"]["Meter, robot alice"]["measures"] == {"Energy": 1.0}
+
+
+def test_for_a_cluster_this_machine_is_not_probed_and_what_it_lacks_is_a_warning(
+    robot_runner: Program, here: Path
+) -> None:
+    text = TWO_ROBOTS.replace('Robots(alice="rosbridge://127.0.0.1:8", bob="rosbridge://127.0.0.1:9")', '"simulated"')
+    text = text.replace('context.robot.endswith("9")', "True").format(unknown="simulated", severity="error")
+    (here / "study.py").write_text(text, encoding="utf-8")
+    assert robot_runner("check", "study.py").code == 2
+    seen = robot_runner("check", "study.py", "--probe", "--json", "--set", "cluster=tcp://127.0.0.1:1").json
+    assert seen["is_executable"], seen
+    problem = "on this machine: it does not know this robot; each worker is looked at when it joins"
+    assert problem in [finding["problem"] for finding in seen["findings"]]
+    assert seen["probe"]["profilers"] == {}

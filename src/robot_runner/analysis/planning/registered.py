@@ -9,6 +9,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.wording import listed
+from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import shown_settings
@@ -123,6 +124,8 @@ def _of_combinations(design: Mapping[str, Any], results: Results) -> Iterator[st
     names = list(design.get("factors") or {})
     if not names or any(name not in results.all_runs for name in names):
         return  # told as factors
+    if results.is_adaptive:
+        return  # which combinations are executed was to be decided, as was registered
     if "combinations" in design:
         planned = {tuple(map(str, each)) for each in design["combinations"]}
     else:
@@ -168,6 +171,8 @@ def _of_execution(found: Registration, results: Results) -> Iterator[str]:
     if manifest.get("repeat_until_changes"):
         yield "how precisely measures are to be known was changed after runs had been executed"
     for batch in (manifest.get("design") or {}).get("batches", [])[1:]:
+        if batch.get("role") == CONFIRMATION:
+            continue  # planned with the search, and registered with it
         runs, at = counted(batch["runs"], "run"), str(batch.get("at"))[:10]
         yield f"extended beyond what was registered: batch {batch['batch']}, {runs}, added on {at}"
     if manifest.get("table_deviations"):

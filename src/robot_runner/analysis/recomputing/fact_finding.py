@@ -53,6 +53,7 @@ def facts_of_study(
         StorageError: the run table cannot be read.
         AnalysisError: there is no such measure, or alpha is no probability.
     """
+    results = results.confirming
     followed = plan or results.plan
     planned = followed.measures if followed is not None else ()
     primary = [name for name in planned if name in results.columns]

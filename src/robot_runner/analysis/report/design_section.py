@@ -8,9 +8,11 @@ from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
 from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words
+from robot_runner.analysis.report.searched_part import searched_part
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.statistics.known_precision import repeated_interval
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
+from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.repeated_intervals import METHOD
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.executed_runs import moved_in_words
@@ -37,6 +39,7 @@ def design_section(material: Material) -> Section:
         Facts(tuple(_facts(material))),
         _factor_table(material),
         _measure_table(material),
+        *searched_part(material),
         Part("design-machine", "Machine and software", (Facts(tuple(_machine(material))),)),
     ]
     packages: Mapping[str, str] = material.manifest("software", "packages", default={})
@@ -98,11 +101,14 @@ def _order_of_table(material: Material) -> str:
 
 def _batches(material: Material) -> Iterator[tuple[str, str]]:
     """Yield how each batch was added to an experiment that was extended."""
+    if decides := material.manifest("design", "facts", "decides", default=""):
+        yield "Decided while it was executed", sentence(str(decides))
     for batch in material.manifest("design", "batches", default=[])[1:]:
         blocks = f" within blocks of {batch['blocks']}" if batch.get("blocks") else ""
         order = f"randomised{blocks} from seed {batch['seed']}" if batch.get("shuffle") else f"as written{blocks}"
         runs = f"{counted(batch['runs'], 'run')} ({batch['first']} to {batch['last']})"
-        yield f"Batch {batch['batch']}", f"{runs}, added on {shown_stamp(batch.get('at', ''))}; {order}"
+        name = "Confirmation" if batch.get("role") == CONFIRMATION else f"Batch {batch['batch']}"
+        yield name, f"{runs}, added on {shown_stamp(batch.get('at', ''))}; {order}"
 
 
 def _planned_order(material: Material, design: Mapping[str, Any]) -> str:

@@ -206,8 +206,26 @@ def _excluded(material: Material) -> Threats:
         yield title, text, Tone.WARNING
 
 
+def _searched(material: Material) -> Threats:
+    results = material.results
+    searched = len(results.with_exploration.runs) - (len(results.runs) if results.only_confirming else 0)
+    text = (
+        f"The design decided on {counted(searched, 'run')} from the results of others. They are exploratory: the best "
+        "of many looks better than it is, and they are not tested. "
+    )
+    if results.only_confirming:
+        text += f"Statistics are of the {counted(len(results.runs), 'run')} that were planned beforehand to confirm it."
+        yield "What was found by searching was confirmed", text, Tone.NOTE
+    else:
+        text += "No further run confirms what was found: plan confirm=10, say."
+        yield "What was found by searching is not confirmed", text, Tone.WARNING
+
+
 def _extended(material: Material) -> Threats:
     batches = material.manifest("design", "batches", default=[])
+    if material.results.is_adaptive:
+        yield from _searched(material)
+        return
     if not batches:
         return
     sizes = enumerated(f"{batch['runs']:,}" for batch in batches)

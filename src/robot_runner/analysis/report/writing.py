@@ -86,7 +86,7 @@ def write_report(
     """
     draws = kind is not ReportFormat.JSON
     with ExitStack() as closing:
-        results = experiment if isinstance(experiment, Results) else load_results(experiment)
+        results = (experiment if isinstance(experiment, Results) else load_results(experiment)).confirming
         # The worker is started early, so that it is ready when the first figure is. On one core it would only compete,
         # and with thousands of runs figures take little of the time, and the worker much of the memory.
         helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1 and len(results.runs) <= _MOST_RUNS

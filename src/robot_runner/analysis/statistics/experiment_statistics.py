@@ -71,6 +71,7 @@ def analyse(
         >>> from robot_runner.analysis import analyse, load_results
         >>> analyse(load_results("experiments/basic_experiment")).measure("Energy").test.reason  # doctest: +SKIP
     """
+    results = results.confirming
     is_given = plan is not None
     plan = results.plan if plan is None else _checked(plan, results)
     chosen_alpha = alpha if alpha is not None else plan.alpha if plan else _ALPHA
@@ -104,7 +105,8 @@ def analyse(
         standings += standing_effects(told, beside[which], otherwise)
         standings += standing_hypotheses(judged, rejudged, otherwise, tuple(again))
     measured = replace(design, covariates=())  # beside a covariate that is taken out of one, no correlation is left
-    numeric = [data for each in told if each.overall and (data := measured.data(each.name)) is not None]
+    correlated = () if results.is_exploratory else told
+    numeric = [data for each in correlated if each.overall and (data := measured.data(each.name)) is not None]
     correlations, missing = correlations_of(numeric[:_MOST_CORRELATED], chosen_correction)
     return ExperimentStatistics(
         alpha=chosen_alpha,
@@ -163,13 +165,22 @@ def _analysed(
         beside[Beside.WITHOUT_COVARIATES] = compute(replace(design, covariates=()), left_out)
     if plan is not None and plan.doubtful is Doubtful.REFUSE and doubted:
         beside.setdefault(Beside.ALL_RUNS, planned)
-        planned = _refused(planned, doubted)
+        why = f"the plan draws no conclusion on a measure with doubtful values ({listed(doubted)})."
+        planned = _refused(planned, why)
+    if design.results.is_exploratory:
+        return _Analysed(replace(_refused(planned, _SEARCHED), power=None, drift=None), {}, runs)
     return _Analysed(planned, beside, runs)
 
 
-def _refused(measure: MeasureStatistics, doubtful: Sequence[str]) -> MeasureStatistics:
-    """Return a measure on which the plan draws no conclusion; what is described of it stays."""
-    why = f"the plan draws no conclusion on a measure with doubtful values ({listed(doubtful)})."
+#: Why runs of a search are not tested.
+_SEARCHED = (
+    "the design decided on the runs from their results: they are exploratory, and the best of many looks better than "
+    "it is. Plan confirm=10, say, for runs that are tested."
+)
+
+
+def _refused(measure: MeasureStatistics, why: str) -> MeasureStatistics:
+    """Return a measure on which no conclusion is drawn; what is described of it stays."""
     missing = (NotComputed("the test", why), *measure.not_computed)
     return replace(measure, test=None, post_hoc=(), contrasts=(), adjustment=None, not_computed=missing)
 

@@ -23,7 +23,7 @@ __all__ = ["command_module", "installed_commands", "summary_of"]
 #: The core's own commands, in the order in which a user meets them.
 _CORE = (
     *("demo", "new", "check", "plan", "smoke", "run", "status", "queue"),
-    *("pause", "continue", "extend", "exclude", "include", "plugins", "try"),
+    *("pause", "continue", "extend", "exclude", "include", "plugins", "try", "doctor", "completion"),
 )
 _QUOTES = '"""'
 _ONLY_AST = 0x400  # ast.PyCF_ONLY_AST

@@ -116,7 +116,7 @@ def _seen(probe: Probe | None) -> Iterator[tuple[str, str]]:
         values = ", ".join(
             f"{name} {shown_value(each.value)} {each.unit}".rstrip() for name, each in profiler.measures.items()
         )
-        yield heading, f"{profiler.plugin}: {values}"
+        yield heading, f"{profiler.label}: {values}"
         heading = ""
     if probe is not None and not probe.profilers:
         yield heading, "no profiler tells anything before the mission"

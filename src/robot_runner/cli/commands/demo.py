@@ -8,13 +8,21 @@ from __future__ import annotations
 
 import csv
 import itertools
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.console import Column, UserConsole, aligned, output, print_facts, shown_path, width_of
+from robot_runner.cli.console import (
+    Column,
+    UserConsole,
+    aligned,
+    command_line,
+    output,
+    print_facts,
+    shown_path,
+    width_of,
+)
 from robot_runner.cli.executing import Execution, execute_on_screen, read_or_not
 from robot_runner.cli.screens.ending import print_verdict, whereabouts
 from robot_runner.cli.templating import template, write_new_file
@@ -55,7 +63,7 @@ def execute(arguments: Namespace) -> int:
         raise LinkError.of_findings(findings)
     folder = _fresh(Path(arguments.folder).expanduser())
     config = folder / "demo.py"
-    write_new_file(config, template("demo"), instead="Choose another folder.")
+    write_new_file(config, template("demo_config.py"), instead="Choose another folder.")
     experiment = prepare_or_refuse(config)
     execution = execute_on_screen(experiment, plain=arguments.plain)
     with read_or_not():
@@ -70,14 +78,14 @@ def _print(console: UserConsole, execution: Execution, finished: ExperimentFinis
         _print_table(console, rows)
     print_verdict(console, finished, execution.progress)
     _print_means(console, rows)
-    again = shlex.join(["robot-runner", shown_path(config)])
+    again = command_line(shown_path(config))
     if finished.todo_count or finished.failed_count:
         following = [("Next", f"go on where it ended: {again}")]
     else:
         following = [
             ("Config", shown_path(config)),
             ("Next", f"change experiment_name and the tasks in it, then execute it: {again}"),
-            ("", "or begin an experiment of your own: robot-runner new"),
+            ("", f"or begin an experiment of your own: {command_line('new')}"),
         ]
     print_facts(console, [*whereabouts(finished, execution.progress), *following])
 

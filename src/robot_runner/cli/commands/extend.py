@@ -5,11 +5,10 @@ More repetitions, treatments or factors, as the config has them now or as is ask
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.console import output, print_facts, print_json, quiet_loading
+from robot_runner.cli.console import command_line, output, print_facts, print_json, quiet_loading
 from robot_runner.cli.design_words import (
     batch_as_json,
     batch_order_in_words,
@@ -143,7 +142,7 @@ def _print(extension: Extension, arguments: Namespace) -> None:
     print_runs(console, model, extension.runs)
     console.print()
     config = [arguments.config, *(word for each in shown_assignments(arguments.set) for word in ("--set", each))]
-    command = shlex.join(["robot-runner", *config])
+    command = command_line(*config)
     count = sum(len(each.run_ids) for each in model.batches)
     facts = [
         ("Batch", f"{batch.number}: {counted(len(batch.run_ids), 'run')}, {batch.run_ids[0]} to {batch.run_ids[-1]}"),

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import output, print_facts, print_json, quiet_loading
+from robot_runner.cli.design_layouts import notes_in_words, print_layouts
 from robot_runner.cli.design_words import (
     columns_as_json,
     design_as_json,
@@ -51,6 +52,7 @@ def execute(arguments: Namespace) -> int:
     show_findings(plan.findings)
     console = output()
     print_runs(console, plan.model, plan.runs, shows_all=arguments.all)
+    print_layouts(console, plan.model.design_facts, shows_all=arguments.all)
     console.print()
     print_facts(
         console,
@@ -58,6 +60,7 @@ def execute(arguments: Namespace) -> int:
             ("Runs", in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
             ("Repeated", plan.repeated),
             ("Decided", str(plan.model.design_facts.get("decides", ""))),
+            ("Layout", notes_in_words(plan.model.design_facts)),
             ("Warm-up", warm_ups_in_words(plan.model, plan.runs)),
             ("Measures", measures_in_words(plan.columns)),
             ("Order", plan.order),

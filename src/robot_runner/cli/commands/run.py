@@ -6,17 +6,17 @@ Runs that are done are not executed again. Exit code 0: all runs are done; 1: so
 
 from __future__ import annotations
 
-import shlex
 import sys
-from contextlib import redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cli.console import no_byte_code, output, print_json
+from robot_runner.cli.console import command_line, no_byte_code, output, print_json
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
+from robot_runner.cli.page_beside import page_beside
 from robot_runner.cli.parser import RUNS_HELP, add_config, add_json, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
@@ -28,7 +28,7 @@ from robot_runner.core.secret_names import shown_assignments
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from robot_runner.cli.executing import Execution
     from robot_runner.cli.parser import Parser
@@ -85,6 +85,14 @@ def add_arguments(parser: Parser) -> None:
         action="store_true",
         help="wait where another experiment has claimed the same robot or meter, instead of being refused",
     )
+    parser.add_argument(
+        "--page", action="store_true", help="serve a live page of the experiment meanwhile, on this machine alone"
+    )
+    parser.add_argument(
+        "--page-at",
+        metavar="ADDRESS[:PORT]",
+        help="serve the live page there: 0.0.0.0 for phones in the same network; see `robot-runner watch`",
+    )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
     add_json(parser)
 
@@ -120,13 +128,25 @@ def _executed(arguments: Namespace) -> tuple[int, dict[str, Any]]:
     if preparation.experiment is None:
         show_findings(preparation.findings)
         return REFUSED, _refused(preparation.findings)
-    execution = _execution(arguments, preparation.experiment, preparation.findings)
+    with _page(arguments, preparation.experiment):
+        execution = _execution(arguments, preparation.experiment, preparation.findings)
     settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
-    command = shlex.join(["robot-runner", arguments.config, *settings])
+    command = command_line(arguments.config, *settings)
     with read_or_not():
         if execution.finished:
             print_outcome(output(), execution.finished, execution.progress, command=command)
     return execution.exit_code, _facts(preparation.experiment, execution)
+
+
+@contextmanager
+def _page(arguments: Namespace, experiment: Experiment) -> Iterator[None]:
+    """Serve a live page meanwhile, where it is asked for, and say where."""
+    if not (arguments.page or arguments.page_at):
+        yield
+        return
+    with page_beside(experiment.folder.root, arguments.page_at) as told:
+        print(told, flush=True)
+        yield
 
 
 def _execution(arguments: Namespace, experiment: Experiment, findings: Sequence[Finding]) -> Execution:

@@ -128,6 +128,8 @@ def _warm_ups(status: ExperimentStatus) -> str:
 
 def _batches(status: ExperimentStatus) -> str:
     sizes = enumerated(f"{runs:,}" for runs in status.batches)
+    if status.batches and status.decided:
+        return f"2, of {sizes} runs: the second one confirms what was found"
     return f"{len(status.batches)}, of {sizes} runs: the experiment was extended" if status.batches else ""
 
 

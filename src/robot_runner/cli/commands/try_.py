@@ -25,7 +25,7 @@ from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.execution.trial import has_mission, try_plugin
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import System
+from robot_runner.core.plugin import System, installed_plugins
 from robot_runner.core.words import enumerated, one_line, shown_duration, shown_value
 
 if TYPE_CHECKING:
@@ -47,7 +47,10 @@ _MOST_LINES = 20
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     parser.add_argument(
-        "plugin", metavar="PLUGIN", help="the plugin's name, `module:Class`, `file.py` or `file.py:Class`"
+        "plugin",
+        metavar="PLUGIN",
+        help="the plugin's name, `module:Class`, `file.py` or `file.py:Class`",
+        completer=lambda **_: [each.name for each in installed_plugins()],
     )
     parser.add_argument(
         "--seconds",

@@ -15,7 +15,6 @@ from rich.text import Text
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.screens.giving_way import input_gives_way
 from robot_runner.cli.screens.plain import (
-    RunRows,
     announced,
     closing,
     forget_typed,
@@ -27,11 +26,11 @@ from robot_runner.cli.screens.plain import (
     request,
     run_to_come,
     terminal_input,
-    treatments_in_words,
     waited_so_far,
     waiting_at_gate,
 )
 from robot_runner.cli.screens.progress import Progress
+from robot_runner.cli.screens.run_rows import RunRows, treatments_in_words
 from robot_runner.core.execution.notices import (
     AnswersRefused,
     AttemptFinished,

@@ -8,15 +8,10 @@ import termios
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from rich.cells import cell_len
-from rich.text import Text
-
-from robot_runner.cli.console import Column, aligned, fitting, folded, shown_path
-from robot_runner.cli.design_words import run_cells, run_columns
+from robot_runner.cli.console import command_line, folded, shown_path
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.screens.progress import Progress
-from robot_runner.core.design.columns import REPETITION, numbered_run_id
-from robot_runner.core.events.measure import Quality
+from robot_runner.cli.screens.run_rows import shown_measure, treatments_in_words
 from robot_runner.core.execution.notices import (
     AnswersRefused,
     AttemptFinished,
@@ -39,7 +34,7 @@ from robot_runner.core.execution.notices import (
 )
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.secret_names import shown_settings
-from robot_runner.core.words import counted, enumerated, one_line, shown_duration, shown_treatment, shown_value
+from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -50,119 +45,31 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.events.measure import PublishedMeasure
     from robot_runner.core.execution.task import RunOutcome, RunTask
 
 __all__ = [
     "PlainScreen",
-    "RunRows",
     "announced",
     "closing",
     "continue_command",
     "forget_typed",
     "gate_passed",
-    "heading_of",
     "opening",
     "pausing",
     "question_asked",
     "refusals",
     "request",
     "run_to_come",
-    "shown_measure",
     "terminal_input",
-    "treatments_in_words",
     "waited_so_far",
     "waiting_at_gate",
 ]
 
 
-# Finished runs as rows of a table that grows: run, treatments, measures, and how long it took.
-
-#: A measure in four significant digits needs as much, with exponent and question mark.
-_MEASURE = 10
-_TOOK = 11
-_INDENT = "  "
-#: A shorter experiment is over before its duration is read, s.
-_WORTH_TELLING = 60.0
-
-
-def heading_of(measure: str, unit: str) -> str:
-    """Return the heading of a measure's column.
-
-    Example:
-        >>> heading_of("Energy", "J"), heading_of("Errors", "1")
-        ('Energy (J)', 'Errors')
-    """
-    return f"{measure} ({unit})" if unit not in {"", "1"} else measure
-
-
-def shown_measure(published: PublishedMeasure | None) -> str:
-    """Return a value in four significant digits, with a question mark where it is doubtful; a missing one as a dash."""
-    if published is None:
-        return shown_value(None)
-    return shown_value(published.value) + ("?" if published.quality is Quality.DOUBTFUL else "")
-
-
-def treatments_in_words(task: RunTask | WaitingForUser, model: RunTableModel) -> str:
-    """Return what a run varies, as `Task=Video, Repetition=3`."""
-    parts = [f"{name}={shown_treatment(treatment)}" for name, treatment in task.combination.items()]
-    if task.repetition == 0:
-        parts.append("warm-up")
-    elif model.repetitions > 1:
-        parts.append(f"{REPETITION}={task.repetition}")
-    return ", ".join(parts)
-
-
-class RunRows:
-    """Makes the rows for the runs of one experiment.
-
-    Args:
-        experiment: whose runs they are.
-        measures: the units of the measure columns, by name.
-        run_count: how many runs there are, for the width of their ids.
-    """
-
-    def __init__(self, experiment: Experiment, measures: Mapping[str, str], run_count: int) -> None:
-        self._model = experiment.model
-        self._measures = tuple(measures)
-        self._what = run_columns(experiment.model, numbered_run_id(run_count))
-        headings = [heading_of(name, unit) for name, unit in measures.items()]
-        self._yields = [Column(heading, max(_MEASURE, cell_len(heading)), is_number=True) for heading in headings]
-        self._yields.append(Column("took", _TOOK, is_number=True))
-
-    def header(self, width: int) -> Text:
-        """Return the headings."""
-        columns = self._fitting(width)
-        return Text(_INDENT + aligned(columns, [column.heading for column in columns]), style="bold")
-
-    def left_out(self, width: int) -> str:
-        """Return which columns do not fit, in words; nothing where all do."""
-        hidden = [column.heading for column in [*self._what, *self._yields][len(self._fitting(width)) :]]
-        return f"too narrow for {enumerated(hidden)}; run_table.csv has all measures" if hidden else ""
-
-    def row(self, finished: AttemptFinished, width: int) -> Text:
-        """Return the row of an attempt that has ended."""
-        columns = self._fitting(width)
-        task, outcome = finished.task, finished.outcome
-        what = run_cells(self._model, task.run_id, task.combination, task.repetition)
-        if outcome.status is AttemptStatus.DONE:
-            published = (outcome.measures.get(name) for name in self._measures)
-            values = [shown_measure(each) for each in published]
-            return Text(_INDENT + aligned(columns, [*what, *values, shown_duration(outcome.seconds)]))
-        reason = one_line(str(outcome.failure)) if outcome.status is AttemptStatus.FAILED else "interrupted"
-        again = "" if finished.is_last else f"attempt {task.attempt}, tried again: "
-        head = aligned(columns[: len(what)], what)
-        style = "red" if finished.is_last else "yellow"
-        return Text(f"{_INDENT}{head}  ✗ {again}{reason}", style=style)
-
-    def _fitting(self, width: int) -> list[Column]:
-        columns = [*self._what, *self._yields]
-        return columns[: fitting(columns, width - len(_INDENT))]
-
-
 # What a screen says beside its rows: how an experiment begins, and what is asked of the user.
 
-
+#: A shorter experiment is over before its duration is read, s.
+_WORTH_TELLING = 60.0
 #: How often a log is told of a gate that is awaited, s.
 _GATE_EVERY = 60.0
 #: A gate that opens sooner is not worth a line, s: most hold at the second look.
@@ -226,7 +133,7 @@ def request(waiting: WaitingForUser, *, by_key: bool) -> str:
 def continue_command(folder: Path, questions: Sequence[Question] = ()) -> str:
     """Return the command that lets an experiment go on, with a place for each answer that it needs."""
     answers = [f"--answer {shlex.quote(question.name)}=..." for question in questions if not question.optional]
-    return " ".join(["robot-runner continue", shlex.quote(shown_path(folder)), *answers])
+    return " ".join([command_line("continue", shown_path(folder)), *answers])
 
 
 def run_to_come(waiting: WaitingForUser, model: RunTableModel) -> list[str]:
@@ -258,7 +165,7 @@ def pausing(paused: Paused, *, by_key: bool) -> str:
     """Return what is said while the experiment is paused."""
     key = "press ENTER, or in another terminal: " if by_key else ""
     run = f"run {paused.next_run_number} of {paused.run_count}"
-    return f"Paused before {run}. To go on: {key}robot-runner continue {shlex.quote(shown_path(paused.folder))}"
+    return f"Paused before {run}. To go on: {key}{continue_command(paused.folder)}"
 
 
 def waiting_at_gate(waiting: GateWaiting) -> str:

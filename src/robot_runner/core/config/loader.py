@@ -210,10 +210,18 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
         raise ConfigError.of_findings(_placed(path, error)) from error
     except (Exception, SystemExit) as error:
         raise ConfigError(
-            f"the config raised {type(error).__name__} {when}: {error}",
+            f"the config raised {type(error).__name__} {when}: {error}{_before(error)}",
             where=place_in(path, error),
             fix=_fix_of(error) or misspelt_keyword(path, error) or "Mend this line.",
         ) from error
+
+
+def _before(error: BaseException) -> str:
+    """Return what was raised first, where an error was raised while another was dealt with: that one is the cause."""
+    first = error
+    while (earlier := first.__cause__ or (None if first.__suppress_context__ else first.__context__)) is not None:
+        first = earlier
+    return "" if first is error else f" (after {type(first).__name__}: {first})"
 
 
 def place_in(path: Path, error: BaseException) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -26,6 +26,7 @@ from robot_runner.core.config.loader import LoadedConfig, load_config
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.plugin_checks import check_plugins, companions, gather_plugins
 from robot_runner.core.config.registered_config import check_registration, registered
 from robot_runner.core.config.treatment_makers import maker_findings
@@ -48,7 +49,6 @@ from robot_runner.core.words import enumerated
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.plugin import Plugin
 
@@ -74,10 +74,15 @@ def choose_robot(loaded: LoadedConfig) -> list[Finding]:
 
 
 def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[Plugin] = ()) -> list[Finding]:
-    """Return what stands between the experiment and its robot, and what the checks of installed packages find."""
+    """Return what stands between the experiment and its robots, and what the checks of installed packages find."""
     if looks_for_robot(parameters.robot):
         return []  # nothing was found, which is a finding already
-    return [*_link_findings(parameters), *announced_checks(loaded.where, parameters, plugins)]
+
+    def announced(link: str | None) -> list[Finding]:
+        return announced_checks(loaded.where, Parameters(**{**vars(parameters), "robot": link}), plugins)
+
+    found = _of_each(parameters.robots, announced) if parameters.robots else announced(parameters.robot)
+    return [*_link_findings(parameters), *found]
 
 
 def _link_findings(parameters: Parameters) -> Iterator[Finding]:
@@ -217,10 +222,30 @@ def _robot_first(
     """
     if parameters is not None:
         yield from check_robot(loaded, parameters, plugins)
-    if not isinstance(robot, str):
+    if parameters is not None and parameters.robots:
+        yield from _of_each(parameters.robots, lambda link: check_plugins(plugins, model, link))
+    elif not isinstance(robot, str):
         yield from check_plugins(plugins, model, robot)
     elif (meant := meant_robot(robot)) is not None:
-        yield from check_plugins(plugins, model, meant)
+        found = check_plugins(plugins, model, meant)
+        yield from found if parameters is None or parameters.cluster is None else map(_left_to_workers, found)
+
+
+def _of_each(robots: Mapping[str, str], look: Callable[[str], list[Finding]]) -> Iterator[Finding]:
+    """Yield what is found of each robot, with its name; what is found of all alike is told once."""
+    found = {name: look(link) for name, link in robots.items()}
+    alike = [each for each in next(iter(found.values())) if all(each in others for others in found.values())]
+    yield from alike
+    for name, findings in found.items():
+        yield from (replace(each, where=f"{each.where}, robot {name}") for each in findings if each not in alike)
+
+
+def _left_to_workers(finding: Finding) -> Finding:
+    """Return what was found on this machine as a warning: a cluster's workers look at their own as they join."""
+    if not finding.is_error:
+        return finding
+    problem = f"on this machine: {finding.problem}; each worker is looked at when it joins"
+    return Finding.warning(finding.where, problem, finding.fix)
 
 
 def _most_runs(model: RunTableModel, parameters: Parameters) -> int:

@@ -73,6 +73,11 @@ class Range:
         return (value - self.lower) / (self.upper - self.lower)
 
     @property
+    def step_count(self) -> int:
+        """How many steps there are from the lower end to the upper one, the last of which may be shorter."""
+        return max(1, math.ceil(round((self.upper - self.lower) / self._step, 6)))
+
+    @property
     def _step(self) -> float:
         if self.step is not None:
             return self.step

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.held_order import HeldOrder
     from robot_runner.core.execution.notices import Notice, Observer
     from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
     from robot_runner.core.execution.patience import Patience, Steps
@@ -95,6 +96,11 @@ class Attempts:
         self._refresh = patience.refresh_screen
         self._lost: Counter[str] = Counter()
         self._left: dict[str, int] = {}
+
+    @property
+    def held(self) -> HeldOrder:
+        """What the design holds of the order of runs."""
+        return self._between_runs.held
 
     @property
     def _is_ending(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import OperationType
+from robot_runner.core.design.held_order import HeldOrder
 from robot_runner.core.execution.patience import Pause
 from robot_runner.core.execution.pausing import pause_where_requested
 from robot_runner.core.execution.reboots import Reboots
@@ -38,6 +39,9 @@ class BetweenRuns:
         observer: whose user may end a pause.
         notify: tells the screens.
         patience: what goes on meanwhile.
+
+    Attributes:
+        held: what the design holds of the order of runs.
     """
 
     def __init__(
@@ -59,6 +63,8 @@ class BetweenRuns:
         self._operator = operator
         self._patience = patience
         self._is_paused = False
+        self.held = HeldOrder.of_facts(experiment.model.design_facts)
+        self._rests = self.held.rests(experiment.model.plan(progress.seed) if self.held.rest_in_s else ())
         self._reboots = Reboots(experiment, progress, notify, patience)
 
     def prepare(
@@ -88,9 +94,12 @@ class BetweenRuns:
         has_asked = yield from self._operator.prepare(run)
         if self._is_semi and not (is_cleared or has_asked or self._patience.interruption.is_requested):
             yield from self._operator.ask_to_start(run)
-        if finished is not None:
-            if (rest_ms := self._parameters.time_between_runs_in_ms) and not self._patience.interruption.is_requested:
-                yield Pause(rest_ms / 1000)
+        rest = self._parameters.time_between_runs_in_ms / 1000 if finished is not None else 0.0
+        # What one treatment left is to be gone: it is not known when the unit's last run ended, of another session too.
+        rest = max(rest, self._rests.get(run.run_id, 0.0))
+        if rest and not self._patience.interruption.is_requested:
+            yield Pause(rest)
+        if rest or finished is not None:
             yield from self._pause_where_requested(run)  # it may have been asked for meanwhile
         yield from self._reboots.before(run, finished)
 

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.asking import Asking, Decision
+    from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.storage.run_table_rows import RunTableRows
@@ -157,7 +158,7 @@ class Deciding:
 
     def _grown(self, rows: RunTableRows, decision: Decision) -> Growth:
         begun = Begun(
-            factors=self._model.factors,
+            factors=tuple(_with_used(each, rows, decision) for each in self._model.factors),
             runs=list(rows.planned),
             chosen={},
             has_repetition=rows.layout.has_repetition,
@@ -165,7 +166,7 @@ class Deciding:
         )
         batches = self._model.batches or (first_batch(begun, self._order(self._seed)),)
         repetitions = max(batches[-1].repetitions, *(repetition for _, repetition in decision.runs))
-        design = GrownDesign(self._model.factors, [], repetitions, {}, {})
+        design = GrownDesign(begun.factors, [], repetitions, {}, {})
         order = self._order(seed_of_run(self._seed, decision.name), decision.blocks)
         number, at = (batches[-1].number + 1, utc_now()) if decision.confirms else (batches[-1].number, "")
         planned = next_batch(begun, design, None, order=order, number=number, at=at, wanted=decision.runs)
@@ -190,6 +191,15 @@ class Deciding:
     def _order(self, seed: int, blocks: str | None = None) -> RunOrder:
         blocks = blocks or self._config.blocks
         return RunOrder(shuffle=self._config.shuffle, blocks=blocks, seed=seed, seed_is_given=True)
+
+
+def _with_used(factor: Factor, rows: RunTableRows, decision: Decision) -> Factor:
+    """Return a factor with all treatments that runs have: of a range, the design chooses them."""
+    if factor.range is None:
+        return factor
+    combinations = (*(run.combination for run in rows.planned), *(combination for combination, _ in decision.runs))
+    used = {str(each[factor.name]): each[factor.name] for each in combinations}
+    return factor.with_treatments(sorted({**used, **dict(zip(factor.texts, factor.treatments, strict=True))}.values()))
 
 
 def _notice(decision: Decision, run_count: int, added: int) -> PrecisionJudged | NextDecided:

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.manager import EventManager, RobotRunnerEvents
 from robot_runner.core.execution.aside import execute_aside
@@ -65,6 +66,7 @@ class Probed:
         fixes: what it said can be done about that.
         missing: the measures without a value, where none has one.
         failure: what it raised, or how the process ended that it was tried in.
+        robot: the name of the robot beside which it was tried; empty where there is one only.
     """
 
     plugin: str
@@ -73,10 +75,16 @@ class Probed:
     fixes: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     failure: str = ""
+    robot: str = ""
+
+    @property
+    def label(self) -> str:
+        """Its name, and that of the robot beside which it was tried, where several take turns."""
+        return f"{self.plugin}, robot {self.robot}" if self.robot else self.plugin
 
     def findings(self) -> Iterator[Finding]:
         """Yield an error where it did not measure, else a warning for each doubt."""
-        where = f"plugin {self.plugin}"
+        where = f"plugin {self.label}"
         if self.failure:
             yield Finding.error(where, f"the probe failed: {self.failure}", f"Look at the device. {_WITHOUT}")
         elif self.missing:
@@ -123,7 +131,7 @@ class Probe:
 
     def fields(self) -> dict[str, Any]:
         """Return the same as plain data, for the journal."""
-        seen = {profiler.plugin: profiler.fields() for profiler in self.profilers}
+        seen = {profiler.label: profiler.fields() for profiler in self.profilers}
         return {"seconds": round(self.seconds, 3), "window": self.window, "profilers": seen}
 
 
@@ -132,14 +140,14 @@ def probed_profilers(experiment: Experiment) -> list[Profiler]:
 
     Left out are all where the robot is the embedded simulation, whose meters give nothing to doubt, and each that says
     so (`probe_s` is None), has no measures, or sets something up in `before_experiment` or `before_run`, which a probe
-    does not call.
+    does not call. Of a cluster all are left out: the meters are those of its workers, where others may be using them.
     """
-    return probed_plugins(experiment.plugins, experiment.events, experiment.parameters.robot)
+    return probed_plugins(experiment.plugins, experiment.events, experiment.parameters)
 
 
-def probed_plugins(plugins: Sequence[Plugin], events: EventManager, robot: str | None) -> list[Profiler]:
+def probed_plugins(plugins: Sequence[Plugin], events: EventManager, parameters: Parameters) -> list[Profiler]:
     """Return the same of the parts of an experiment."""
-    if is_simulated(robot):
+    if is_simulated(parameters.robot) or parameters.cluster is not None:
         return []
     set_up = {each.owner for event in _SET_UP for each in events.subscribers(event)}
     profilers = [plugin for plugin in plugins if isinstance(plugin, Profiler)]
@@ -173,7 +181,8 @@ def probe_experiment(experiment: Experiment) -> Probe:
 def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interruption) -> Probe:
     """Try all profilers that can be probed in one run without a mission; systems and the config are not called.
 
-    A profiler that raises ends such a run, so that another one follows without it: all findings come at once.
+    A profiler that raises ends such a run, so that another one follows without it: all findings come at once. Where
+    several robots take turns, it is done beside each of them.
 
     Args:
         experiment: whose profilers they are.
@@ -181,9 +190,22 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
         interruption: the user's; it ends the probe.
     """
     started = time.monotonic()
+    seen: list[Probed] = []
+    robots = experiment.parameters.robots
+    for name, link in robots.items() or [("", experiment.parameters.robot)]:
+        if not interruption.is_requested:
+            own = Parameters(**{**vars(experiment.parameters), "robot": link})
+            beside = _probed_beside(replace(experiment, parameters=own), task, interruption)
+            seen += [replace(each, robot=name) for each in beside]
+    return Probe(time.monotonic() - started, probe_window_of(probed_profilers(experiment)), tuple(seen))
+
+
+def _probed_beside(experiment: Experiment, task: RunTask, interruption: Interruption) -> list[Probed]:
+    """Try them beside the robot that the experiment has, and return what was seen."""
     # A parameter that is bound to a factor has its treatment only in a run, and so has what follows from it.
     built = [built_with(each, task.combination) for each in probed_profilers(experiment)]
-    left, seen = list(filter(_can_tell, built)), []
+    left = list(filter(_can_tell, built))
+    seen: list[Probed] = []
     window = probe_window_of(left)
     while left:
         outcome = _tried(experiment, left, window, task, interruption)
@@ -193,7 +215,7 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
         ended = failed if failed or outcome.failure is None else left  # it died, and nobody knows whose fault that was
         seen += [_probed(each, experiment, outcome) for each in ended or left]
         left = [each for each in left if each not in ended] if ended else []
-    return Probe(time.monotonic() - started, window, tuple(seen))
+    return seen
 
 
 def without_values(columns: Sequence[MeasureColumn], measures: Mapping[str, PublishedMeasure]) -> tuple[str, ...]:

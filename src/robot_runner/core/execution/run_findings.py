@@ -35,7 +35,9 @@ class UnreadFactors:
         if outcome.status is not AttemptStatus.DONE or not self._has_callbacks():
             return ()
         if self._unread is None:
-            varied = [factor.name for factor in self._experiment.model.factors if len(factor.treatments) > 1]
+            model = self._experiment.model
+            blocks = model.design_facts.get("block_columns", ())  # a day, a period: said of a run, and not applied
+            varied = [each.name for each in model.factors if len(each.treatments) > 1 and each.name not in blocks]
             # A factor of that name counts repetitions, as in the paper's Listing 1.
             self._unread = {
                 name: unread(task.run_id, name)

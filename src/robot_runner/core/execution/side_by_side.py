@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ExecutionError
@@ -31,6 +32,7 @@ class _Busy:
 
     Attributes:
         holds: the claims of the run.
+        task: the run with its treatments.
         steps: what is left to do of it.
         awaited: what it waits for now.
     """
@@ -38,7 +40,7 @@ class _Busy:
     place: Place
     run: PendingRun
     holds: frozenset[str]
-    is_warm_up: bool
+    task: RunTask
     steps: Steps[RunOutcome | None]
     awaited: Awaited
 
@@ -127,8 +129,10 @@ class SideBySide:
                 return None
             run = self._passed_over[place_in_queue]
             task = self._progress.task_of(run)
-            if any(each.is_warm_up is not task.is_warm_up for each in self._busy):
+            if any(each.task.is_warm_up is not task.is_warm_up for each in self._busy):
                 return None  # what warms up is over before anything is measured
+            if self._has_to_wait(task, place_in_queue):
+                continue
             suitable = dict(self._suitable(free, task))
             place = self._place_for(task, list(suitable))
             if place is not None:
@@ -137,6 +141,15 @@ class SideBySide:
             if task.is_warm_up:
                 return None
         return None
+
+    def _has_to_wait(self, task: RunTask, place_in_queue: int) -> bool:
+        """Return whether the design has this run wait for one that is in flight, or that comes before it and waits."""
+        held = self._attempts.held
+        if held.is_open:
+            return False
+        waiting = (self._progress.task_of(self._passed_over[place]) for place in range(place_in_queue))
+        before = chain((each.task for each in self._busy), waiting)
+        return any(held.waits_for(task.combination, each.combination) for each in before)
 
     def _suitable(self, free: Sequence[Place], task: RunTask) -> Iterator[tuple[Place, frozenset[str]]]:
         """Yield the free places where a run can begin now, and what it would hold there."""
@@ -166,7 +179,7 @@ class SideBySide:
         except StopIteration as end:
             self._end(run, place, end.value)
             return
-        self._busy.append(_Busy(place, run, holds, task.is_warm_up, steps, awaited))
+        self._busy.append(_Busy(place, run, holds, task, steps, awaited))
 
     def _end(self, run: PendingRun, place: Place, outcome: RunOutcome | None) -> None:
         """Take down that a run has come to its end at a place, and set a robot aside that fails again and again."""

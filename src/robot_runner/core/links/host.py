@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from robot_runner.core.errors import LinkError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from robot_runner.core.links.clock_offset import ClockRecord
 
@@ -27,6 +27,7 @@ __all__ = [
     "RemoteHost",
     "ReportingSampler",
     "SamplingReport",
+    "TellingSampler",
     "UtilisationSample",
     "UtilisationSampler",
     "checked_words",
@@ -139,6 +140,15 @@ class PromptSampler(Protocol):
 
     def take_now(self) -> None:
         """Take one more sample at once, out of turn."""
+        ...
+
+
+@runtime_checkable
+class TellingSampler(Protocol):
+    """A sampler that tells of each sample while it goes on, for who watches."""
+
+    def tell(self, on_sample: Callable[[UtilisationSample], None]) -> None:
+        """Have each further sample told as it is taken, in the thread that samples."""
         ...
 
 

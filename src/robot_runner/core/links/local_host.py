@@ -11,6 +11,7 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.cpu_counters import CoreCounters, CounterSample, ProcessCounters, utilisation_of
 from robot_runner.core.links.host import (
     LOCAL,
@@ -20,13 +21,12 @@ from robot_runner.core.links.host import (
     UtilisationSample,
     checked_words,
 )
-from robot_runner.core.sampling.periodic import PeriodicSampler
+from robot_runner.core.sampling.periodic import PeriodicSampler, Sampling
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.sampling.periodic import Sampling
 
 __all__ = ["LocalHost", "LocalProcesses", "LocalSampler", "matches"]
 
@@ -151,6 +151,19 @@ class LocalSampler(Generic[R, S]):
         self._samples: Sequence[S] | None = None
         self._sampler = PeriodicSampler(read, rate=rate, clock=clock)
         self._sampler.start()
+
+    def tell(self, on_sample: Callable[[S], None]) -> None:
+        """Have each further sample told as it is taken, in the thread that samples."""
+        last: list[tuple[float, R]] = []
+
+        def take(time: float, reading: R) -> None:
+            last.append((time, reading))
+            if len(last) > 1:
+                times, readings = zip(*last, strict=True)
+                on_sample(self._evaluate(Sampling(times, readings, Window(*times), self._rate))[-1])
+                del last[0]
+
+        self._sampler.on_reading = take
 
     def take_now(self) -> None:
         """Take one more sample at once, out of turn."""

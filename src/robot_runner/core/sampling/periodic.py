@@ -139,6 +139,8 @@ class PeriodicSampler(Generic[R]):
         if not (math.isfinite(rate) and rate > 0):
             raise PluginError(f"the sample rate is {rate!r} Hz", where="sampling", fix="Give a rate above 0.")
         self._read = read
+        #: Called with each reading and its time, in the thread that reads: for who watches.
+        self.on_reading: Callable[[float, R], None] = lambda _time, _reading: None
         self._rate = rate
         self._clock = clock
         self._ticker: Closable | None = None
@@ -241,6 +243,7 @@ class PeriodicSampler(Generic[R]):
         else:
             self._times.append((begun + self._clock.now()) / 2)
             self._readings.append(reading)
+            self.on_reading(self._times[-1], reading)
         self._cpu_seconds += time.thread_time() - cpu_begun
 
     def _note_failure(self, what: str, at: float) -> None:

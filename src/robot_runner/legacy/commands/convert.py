@@ -8,11 +8,10 @@ Exit code 0: both plan the same runs; 2: the old file is refused, or the new one
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.console import output, print_facts, quiet_loading, shown_path
+from robot_runner.cli.console import command_line, output, print_facts, quiet_loading, shown_path
 from robot_runner.cli.findings import print_findings, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import UsageError, add_config
@@ -59,8 +58,8 @@ def execute(arguments: Namespace) -> int:
     print_facts(
         console,
         [
-            ("Check", f"robot-runner check {shlex.quote(str(new))}"),
-            ("Execute", f"robot-runner {shlex.quote(str(new))}"),
+            ("Check", command_line("check", str(new))),
+            ("Execute", command_line(str(new))),
         ],
     )
     return 0

@@ -44,7 +44,12 @@ __all__ = ["Conversion", "check_conversion", "check_neighbours", "convert", "dif
 
 
 #: The events that have another name here.
-_RENAMED_EVENTS = {"INTERACT": "LAUNCH_MISSION", "DURING_RUN": "LAUNCH_MISSION", "SIGNAL_SEMI_CONTINUE": "CONTINUE"}
+_RENAMED_EVENTS = {
+    "INTERACT": "LAUNCH_MISSION",
+    "DURING_RUN": "LAUNCH_MISSION",
+    "SIGNAL_SEMI_CONTINUE": "CONTINUE",
+    "VALIDATE_EXPERIMENT": "BEFORE_EXPERIMENT",
+}
 _INSTALLED = frozenset({"dist-packages", "site-packages"})
 
 #: The treatments of a run by factor, as texts.

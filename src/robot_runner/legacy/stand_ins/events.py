@@ -35,17 +35,20 @@ __all__ = [
 RobotRunnerEvents = Enum(
     "RobotRunnerEvents",
     "BEFORE_EXPERIMENT BEFORE_RUN START_RUN START_MEASUREMENT LAUNCH_MISSION DURING_RUN CONTINUE SIGNAL_SEMI_CONTINUE "
-    "STOP_MEASUREMENT STOP_RUN POPULATE_RUN_DATA AFTER_EXPERIMENT",
+    "STOP_MEASUREMENT STOP_RUN POPULATE_RUN_DATA AFTER_EXPERIMENT VALIDATE_EXPERIMENT",
 )
 RunnerEvents = Enum(
     "RunnerEvents",
     "BEFORE_EXPERIMENT BEFORE_RUN START_RUN START_MEASUREMENT INTERACT CONTINUE STOP_MEASUREMENT STOP_RUN "
-    "POPULATE_RUN_DATA AFTER_EXPERIMENT",
+    "POPULATE_RUN_DATA AFTER_EXPERIMENT VALIDATE_EXPERIMENT",
 )
+#: A fork's own, at which a config looked whether all is there.
+VALIDATE = "VALIDATE_EXPERIMENT"
 _OTHER_NAMES = {
     "DURING_RUN": OwnEvents.LAUNCH_MISSION,
     "INTERACT": OwnEvents.LAUNCH_MISSION,
     "SIGNAL_SEMI_CONTINUE": OwnEvents.CONTINUE,
+    VALIDATE: OwnEvents.BEFORE_EXPERIMENT,
 }
 
 
@@ -129,19 +132,28 @@ def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
                 where="EventSubscriptionController",
                 fix=f"Give a method such as self.{event.name.lower()}.",
             )
+    if event.name == VALIDATE:
+        session.warn(
+            VALIDATE,
+            "this event is a fork's own: its callback is called at before_experiment",
+            "Call it in before_experiment, to be sure of the order.",
+        )
     _make_room(session, event, callbacks, place)
     heard = [each.callback for each in _subscribed(session, own_event(event.name))]
-    session.subscriptions += [
-        EarlierSubscription(own_event(event.name), each, place)
+    subscribed = [
+        EarlierSubscription(own_event(event.name), each, place, is_of_fork=event.name == VALIDATE)
         for each in dict.fromkeys(callbacks)
         if each not in heard
     ]
+    # The fork validated before anything else.
+    at = 0 if event.name == VALIDATE else len(session.subscriptions)
+    session.subscriptions[at:at] = subscribed
 
 
 def _make_room(session: Session, event: Any, callbacks: list[Any], place: CodeType) -> None:
     """Remove what a config takes over from the one that it derives from; say where both are called now."""
     for each in _subscribed(session, own_event(event.name)):
-        if each.callback in callbacks:
+        if each.callback in callbacks or each.is_of_fork != (event.name == VALIDATE):
             continue
         if each.place is not place:
             session.subscriptions.remove(each)

@@ -17,14 +17,13 @@ from __future__ import annotations
 
 import os
 import re
-import shlex
 import sys
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.comparison.compared import Bounds
-from robot_runner.cli.console import no_byte_code, output, print_json, shown_path
+from robot_runner.cli.console import command_line, no_byte_code, output, print_json, shown_path
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.guard import SOME_FAILED
 from robot_runner.cli.parser import UsageError, add_json, add_set
@@ -222,9 +221,9 @@ def _ended(arguments: Namespace, comparing: Comparing, ending: Ending) -> Ending
     if is_complete:
         ending = comparing.end(folder, ending)
     if ending.exit_code == SOME_FAILED:
-        words = ["robot-runner", "replicate", arguments.package, "--to", shown_path(comparing.target)]
+        words = ["replicate", arguments.package, "--to", shown_path(comparing.target)]
         words += [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
         words += ["--environment", arguments.environment] if arguments.environment else []
         verdict = "" if is_complete else "The verdict comes once every run was executed. "
-        output().print(f"{verdict}Go on with what is left: {shlex.join(words)}", soft_wrap=True)
+        output().print(f"{verdict}Go on with what is left: {command_line(*words)}", soft_wrap=True)
     return ending

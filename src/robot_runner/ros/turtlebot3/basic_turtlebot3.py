@@ -11,6 +11,7 @@ from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_me
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.plugin import System
+from robot_runner.core.sampling.live_samples import LiveSamples
 from robot_runner.core.treatments import factors_of
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
 from robot_runner.ros.turtlebot3.motion import Wheels
@@ -158,9 +159,10 @@ class BasicTurtlebot3(System):
         def announce(number: int, phase: Phase) -> None:
             context.share(phase=phase.kind.value, phase_number=number, phase_count=len(self.mission.phases))
 
-        trajectory = Trajectory()
+        path = context.raw_data_folder / "trajectory.csv"
+        trajectory = Trajectory(LiveSamples(path))
         with ExitStack() as closing:
-            closing.callback(trajectory.write, context.raw_data_folder / "trajectory.csv")
+            closing.callback(trajectory.write, path)
             closing.callback(setattr, robot.odometer, "on_pose", None)
             robot.odometer.on_pose = trajectory.add
             file = closing.enter_context(

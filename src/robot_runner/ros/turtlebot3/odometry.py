@@ -10,11 +10,12 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.sampling.quality import Column, write_samples
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import Message
+    from robot_runner.core.sampling.live_samples import LiveSamples
 
 __all__ = ["POSE_TOPIC", "Odometer", "Pose", "Trajectory", "wrapped"]
 
@@ -196,7 +197,8 @@ class Trajectory:
         2
     """
 
-    def __init__(self) -> None:
+    def __init__(self, live: LiveSamples | None = None) -> None:
+        self._live = live
         self._rows: list[tuple[float, float, float, float]] = []
         self._due = float("-inf")
 
@@ -209,9 +211,17 @@ class Trajectory:
             return
         self._due = time + 1.0 / _RATE
         self._rows.append((time, pose.x, pose.y, pose.heading))
+        if self._live is not None:
+            self._live.show(lambda: _columns(self._rows[-1:]))
 
     def write(self, path: Path) -> None:
         """Write what was taken, with times in s, places in m and headings in rad."""
-        columns = list(zip(*self._rows, strict=True)) or [()] * 4
-        names = ("time_s", "x_m", "y_m", "heading_rad")
-        write_samples(path, [Column(name, values, "%.4f") for name, values in zip(names, columns, strict=True)])
+        write_samples(path, _columns(self._rows))
+        if self._live is not None:
+            self._live.close()
+
+
+def _columns(rows: Sequence[tuple[float, float, float, float]]) -> list[Column]:
+    columns = list(zip(*rows, strict=True)) or [()] * 4
+    names = ("time_s", "x_m", "y_m", "heading_rad")
+    return [Column(name, values, "%.4f") for name, values in zip(names, columns, strict=True)]

@@ -1,0 +1,130 @@
+"""Pictures of simulated robots, asked for from a process that renders them off screen."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+
+from robot_runner.core.errors import ExecutionError
+from robot_runner.page.picture_process import HEAD
+
+__all__ = ["RobotPictures"]
+
+#: How long the first picture may take, with the imports, and each further one, s.
+_FIRST, _NEXT = 30.0, 5.0
+#: Pictures of all viewers together, a second; the last one is shown meanwhile.
+_EVERY = 0.5
+_LARGEST = 4_000_000
+#: How MuJoCo may render without a screen, tried in this order: https://mujoco.readthedocs.io/en/stable/programming/
+_WAYS = ("egl", "osmesa")
+
+Pose = tuple[float, float, float]
+
+
+class RobotPictures:
+    """Renders on request, one picture at a time, a few a second at most.
+
+    Args:
+        kind: of the robot: how it is reached, as the manifest has it.
+    """
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._last: tuple[Pose, float, bytes] | None = None
+        self._problem = ""
+
+    def picture(self, pose: Pose) -> bytes:
+        """Return a picture of the robot at a place, as PNG; an earlier one where the last was made just now.
+
+        Raises:
+            ExecutionError: this machine cannot render; says why. It is not tried again.
+        """
+        with self._lock:
+            now = time.monotonic()
+            if self._last is not None and (self._last[0] == pose or now - self._last[1] < _EVERY):
+                return self._last[2]
+            if self._problem:
+                raise self._refusal()
+            image = self._rendered(pose)
+            self._last = (pose, now, image)
+            return image
+
+    def close(self) -> None:
+        """End the process that renders."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.wait()
+            for stream in (process.stdin, process.stdout):
+                if stream is not None:
+                    stream.close()
+
+    def _rendered(self, pose: Pose) -> bytes:
+        given = os.environ.get("MUJOCO_GL")
+        for way in (given,) if given else _WAYS:
+            is_new = self._process is None
+            try:
+                if self._process is None:
+                    self._process = self._started(way)
+                return _asked(self._process, pose, _FIRST if is_new else _NEXT)
+            except (OSError, ValueError) as error:
+                self._problem = str(error) or type(error).__name__
+                self.close()
+        raise self._refusal()
+
+    def _started(self, way: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "robot_runner.page.picture_process", self._kind]
+        return subprocess.Popen(  # noqa: S603 - our own program
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "MUJOCO_GL": way},
+            start_new_session=True,
+        )
+
+    def _refusal(self) -> ExecutionError:
+        problem = f"no picture can be rendered here: {self._problem.splitlines()[0][:200] if self._problem else ''}"
+        fix = "Install the extra 'sim' and an EGL library (Debian: libegl1), or go without."
+        return ExecutionError(problem, where="the robot's picture", fix=fix)
+
+
+def _asked(process: subprocess.Popen[bytes], pose: Pose, patience: float) -> bytes:
+    """Return the picture that the process answers.
+
+    Raises:
+        ValueError: it answers why there is none, or nothing in time.
+        OSError: it has ended.
+    """
+    if process.stdin is None or process.stdout is None:
+        raise ValueError("the process that renders cannot be reached")
+    with suppress(BrokenPipeError):  # it may have answered why it ended
+        process.stdin.write(f"{json.dumps(pose)}\n".encode())
+        process.stdin.flush()
+    end = time.monotonic() + patience
+    length, is_picture = HEAD.unpack(_read(process.stdout.fileno(), HEAD.size, end))
+    if length > _LARGEST:
+        raise ValueError("the picture is too large")
+    data = _read(process.stdout.fileno(), length, end)
+    if not is_picture:
+        raise ValueError(data.decode("utf-8", "replace"))
+    return data
+
+
+def _read(descriptor: int, count: int, end: float) -> bytes:
+    got = b""
+    while len(got) < count:
+        ready, _, _ = select.select([descriptor], [], [], max(0.0, end - time.monotonic()))
+        piece = os.read(descriptor, count - len(got)) if ready else b""
+        if not piece:
+            raise ValueError("the process that renders does not answer" if not ready else "the renderer has ended")
+        got += piece
+    return got

@@ -1,0 +1,159 @@
+"""A search is pure, respects what is excluded, and says what cannot be."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Mapping, Sequence
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner import Factor, Range, RunTableModel
+from robot_runner.adaptive import Optimise
+from robot_runner.adaptive.optimise import _Search
+from robot_runner.adaptive.searched_space import SearchedSpace
+from robot_runner.core.design.asking import Decision, Told
+from robot_runner.core.design.planned_runs import PlannedRun
+from robot_runner.core.errors import DesignError
+
+if TYPE_CHECKING:
+    from robot_runner.core.design.factor import Combination
+
+Values = Callable[[Mapping[str, Any]], Mapping[str, float]]
+
+
+def told_of(runs: Sequence[tuple[Combination, int]], values: Values, batch: int = 1, first: int = 1) -> list[Told]:
+    return [
+        Told(PlannedRun(f"r_{number}", number, combination, repetition, None, batch), values(combination))
+        for number, (combination, repetition) in enumerate(runs, first)
+    ]
+
+
+def searched(model: RunTableModel, values: Values) -> tuple[list[Told], list[Decision]]:
+    """Return what is told in the end, and each decision, of a search whose runs are executed at once."""
+    design = model.design
+    assert isinstance(design, Optimise)
+    asking = design.asking(model.factors, model.allowed, model.repetitions)
+    told = told_of([(run.combination, run.repetition) for run in model.plan()], values)
+    decisions = [asking.ask(told)]
+    while decisions[-1].runs:
+        batch = 2 if decisions[-1].confirms else 1
+        told += told_of(decisions[-1].runs, values, batch, len(told) + 1)
+        decisions.append(asking.ask(told))
+    return told, decisions
+
+
+def energy(combination: Mapping[str, Any]) -> dict[str, float]:
+    return {"Energy": (combination["Speed"] - 7) ** 2 + 3 * (combination["Mode"] != "eco")}
+
+
+def model_of(design: Optimise, **more: Any) -> RunTableModel:
+    factors = [Factor("Speed", range(1, 13)), Factor("Mode", ["fast", "eco", "plain"])]
+    return RunTableModel(factors, design=design, data_columns=["Energy"], **more)
+
+
+def test_a_search_finds_the_best_of_numbers_and_alternatives_and_leaves_out_what_is_excluded() -> None:
+    excluded = [{"Speed": 7, "Mode": "eco"}, lambda combination: combination["Speed"] == 6]
+    design = Optimise("Energy", runs=20, at_a_time=7, confirm=2, baseline={"Speed": 1, "Mode": "fast"})
+    told, decisions = searched(model_of(design, exclude_combinations=excluded), energy)
+    combinations = [tuple(each.run.combination.treatments) for each in told if each.run.batch == 1]
+    assert len(set(combinations)) == len(combinations) == 20
+    assert not {(7, "eco"), *product([6], ["fast", "eco", "plain"])} & set(combinations)
+    assert decisions[-2].confirms
+    assert {each.treatments for each, _ in decisions[-2].runs} == {(8, "eco"), (1, "fast")}
+
+
+def test_several_measures_have_a_front_of_which_nothing_is_beaten() -> None:
+    def both(combination: Mapping[str, Any]) -> dict[str, float]:
+        return {"Energy": combination["Speed"] ** 2.0, "Way": float(combination["Speed"])}
+
+    design = Optimise({"Energy": "minimise", "Way": "maximise"}, runs=9, start=4, at_a_time=5, confirm=1)
+    model = RunTableModel([Factor("Speed", range(12))], design=design, data_columns=["Energy", "Way"])
+    _, decisions = searched(model, both)
+    assert len(decisions[-1].facts["known"]["best"]) == len(decisions[-2].runs) == 9, "more way always takes more"
+    worse = Optimise({"Energy": "minimise", "Way": "minimise"}, runs=9, start=4, at_a_time=5)
+    model = RunTableModel([Factor("Speed", range(12))], design=worse, data_columns=["Energy", "Way"])
+    (best,) = searched(model, both)[1][-1].facts["known"]["best"]
+    assert best["combination"] == {"Speed": "0"}
+
+
+def test_a_small_space_is_searched_to_its_end_and_nothing_is_asked_without_a_value() -> None:
+    model = model_of(Optimise("Energy", runs=100, start=30, at_a_time=6))
+    told, decisions = searched(model, energy)
+    assert len(told) == 36
+    assert "no further combination is allowed" in decisions[-1].in_words
+    _, (only,) = searched(model, lambda _: {})
+    assert only.runs == ()
+    assert only.findings[0][0] == "no combination has a value of Energy"
+    _, (odd,) = searched(model, lambda _: {"Energy": "high"})  # type: ignore[dict-item]
+    assert odd.findings[0][0] == "r_1 has 'high', which is no number of Energy"
+
+
+def test_start_points_reach_the_ends_and_are_spread() -> None:
+    factors = [Factor("Speed", Range(0.0, 1.0, step=0.01)), Factor("Weight", Range(1, 9))]
+    space = SearchedSpace(factors, lambda _: True)
+    points = space.spread(9, "0")
+    for place, levels in enumerate(space.levels):
+        own = sorted(each[place] for each in points)
+        assert own == [round(number * (len(levels) - 1) / 8) for number in range(9)]
+    strict = SearchedSpace(factors, lambda each: each["Speed"] > 0.995)
+    found = strict.spread(3, "0")
+    assert len(set(found)) == 3
+    assert {strict.levels[0][each[0]] for each in found} == {1.0}
+
+
+@pytest.mark.parametrize(
+    ("make", "problem", "fix"),
+    [
+        (lambda: Optimise("Energy", "down", runs=9), "the direction of Energy is 'down'", "minimise"),
+        (lambda: Optimise("", runs=9), "the measure is ''", "Name a measure"),
+        (lambda: Optimise("Energy", runs=0), "runs is 0", "from 1"),
+        (lambda: Optimise("Energy", runs=9, confirm="5"), "confirm is '5', of type str", "whole number"),  # type: ignore[arg-type]
+        (lambda: Optimise("Energy", runs=9, baseline={"Speed": 1}), "confirm is 0", "Give confirm=10"),
+        (lambda: model_of(Optimise("Energy", runs=6)), "none is left to search with", "runs=12"),
+        (
+            lambda: model_of(Optimise("Energy", runs=20, confirm=1, baseline={"Sped": 1, "Mode": "eco"})),
+            "the baseline names the factor 'Sped'",
+            "Did you mean 'Speed'?",
+        ),
+        (
+            lambda: model_of(Optimise("Energy", runs=20, confirm=1, baseline={"Speed": 99, "Mode": "eco"})),
+            "the baseline has 99, which is no treatment of Speed",
+            "Did you mean 9?",
+        ),
+        (
+            lambda: RunTableModel([Factor("Speed", [1])], design=Optimise("Energy", runs=9)),
+            "no factor has two treatments",
+            "its range",
+        ),
+        (
+            lambda: model_of(Optimise("Energy", runs=20), exclude_combinations=[lambda _: True]),
+            "the exclusions leave no combination",
+            "Exclude fewer.",
+        ),
+    ],
+)
+def test_what_cannot_be_is_said_with_a_remedy(make: Callable[[], object], problem: str, fix: str) -> None:
+    with pytest.raises(DesignError) as raised:
+        make()
+    assert any(problem in each.problem and fix in each.fix for each in raised.value.findings), raised.value.findings
+
+
+def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        "robot_runner.adaptive.optimise.find_spec", lambda name: None if name == "optuna" else found(name)
+    )
+    with pytest.raises(DesignError) as raised:
+        model_of(Optimise("Energy", runs=20))
+    assert raised.value.findings[0].fix == "Install the extra: pip install 'robot-runner[adaptive]'"
+
+
+def test_an_optuna_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robot_runner.adaptive.optimise._PROGRAM", "robot_runner.adaptive.no_such_program")
+    model = model_of(Optimise("Energy", runs=20))
+    asking = _Search(model.design, model.factors, model.allowed, 1)  # type: ignore[arg-type]
+    told = told_of([(run.combination, 1) for run in model.plan()], energy)
+    with pytest.raises(DesignError, match=r"Optuna could not be asked where to search next: .*no_such_program"):
+        asking.ask(told)

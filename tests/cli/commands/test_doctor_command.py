@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import os
+import subprocess
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.cli import diagnosing
+from robot_runner.cli.diagnosing import ABSENT, BROKEN, READY, Question, asked, device_questions
+from robot_runner.core.links.kinds import installed_links
+from robot_runner.core.plugin import installed_plugins
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    import pytest
+
+
+def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, program: str) -> None:
+    environment = {**os.environ, "PATH": "/usr/bin:/bin"}
+    told = subprocess.run([program, "doctor"], env=environment, capture_output=True, text=True, check=False)
+    assert told.stderr == ""
+    assert "your shell does not find this one by the name robot-runner" in told.stdout
+    assert f"Say: . {program.replace('robot-runner', 'activate')}" in " ".join(told.stdout.split())
+    answer = robot_runner("doctor", "--json")
+    found = {(each["area"], each["name"]): each for each in answer.json["found"]}
+    assert {name for area, name in found if area == "Meters"} == {each.name for each in installed_plugins("profilers")}
+    assert {name for area, name in found if area == "Links"} == set(installed_links()) - {"auto"}
+    assert found["Links", "simulated"]["state"] == READY
+    assert {"sim", "analysis", "serial"} <= {name for area, name in found if area == "Extras"}
+    assert all(each["fix"] for each in found.values() if each["state"] == BROKEN)
+    assert "country" in found["Meters", "CodeCarbon"]["detail"]
+    assert answer.code == any(each["state"] == BROKEN for each in found.values())
+    assert all(each["name"] in told.stdout for each in found.values())
+
+
+def test_an_extra_that_is_missing_is_told_with_its_packages(
+    robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(diagnosing, "_is_installed", lambda package: package != "mujoco")
+    found = {each["name"]: each for each in robot_runner("doctor", "--json").json["found"] if each["area"] == "Extras"}
+    assert (found["sim"]["state"], found["sim"]["detail"]) == (ABSENT, "without mujoco")
+    assert found["sim"]["fix"] == "Install it: pip install 'robot-runner[sim]'."
+    assert found["psutil"]["state"] == READY
+
+
+def test_a_device_of_another_group_is_broken_with_the_group_to_join(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "ttyUSB0").touch()
+    (tmp_path / "i2c-1").touch()
+    monkeypatch.setattr(diagnosing, "_group_of", lambda path: "dialout")
+    monkeypatch.setattr(os, "access", lambda path, mode: path.name != "ttyUSB0")
+    serial, bus, camera = asked(device_questions(tmp_path), deadline_s=10.0)
+    assert serial.state == BROKEN
+    assert serial.detail == f"{tmp_path}/ttyUSB0 cannot be opened: they belong to the group dialout"
+    assert serial.fix == "Join the group and log in anew: sudo usermod -aG dialout $USER"
+    assert (bus.state, bus.detail) == (READY, f"{tmp_path}/i2c-1")
+    assert (camera.state, camera.detail) == (ABSENT, "none is connected")
+
+
+def test_what_hangs_or_raises_is_broken_and_the_others_are_told_at_once() -> None:
+    over = threading.Event()
+
+    def raising() -> Any:
+        raise ZeroDivisionError("division")
+
+    wanted = [
+        Question("Meters", "Hanging", lambda: (READY, str(over.wait(60)), "")),
+        Question("Meters", "Raising", raising),
+        Question("Meters", "Well", lambda: (READY, "", "")),
+    ]
+    began = time.monotonic()
+    hanging, broken, well = asked(wanted, deadline_s=0.5)
+    assert time.monotonic() - began < 10.0
+    over.set()
+    assert (hanging.state, hanging.detail) == (BROKEN, "it did not answer within 0.5 s")
+    assert (broken.state, broken.detail) == (BROKEN, "ZeroDivisionError: division")
+    assert well.state == READY
+
+
+def test_a_program_that_hangs_holds_nothing_up(tmp_path: Path, program: str) -> None:
+    for name in ("perf", "docker", "nvidia-smi", "ffmpeg"):
+        (tmp_path / name).write_text("#!/bin/sh\nexec sleep 300\n")
+        (tmp_path / name).chmod(0o755)
+    environment = {**os.environ, "PATH": f"{tmp_path}:/usr/bin:/bin"}
+    began = time.monotonic()
+    told = subprocess.run([program, "doctor"], env=environment, capture_output=True, text=True, check=False)
+    assert time.monotonic() - began < 60.0
+    assert told.returncode in {0, 1}
+    assert "Devices" in told.stdout
