@@ -106,7 +106,8 @@ def _judged(design: DesignedNull, random: np.random.Generator, count: int) -> Ju
     p_values = _p_values(data, values)
     rates = 100 * np.mean(p_values <= _ALPHA, axis=1)
     family = 100 * float(np.mean(len(p_values) * p_values.min(axis=0) <= _ALPHA))  # Holm's adjustment of the smallest
-    if not np.isclose(min(1.0, len(p_values) * p_values[:, 0].min()), min(adjusted(p_values[:, 0].tolist(), Correction.HOLM))):
+    holm = min(adjusted(p_values[:, 0].tolist(), Correction.HOLM))
+    if not np.isclose(min(1.0, len(p_values) * p_values[:, 0].min()), holm):
         raise ValueError(f"{design.name}: Holm's adjustment is another")
     beside = f"family {family:.1f} %" if len(rates) > 1 else ""
     wrongly = _wrongly(data, values)

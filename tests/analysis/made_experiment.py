@@ -40,7 +40,8 @@ def make_experiment(  # noqa: PLR0913 - keywords, of which a test gives two or t
 ) -> ExperimentFolder:
     """Write an experiment; `values` gives a run's measures, or None for a run that is still to do.
 
-    `doubts` has the reason for which all values of a run are doubtful, or missing, by its id. `chosen` is a design of its own.
+    `doubts` has the reason for which all values of a run are doubtful, or missing, by its id. `chosen` is a design of
+    its own.
     """
     folder = ExperimentFolder(root)
     folder.runs.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Reports of designs of their own: sentences agree with tests, aliases are named, and surfaces and failures are shown."""
+"""Reports of designs of their own: sentences agree with tests; aliases, surfaces and failures are shown."""
 
 from __future__ import annotations
 

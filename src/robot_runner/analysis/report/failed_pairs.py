@@ -60,7 +60,8 @@ def failed_pair_parts(material: Material) -> Iterator[Block]:
     ended = material.runs[material.runs[STATUS].astype("str").isin([RunStatus.DONE.value, RunStatus.FAILED.value])]
     found = failed_pairs(ended, material.statistics.design.factors)
     fields = (text("Treatments", "pair"), number("Runs", "runs"), number("Failed", "failed"))
-    caption = f"The pairs of treatments that runs failed with, of {len(found):,} the {min(len(found), _MOST)} that failed most."
+    shown = f", of {len(found):,} the {_MOST} that failed most" if len(found) > _MOST else ""
+    caption = f"The pairs of treatments that runs failed with{shown}."
     words = (
         "Each pair of treatments was executed at least once. A pair all of whose runs failed may be the cause; others "
         "go along with it. Repeat the first ones by themselves."

@@ -1,4 +1,4 @@
-"""The part on a response surface: its coefficients, whether it lacks something, and where it neither rises nor falls."""
+"""The part on a response surface: its coefficients, what it lacks, and where it neither rises nor falls."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.figures.surfaces import Axis, draw_contours, draw_curve
-from robot_runner.analysis.report.blocks import Block, FigureBlock, Paragraph, Part, Tone
+from robot_runner.analysis.report.blocks import Block, FigureBlock, Paragraph, Part
 from robot_runner.analysis.report.tables import build_table, interval, number, p_value, text
 from robot_runner.analysis.wording import p_in_words, shown_interval, shown_number, with_unit
 from robot_runner.core.words import enumerated
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["surface_figure", "surface_in_words", "surface_parts"]
 
 _GRID = 60
-#: Without lack of fit a surface may be used; with it, it is only a sketch.
 _PAIR = 2
 
 
@@ -91,7 +90,7 @@ def _coefficients(material: Material, measure: MeasureStatistics, surface: Surfa
 
 
 def surface_figure(material: Material, measure: MeasureStatistics) -> FigureBlock | None:
-    """Return the contours over the two factors that matter most, the others at the stationary point or in the middle."""
+    """Return the contours over the two factors that matter most, others at the stationary point or in the middle."""
     surface = measure.surface
     if surface is None:
         return None

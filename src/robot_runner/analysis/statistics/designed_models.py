@@ -28,8 +28,6 @@ from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.design import MeasureData
@@ -144,8 +142,8 @@ class _Fitting:
         }
 
     def _dummies(self, name: str) -> Floats:
-        dummies = pd.get_dummies(self.data.frame[role_column(name)].astype(str))
-        return dummies.to_numpy(dtype=np.float64)
+        texts, code = np.unique(self.data.frame[role_column(name)].astype(str), return_inverse=True)
+        return np.asarray(np.eye(len(texts))[code])
 
     @cached_property
     def _blocks(self) -> Floats:
@@ -172,8 +170,8 @@ class _Fitting:
             before = self._carried_over(blocks)
             if before is None:
                 notes.append(
-                    "What is carried over from the treatment before cannot be told apart from subjects or periods here: "
-                    "the test takes it to be washed out."
+                    "What is carried over from the treatment before cannot be told apart from subjects or periods: the "
+                    "test takes it to be washed out."
                 )
             else:
                 notes.append(self._carry_over_in_words(before, blocks, terms))
