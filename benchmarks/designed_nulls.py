@@ -18,8 +18,8 @@ from scipy import stats
 
 from benchmarks.table import Judged
 from robot_runner.analysis.planning.planned_study import PlannedResults
+from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import design_of
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.known_design import PLAIN
 from robot_runner.analysis.statistics.lenth_test import fit_lenth
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
 
     Floats = NDArray[np.float64]
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.comparison.harmonising import MeasureChoice
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.tests import AnyModel
 
 __all__ = ["meta_analyse"]

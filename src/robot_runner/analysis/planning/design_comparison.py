@@ -13,8 +13,8 @@ from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.analysis.planning.power_analysis import scenarios_of
 from robot_runner.analysis.planning.power_search import sought_claims
 from robot_runner.analysis.planning.power_simulation import AT_ONCE, Simulation
+from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
-from robot_runner.analysis.statistics.design import design_of
 from robot_runner.core.errors import AnalysisError, DesignError
 from robot_runner.core.words import counted, listed, shown_duration
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.blocks import Table
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
-    from robot_runner.analysis.statistics.response_surface import Surface
+    from robot_runner.analysis.statistics.surface_model import Surface
 
 __all__ = ["surface_figure", "surface_in_words", "surface_parts"]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from robot_runner.analysis.statistics.disclosed import Adjustment, LeftOut
-    from robot_runner.analysis.statistics.response_surface import Surface
+    from robot_runner.analysis.statistics.surface_model import Surface
     from robot_runner.analysis.statistics.tested import (
         AssumptionCheck,
         ContrastTest,

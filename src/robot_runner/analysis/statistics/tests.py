@@ -18,8 +18,8 @@ from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.effect_sizes import omega_squared
 from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
-from robot_runner.analysis.statistics.response_surface import SurfaceModel
 from robot_runner.analysis.statistics.strata_model import StrataModel
+from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod, TestPart
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast
-    from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectTest
 
 __all__ = ["AnyModel", "Choices", "Model", "carry_out", "check_estimand", "levels_of", "model_of", "planned_model_of"]
