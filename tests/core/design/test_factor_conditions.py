@@ -48,7 +48,7 @@ def test_several_conditions_hold_together() -> None:
 
 
 def test_what_is_inactive_is_the_same_in_every_process_and_is_written_in_a_word() -> None:
-    assert pickle.loads(pickle.dumps(INACTIVE)) is INACTIVE
+    assert pickle.loads(pickle.dumps(INACTIVE)) is INACTIVE  # noqa: S301 - as runs of other processes are sent
     assert deepcopy(INACTIVE) is INACTIVE
     assert RESOLUTION.texts == ("720p", "1080p", "inactive")
     assert RESOLUTION.with_treatments(["720p"]).when == {"Sensor": ("camera",)}
