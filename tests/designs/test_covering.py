@@ -87,8 +87,8 @@ def test_an_exclusion_may_be_a_function_and_one_of_too_many_combinations_is_refu
     assert tuples_in(rows, 2) == tuples_in(rows_of(RunTableModel(factors, [is_out])), 2)
     assert findings_of(factors_of([3] * 12), [is_out], design=CoveringArray()) == [
         (
-            "exclude_combinations: an exclusion is a function, which would be asked of 531,441 combinations; 100,000 is "
-            'the most → Give it as a mapping: {"Task": "Network", "Speed": 0.2}.'
+            "exclude_combinations: an exclusion is a function, which would be asked of 531,441 combinations; 100,000 "
+            'is the most → Give it as a mapping: {"Task": "Network", "Speed": 0.2}.'
         )
     ]
 

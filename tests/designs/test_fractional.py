@@ -88,12 +88,12 @@ def test_all_that_keeps_a_fraction_from_being_is_said_at_once() -> None:
         [*factors_of([2, 3, 2]), Factor("Inner", [1, 2], when={"F0": "t0"})], design=FractionalFactorial(runs=6)
     ) == [
         (
-            "factor 'F1': the factor has 3 treatments, and a fraction takes two → Give it two, or choose CoveringArray "
-            "or DOptimal, which take any number."
+            "factor 'F1': the factor has 3 treatments, and a fraction takes two → Give it two, or choose "
+            "CoveringArray or DOptimal, which take any number."
         ),
         (
-            "factor 'Inner': the factor has 3 treatments, and a fraction takes two → Give it two, or choose CoveringArray "
-            "or DOptimal, which take any number."
+            "factor 'Inner': the factor has 3 treatments, and a fraction takes two → Give it two, or choose "
+            "CoveringArray or DOptimal, which take any number."
         ),
         "design: runs=6 is no power of two → Give 8 or 16.",
     ]

@@ -70,8 +70,10 @@ def test_what_keeps_points_from_being_spread_is_said() -> None:
         ),
     ]
     assert findings_of([Factor("Speed", Range(1, 3))], design=Sobol(runs=8)) == [
-        "design: fewer than 8 combinations are allowed among 512 points → Exclude less, give finer steps, or fewer "
-        "runs."
+        (
+            "design: fewer than 8 combinations are allowed among 512 points → Exclude less, give finer steps, or fewer "
+            "runs."
+        )
     ]
 
 
