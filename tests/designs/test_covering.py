@@ -13,8 +13,8 @@ from robot_runner.designs import CoveringArray
 from robot_runner.designs.covering_search import _orthogonal, _starter, pairwise_array
 
 #: The least rows that are published. The first six: the best of the tools at pairwise.org/efficiency.html (2^100 is
-#: optimal: Kleitman & Spencer, 1973). The others: the product of the two largest numbers of levels, below which there is
-#: nothing; Cohen, Gibbons, Mugridge & Colbourn (2003), ICSE, reach it, but for 21 in place of 20.
+#: optimal: Kleitman & Spencer, 1973). The others: the product of the two largest numbers of levels, below which
+#: there is nothing; Cohen, Gibbons, Mugridge & Colbourn (2003), ICSE, reach it, but for 21 in place of 20.
 PUBLISHED = {
     "3^4": ([3] * 4, 9),
     "3^13": ([3] * 13, 15),
@@ -86,8 +86,10 @@ def test_an_exclusion_may_be_a_function_and_one_of_too_many_combinations_is_refu
     assert all(row[0] != row[1] for row in rows)
     assert tuples_in(rows, 2) == tuples_in(rows_of(RunTableModel(factors, [is_out])), 2)
     assert findings_of(factors_of([3] * 12), [is_out], design=CoveringArray()) == [
-        "exclude_combinations: an exclusion is a function, which would be asked of 531,441 combinations; 100,000 is the "
-        'most → Give it as a mapping: {"Task": "Network", "Speed": 0.2}.'
+        (
+            "exclude_combinations: an exclusion is a function, which would be asked of 531,441 combinations; 100,000 "
+            'is the most → Give it as a mapping: {"Task": "Network", "Speed": 0.2}.'
+        )
     ]
 
 

@@ -15,7 +15,7 @@ from tests.designs.factor_sets import NAMES, factors_of, findings_of, is_balance
 from robot_runner import Factor, RunTableModel
 from robot_runner.designs import FractionalFactorial
 
-#: Runs of the smallest fraction of each resolution: Box, Hunter & Hunter (2005), Statistics for Experimenters, table 6.22.
+#: Runs of the smallest fraction of each resolution: Box, Hunter & Hunter (2005), table 6.22.
 SMALLEST = {
     3: {3: 4, 5: 8, 6: 8, 7: 8, 9: 16, 10: 16, 11: 16, 15: 16},
     4: {4: 8, 6: 16, 7: 16, 8: 16, 9: 32, 10: 32, 11: 32, 16: 32},
@@ -76,8 +76,10 @@ def test_exclusions_are_never_in_the_plan_and_what_they_cost_is_said() -> None:
     model = RunTableModel(factors_of([2] * 4), [{"F0": "t0", "F1": "t0"}], design=FractionalFactorial())
     assert not [run for run in model.plan() if run.combination["F0"] == run.combination["F1"] == "t0"]
     assert [str(each) for each in model.warnings] == [
-        "exclude_combinations: the exclusions take 2 of the 8 combinations out of the design: its effects are no longer "
-        "orthogonal → DOptimal(runs=...) chooses around exclusions."
+        (
+            "exclude_combinations: the exclusions take 2 of the 8 combinations out of the design: its effects are no "
+            "longer orthogonal → DOptimal(runs=...) chooses around exclusions."
+        )
     ]
 
 
@@ -85,10 +87,14 @@ def test_all_that_keeps_a_fraction_from_being_is_said_at_once() -> None:
     assert findings_of(
         [*factors_of([2, 3, 2]), Factor("Inner", [1, 2], when={"F0": "t0"})], design=FractionalFactorial(runs=6)
     ) == [
-        "factor 'F1': the factor has 3 treatments, and a fraction takes two → Give it two, or choose CoveringArray or "
-        "DOptimal, which take any number.",
-        "factor 'Inner': the factor has 3 treatments, and a fraction takes two → Give it two, or choose CoveringArray or "
-        "DOptimal, which take any number.",
+        (
+            "factor 'F1': the factor has 3 treatments, and a fraction takes two → Give it two, or choose "
+            "CoveringArray or DOptimal, which take any number."
+        ),
+        (
+            "factor 'Inner': the factor has 3 treatments, and a fraction takes two → Give it two, or choose "
+            "CoveringArray or DOptimal, which take any number."
+        ),
         "design: runs=6 is no power of two → Give 8 or 16.",
     ]
     two = factors_of([2] * 5)

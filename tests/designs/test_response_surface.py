@@ -68,8 +68,10 @@ def test_exclusions_leave_points_out_and_say_so() -> None:
 def test_what_is_no_surface_is_said_at_once() -> None:
     assert findings_of([*numeric("A"), *factors_of([2])], design=BoxBehnken(centre=0)) == [
         "design: centre=0 is less than 1 → Give a whole number from 1.",
-        "factor 'F0': the factor has listed treatments: a surface takes numbers → Give it a range and no condition, as in "
-        "Range(0.05, 0.22), or choose DOptimal.",
+        (
+            "factor 'F0': the factor has listed treatments: a surface takes numbers → Give it a range and no "
+            "condition, as in Range(0.05, 0.22), or choose DOptimal."
+        ),
         "design: there are 2 factors, and it takes 3 → Add one, or choose another design.",
     ]
     assert "neither 'inscribed' nor 'faced'" in findings_of(numeric("AB"), design=CentralComposite(axial="out"))[0]

@@ -64,11 +64,16 @@ def test_exclusions_and_conditions_are_respected_and_the_number_of_runs_is_kept(
 def test_what_keeps_points_from_being_spread_is_said() -> None:
     assert findings_of([Factor("Task", ["a", "b"])], design=LatinHypercube(runs=1)) == [
         "design: runs=1 is less than 2 → Give a whole number from 2.",
-        "design: no factor is numeric: there is no space to fill → Give a factor a range, as in "
-        'Factor("Speed", Range(0.05, 0.22)), or choose CoveringArray.',
+        (
+            "design: no factor is numeric: there is no space to fill → Give a factor a range, as in "
+            'Factor("Speed", Range(0.05, 0.22)), or choose CoveringArray.'
+        ),
     ]
     assert findings_of([Factor("Speed", Range(1, 3))], design=Sobol(runs=8)) == [
-        "design: fewer than 8 combinations are allowed among 512 points → Exclude less, give finer steps, or fewer runs."
+        (
+            "design: fewer than 8 combinations are allowed among 512 points → Exclude less, give finer steps, or fewer "
+            "runs."
+        )
     ]
 
 

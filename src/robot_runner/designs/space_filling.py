@@ -36,7 +36,7 @@ class LatinHypercube:
     Example:
         >>> from robot_runner.core.design.factor import Factor
         >>> from robot_runner.core.design.numeric_range import Range
-        >>> factors = [Factor("Speed", Range(0, 9)), Factor("Load", Range(0, 9))]
+        >>> factors = [Factor("Speed", Range(0.0, 9.0)), Factor("Load", Range(0.0, 9.0))]
         >>> chosen = LatinHypercube(runs=5).choose(factors, lambda combination: True)
         >>> len({combination["Speed"] for combination in chosen.combinations})
         5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
@@ -10,12 +10,27 @@ from robot_runner.core.inactive import INACTIVE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from robot_runner.core.design.factor import Factor
-
 __all__ = ["condition_findings", "identified", "impossible_treatments"]
 
 
-def condition_findings(factors: Sequence[Factor]) -> Iterator[Finding]:
+class _Factor(Protocol):
+    """What a condition is made of; see `factor.Factor`, which is built on this module."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def treatments(self) -> tuple[Any, ...]: ...
+
+    @property
+    def when(self) -> Mapping[str, tuple[Any, ...]]: ...
+
+    def position_of(self, value: Any) -> int | None: ...
+
+    def suggestion(self, value: Any) -> str: ...
+
+
+def condition_findings(factors: Sequence[_Factor]) -> Iterator[Finding]:
     """Say which conditions of factors name what there is not, or go in a circle."""
     by_name = {factor.name: factor for factor in factors}
     for factor in factors:
@@ -39,7 +54,7 @@ def condition_findings(factors: Sequence[Factor]) -> Iterator[Finding]:
             yield Finding.error(where, "its conditions depend on itself", "Remove one of the conditions.")
 
 
-def impossible_treatments(factors: Sequence[Factor]) -> Iterator[dict[str, frozenset[int]]]:
+def impossible_treatments(factors: Sequence[_Factor]) -> Iterator[dict[str, frozenset[int]]]:
     """Yield what the conditions of factors exclude: places of treatments that are never together, by factor."""
     by_name = {factor.name: factor for factor in factors}
     for factor in factors:
@@ -57,7 +72,7 @@ def impossible_treatments(factors: Sequence[Factor]) -> Iterator[dict[str, froze
 
 
 def identified(
-    factors: Sequence[Factor], excluded: Iterable[Mapping[str, frozenset[int]]]
+    factors: Sequence[_Factor], excluded: Iterable[Mapping[str, frozenset[int]]]
 ) -> list[list[tuple[str, set[int]]]]:
     """Return exclusions with the identities of treatments for their places: combinations hold the factors' own."""
     by_name = {factor.name: factor for factor in factors}

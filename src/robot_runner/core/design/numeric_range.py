@@ -60,6 +60,8 @@ class Range:
         Args:
             share: from 0 to 1.
         """
+        if self.step is None and share in {0, 1}:
+            return self.upper if share else self.lower
         step = self._step
         exact = self.lower + (self.upper - self.lower) * share
         value = self.lower + round((exact - self.lower) / step) * step
