@@ -213,6 +213,7 @@ def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         f"{factors}{left_out}; {counted(design['repetitions'], 'repetition')}, {counted(design['runs'], 'run')}",
     )
     blocks = f" within blocks of {design['blocks']}" if design["blocks"] else ""
+    yield "Decided", str((design.get("facts") or {}).get("decides", ""))
     yield "Repeated", repeated_in_words(content["repeat_until"]) if content.get("repeat_until") else ""
     whence = "given by the config" if content["seed_is_given"] else "drawn now, and used by the experiment"
     order = f"randomised{blocks} from seed {content['seed']} ({whence})"
