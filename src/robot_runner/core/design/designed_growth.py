@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.asking import AdaptiveDesign
 from robot_runner.core.design.design import Design
 from robot_runner.core.errors import DesignError
 
@@ -17,12 +16,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.planned_runs import RunOrder
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["decides_order", "runs_of_grown_design"]
-
-
-def decides_order(model: RunTableModel) -> bool:
-    """Return whether the design decides on order and blocks itself, and not the model."""
-    return isinstance(model.design, Design) and not isinstance(model.design, AdaptiveDesign)
+__all__ = ["runs_of_grown_design"]
 
 
 def runs_of_grown_design(

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.plugin_checks import check_treatments
-from robot_runner.core.design.asking import AdaptiveDesign
+from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import (
     EXTENDED,
     GrownRunTableModel,
@@ -25,7 +25,7 @@ from robot_runner.core.design.batches import (
 )
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.design_facts import described_design
-from robot_runner.core.design.designed_growth import decides_order, runs_of_grown_design
+from robot_runner.core.design.designed_growth import runs_of_grown_design
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Additions, Begun, grown_design
 from robot_runner.core.design.planned_runs import RunOrder
@@ -141,13 +141,11 @@ class _Extending:
         seed = self._request.seed if self._request.seed is not None else randbits(32)
         order = RunOrder(shuffle=not self._request.as_written, blocks=self._config.blocks, seed=seed)
         wanted = None
-        if decides_order(self._config):
+        if decides_order(self._config.design):
             wanted = runs_of_grown_design(begun, self._config, design, batches[0].order)
             order = RunOrder(seed=batches[0].order.seed)
         number = len(batches) + 1
-        batch = next_batch(
-            begun, design, self._config.warm_up, order=order, number=number, at=utc_now(), wanted=wanted
-        )
+        batch = next_batch(begun, design, self._config.warm_up, order=order, number=number, at=utc_now(), wanted=wanted)
         if not batch.runs:
             raise self._nothing_to_add(begun)
         model = GrownRunTableModel(self._config, [*batches, batch])
