@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from robot_runner.cli.console import UserConsole
 
-__all__ = ["notes_in_words", "print_layouts"]
+__all__ = ["print_layouts"]
 
 #: More tables than this, and more rows of one, are left to `--json`, where not all are asked for.
 _MOST_TABLES = 4
@@ -47,7 +47,3 @@ def _print_table(console: UserConsole, rows: Sequence[Sequence[str]], *, shows_a
     if len(shown) < len(rows):
         console.print(f"… {counted(len(rows) - len(shown), 'row')} more: --all shows them …", style="dim")
 
-
-def notes_in_words(facts: Mapping[str, Any]) -> str:
-    """Return what a design says of itself, such as how often a hard factor changes."""
-    return "; ".join(facts.get("notes", ()))

@@ -148,6 +148,8 @@ def design_in_words(model: RunTableModel) -> list[tuple[str, str]]:
     if model.is_full_factorial:
         return []
     facts = model.design_facts
+    if "layout" in facts:  # it is printed as tables, which tell the rest
+        return [("Design", "; ".join([kind_in_words(model), *facts.get("notes", ())]))]
     told = [f"{name.replace('_', ' ')}: {_fact(value)}" for name, value in facts.items() if name not in _TOLD_APART]
     return [
         ("Design", "; ".join([kind_in_words(model), *told])),

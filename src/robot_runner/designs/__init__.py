@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import Design as Design
     from robot_runner.core.design.design import DesignedRuns as DesignedRuns
     from robot_runner.core.design.design import FullFactorial as FullFactorial
-    from robot_runner.designs.blocks import Blocks as Blocks
+    from robot_runner.designs.blocked import Blocks as Blocks
     from robot_runner.designs.covering import CoveringArray as CoveringArray
     from robot_runner.designs.crossover import Crossover as Crossover
     from robot_runner.designs.fractional import FractionalFactorial as FractionalFactorial

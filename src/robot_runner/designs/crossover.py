@@ -131,6 +131,8 @@ class Crossover:
                 "washout": bool(self.washout_in_s),
                 "sequences": dict(zip(units.texts, texts, strict=True)),
                 "follows": follows,
+                "repetitions_in_place": True,
+                "grows_by": f"units: treatments of {units.name}",
                 HELD_ORDER: held.as_mapping(),
                 "block_columns": [units.name, periods.name],
                 "notes": [f"each treatment follows each other one in {counted(follows, 'unit')}"],

@@ -121,6 +121,8 @@ class SplitPlot:
             "whole_plot": plots.name,
             "whole_plot_factors": self.hard_names,
             "changes": changes,
+            "repetitions_in_place": True,
+            "grows_by": f"whole plots: treatments of {plots.name}",
             HELD_ORDER: HeldOrder(one_after_another=plots.name).as_mapping(),
             "block_columns": [plots.name],
             "notes": notes,

@@ -16,7 +16,7 @@ from robot_runner.analysis.report.failed_pairs import failed_pairs
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import Range
-from robot_runner.designs.blocks import Blocks
+from robot_runner.designs.blocked import Blocks
 from robot_runner.designs.covering import CoveringArray
 from robot_runner.designs.crossover import Crossover
 from robot_runner.designs.fractional import FractionalFactorial

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from datetime import datetime
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from tests.conftest import HEAD
 
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.design.growing import Additions
+from robot_runner.core.errors import DesignError
+from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.execution.notices import FindingsNoticed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
 DESIGNS = f"from robot_runner.designs import Crossover, SplitPlot\n{HEAD}"
 CROSSOVER = """
@@ -88,3 +95,32 @@ def test_no_whole_plot_begins_before_the_one_before_it_is_over(execute: Callable
     assert any(other[0] < one[1] for plot in plots for one, other in pairwise(plot)), "side by side within a whole plot"
     floors = [row["Floor"] for row in done.table]
     assert sum(one != other for one, other in pairwise(floors)) <= 3
+
+
+def test_units_and_squares_are_added_by_the_same_design_and_what_was_planned_stays(
+    execute: Callable[..., Any], tmp_path: Path
+) -> None:
+    (tmp_path / "failed").touch()
+    first = execute(BODY, head=DESIGNS, table=CROSSOVER.replace("washout_in_s=0.2", ""), workers=4)
+    planned = [row["Task"] for row in first.table]
+    experiment = prepare_or_refuse(first.config)
+    with pytest.raises(DesignError) as refused:
+        extend_experiment(experiment, ExtensionRequest(added=Additions(repetitions=2)))
+    assert "Add units: treatments of Robot" in str(refused.value)
+    with pytest.raises(DesignError, match="7 units, and 4 treatments take 4 sequences"):
+        extend_experiment(experiment, ExtensionRequest(added=Additions(treatments={"Robot": ["E", "F", "G"]})))
+    extend_experiment(experiment, ExtensionRequest(added=Additions(treatments={"Robot": ["E", "F", "G", "H"]})))
+    done = execute(BODY, head=DESIGNS, table=CROSSOVER.replace("washout_in_s=0.2", ""), workers=4)
+    assert [row["Task"] for row in done.table[:16]] == planned
+    assert {row["status"] for row in done.table} == {"Done"}
+    by_unit = {name: list(rows) for name, rows in groupby(done.table, key=lambda row: row["Robot"])}
+    assert list(by_unit) == list("ABCDEFGH")
+    follows = Counter(pair for rows in by_unit.values() for pair in pairwise(row["Task"] for row in rows))
+    assert set(follows.values()) == {2}
+    assert len(follows) == 12
+
+
+def test_a_design_that_decides_order_is_not_repeated_until_precise(write_config: Callable[..., Path]) -> None:
+    body = BODY + 'repeat_until = Precision("Energy", half_width="5 %", at_most=9)'
+    findings = prepare(write_config(body, head=DESIGNS, table=SPLIT_PLOT)).findings
+    assert any("repeat_until" in each.where and "the design decides on the runs" in each.problem for each in findings)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import output, print_facts, print_json, quiet_loading
-from robot_runner.cli.design_layouts import notes_in_words, print_layouts
+from robot_runner.cli.design_layouts import print_layouts
 from robot_runner.cli.design_words import (
     columns_as_json,
     design_as_json,
@@ -62,7 +62,6 @@ def execute(arguments: Namespace) -> int:
             *design_in_words(plan.model),
             ("Repeated", plan.repeated),
             ("Decided", str(plan.model.design_facts.get("decides", ""))),
-            ("Layout", notes_in_words(plan.model.design_facts)),
             ("Warm-up", warm_ups_in_words(plan.model, plan.runs)),
             ("Measures", measures_in_words(plan.columns)),
             ("Order", plan.order),

@@ -21,7 +21,7 @@ from robot_runner.core.config.parameters import (
 )
 from robot_runner.core.config.plugin_checks import failed_check
 from robot_runner.core.config.registered_config import take_registered_seed
-from robot_runner.core.design.asking import AdaptiveDesign
+from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import listed_elsewhere
 from robot_runner.core.design.precision import precision_findings
@@ -81,6 +81,9 @@ def check_repeat_until(
         return []
     own, where = as_configured(model), f"{loaded.where}.repeat_until"
     units = {column.name: column.measure.unit for column in columns.in_table if not column.tells_of}
+    if parameters.repeat_until and decides_order(own.design):
+        problem = "the design decides on the runs and their order, and has no place for a repetition more"
+        return [Finding.error(where, problem, "Leave repeat_until out, or take a design that leaves order open.")]
     if not isinstance(own.design, AdaptiveDesign):
         return list(precision_findings(where, parameters.repeat_until, own.repetitions, units))
     place = f"{loaded.where}.create_run_table, design"

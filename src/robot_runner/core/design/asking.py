@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
+from robot_runner.core.design.design import Design
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.factor import Combination, Factor
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["DECIDED", "AdaptiveDesign", "Asking", "Decision", "Told"]
+__all__ = ["DECIDED", "AdaptiveDesign", "Asking", "Decision", "Told", "decides_order"]
 
 #: The kind of the journal's record of runs that were decided on; see `Decision.kind`.
 DECIDED = "decided"
@@ -109,3 +110,8 @@ class AdaptiveDesign(Protocol):
             is_allowed: whether the exclusions leave a combination.
             repetitions: how often each combination is executed.
         """
+
+
+def decides_order(design: object) -> bool:
+    """Return whether a design decides on order and blocks, once and for all: neither the model nor results do."""
+    return isinstance(design, Design) and not isinstance(design, AdaptiveDesign)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.asking import decides_order
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.design.factor import Factor
@@ -195,7 +196,7 @@ class _Growing:
     def _combinations(self, factors: tuple[Factor, ...], chosen: Mapping[str, Sequence[str]]) -> Sequence[Combination]:
         if self._begun.is_by_hand:
             return _distinct(run.combination for run in self._begun.runs)
-        if self._is_listed:
+        if self._is_listed or decides_order(self._config.design):  # the latter plans its runs by itself
             return _distinct(run.combination for run in self._config.plan())
         planned = [_only(factor, self._own.get(factor.name), chosen.get(factor.name, ())) for factor in factors]
         return self._config.combinations_of(planned)

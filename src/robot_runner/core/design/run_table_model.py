@@ -335,7 +335,15 @@ class RunTableModel:
     @property
     def allowed(self) -> Allowed:
         """Whether the exclusions leave a combination."""
-        return Allowed(self.factors, self._exclusions)
+        return self.allowed_of(self.factors)
+
+    def allowed_of(self, factors: Sequence[Factor]) -> Allowed:
+        """Return whether the exclusions leave a combination of other factors.
+
+        Raises:
+            DesignError: an exclusion does not fit these factors.
+        """
+        return Allowed(factors, self._exclusions)
 
     def _combinations_in_plan(self, factors: Sequence[Factor]) -> list[Combination]:
         """Return the combinations of the plan, each once; `factors` are the model's, perhaps in another order."""

@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.plugin_checks import check_treatments
-from robot_runner.core.design.asking import AdaptiveDesign
+from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import (
     EXTENDED,
     GrownRunTableModel,
@@ -25,6 +25,7 @@ from robot_runner.core.design.batches import (
 )
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.designed_growth import runs_of_grown_design
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Additions, Begun, grown_design
 from robot_runner.core.design.planned_runs import RunOrder
@@ -139,7 +140,12 @@ class _Extending:
         batches = self._experiment.model.batches or (first_batch(begun, self._first_order()),)
         seed = self._request.seed if self._request.seed is not None else randbits(32)
         order = RunOrder(shuffle=not self._request.as_written, blocks=self._config.blocks, seed=seed)
-        batch = next_batch(begun, design, self._config.warm_up, order=order, number=len(batches) + 1, at=utc_now())
+        wanted = None
+        if decides_order(self._config.design):
+            wanted = runs_of_grown_design(begun, self._config, design, batches[0].order)
+            order = RunOrder(seed=batches[0].order.seed)
+        number = len(batches) + 1
+        batch = next_batch(begun, design, self._config.warm_up, order=order, number=number, at=utc_now(), wanted=wanted)
         if not batch.runs:
             raise self._nothing_to_add(begun)
         model = GrownRunTableModel(self._config, [*batches, batch])

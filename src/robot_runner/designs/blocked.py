@@ -114,6 +114,7 @@ class Blocks:
             "block": names,
             "block_columns": names,
             "balance": kinds,
+            "grows_by": f"blocks and repetitions in proportion: treatments of {names[0]}",
             "notes": [f"{name}: {found['in_words']}" for name, found in kinds.items()],
             "layout": [{"title": "Blocks", "heading": [*names, what], "rows": rows}],
         }
