@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import signal
 import subprocess
 import sys
@@ -184,9 +185,11 @@ def test_killed_at_any_step_of_a_decision_it_goes_on_as_if_nothing_had_happened(
 
 
 def test_a_lost_table_and_manifest_come_back(tmp_path: Path, searched: tuple[Path, list[NextDecided]]) -> None:
-    config = with_design(tmp_path)
-    execute(config)
+    config = tmp_path / "copy" / "config.py"
+    shutil.copytree(searched[0].parent, config.parent)
     folder_of(config).run_table.unlink()
+    status = read_status(folder_of(config).root)
+    assert (status.run_count, status.todo) == (22, 0), "the journal has what was added"
     folder_of(config).manifest.unlink()
     _, decided = execute(config)
     assert [notice.added for notice in decided] == [0]
