@@ -206,7 +206,8 @@ def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     factors = " x ".join(f"{name} ({', '.join(texts)})" for name, texts in design["factors"].items())
     left_out = f", less {counted(len(design['excluded']), 'combination')}" if design.get("excluded") else ""
     if "parameters" in design:
-        left_out = f", {counted(len(design['combinations']), 'combination')} of a {design['facts']['kind']} design"
+        kind = str(design["parameters"]["kind"]).replace("_", " ")
+        left_out = f", {counted(len(design['combinations']), 'combination')} of a {kind} design"
     yield (
         "Design",
         f"{factors}{left_out}; {counted(design['repetitions'], 'repetition')}, {counted(design['runs'], 'run')}",
