@@ -6,6 +6,7 @@ with the same plan; where the kill came before, the same is asked again, and ans
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -28,6 +29,7 @@ from robot_runner.core.design.precision import LEAST_REPETITIONS
 from robot_runner.core.errors import Finding
 from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
 from robot_runner.core.execution.task import seed_of_run
+from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import utc_now
 
@@ -210,7 +212,8 @@ def _with_used(factor: Factor, rows: RunTableRows, decision: Decision) -> Factor
         return factor
     combinations = (*(run.combination for run in rows.planned), *(combination for combination, _ in decision.runs))
     used = {str(each[factor.name]): each[factor.name] for each in combinations}
-    return factor.with_treatments(sorted({**used, **dict(zip(factor.texts, factor.treatments, strict=True))}.values()))
+    found = {**used, **dict(zip(factor.texts, factor.treatments, strict=True))}.values()
+    return factor.with_treatments(sorted(found, key=lambda each: math.inf if each is INACTIVE else each))
 
 
 def _notice(decision: Decision, run_count: int, added: int) -> PrecisionJudged | NextDecided:
