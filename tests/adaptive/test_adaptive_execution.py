@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 import signal
 import subprocess
 import sys
@@ -170,7 +171,7 @@ def test_killed_at_any_step_of_a_decision_it_goes_on_as_if_nothing_had_happened(
     tmp_path: Path, searched: tuple[Path, list[NextDecided]]
 ) -> None:
     config = with_design(tmp_path)
-    for step in (0, 1, 3, 0, 2):  # before the record and after it, in the table, in the manifest
+    for step in (0, 1, 3, 2):  # before the record and after it, in the table, in the manifest
         command = [sys.executable, "-c", DYING, str(config), str(step)]
         killed = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
         assert killed.returncode in {-signal.SIGKILL, 0}, killed.stderr
@@ -184,9 +185,11 @@ def test_killed_at_any_step_of_a_decision_it_goes_on_as_if_nothing_had_happened(
 
 
 def test_a_lost_table_and_manifest_come_back(tmp_path: Path, searched: tuple[Path, list[NextDecided]]) -> None:
-    config = with_design(tmp_path)
-    execute(config)
+    config = tmp_path / "copy" / "config.py"
+    shutil.copytree(searched[0].parent, config.parent)
     folder_of(config).run_table.unlink()
+    status = read_status(folder_of(config).root)
+    assert (status.run_count, status.todo) == (22, 0), "the journal has what was added"
     folder_of(config).manifest.unlink()
     _, decided = execute(config)
     assert [notice.added for notice in decided] == [0]
@@ -275,11 +278,16 @@ def test_an_adaptive_experiment_is_not_extended_by_hand_and_goes_on_with_more_ru
 
 
 def test_a_range_is_searched_in_its_steps(tmp_path: Path) -> None:
-    table = TABLE.replace("[0.02 * step for step in range(1, 12)]", "Range(0.02, 0.22, step=0.004)")
+    moving = 'Factor("Speed", Range(0.02, 0.22, step=0.004), when={"Moves": "yes"}), Factor("Moves", ["yes", "no"])'
+    table = TABLE.replace('Factor("Speed", [0.02 * step for step in range(1, 12)])', moving)
     design = 'Optimise("Energy", runs=16, at_a_time=3)'
-    config = written_config(tmp_path, BODY, table=table.replace("{design}", design), head=WITH_DESIGNS)
+    standing = BODY.replace('["Speed"]', '["Speed"] if context.combination["Moves"] == "yes" else 1')
+    config = written_config(tmp_path, standing, table=table.replace("{design}", design), head=WITH_DESIGNS)
     execute(config)
-    assert len({row["Speed"] for row in rows_of(config)}) == 8
+    found = {(row["Speed"], row["Moves"]) for row in rows_of(config)}
+    assert len(found) == 8
+    assert {speed for speed, moves in found if moves == "no"} <= {"inactive"}
+    assert all(0.02 <= float(speed) <= 0.22 for speed, moves in found if moves == "yes")
     _, again = execute(config)
     assert [notice.added for notice in again] == [0]
 

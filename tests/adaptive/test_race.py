@@ -13,7 +13,7 @@ from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.planned_runs import PlannedRun
 from robot_runner.core.errors import DesignError
 
-RACES = 400
+RACES = 250
 #: With 5 % of errors, more than this share of so many races has one with a probability of 0.1 % (binomial).
 MOST = 0.05 + 3.1 * (0.05 * 0.95 / RACES) ** 0.5
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.design.factor import Combination, factor_places
 from robot_runner.core.design.planned_runs import RunOrder, arranged
 from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.inactive import INACTIVE
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -55,6 +56,12 @@ class SearchedSpace:
             for factor, is_numeric in zip(factors, self.are_numbers, strict=True)
         ]
         self._is_allowed = is_allowed
+        # Exclusions know the ends of a range and no step between them, so that its conditions are looked at here.
+        self._conditions = [
+            (factor.name, [(other, set(map(str, wanted))) for other, wanted in factor.when.items()])
+            for factor in factors
+            if factor.when
+        ]
         self._names = factor_places(factor.name for factor in factors)
         self._place_of = [{str(level): place for place, level in enumerate(levels)} for levels in self.levels]
 
@@ -73,8 +80,13 @@ class SearchedSpace:
         return tuple(own[str(each)] for own, each in zip(self._place_of, combination.treatments, strict=True))
 
     def is_allowed(self, places: Places) -> bool:
-        """Return whether the exclusions leave this combination."""
-        return self._is_allowed(self.combination(places))
+        """Return whether the exclusions leave this combination, and each factor applies where it has a treatment."""
+        combination = self.combination(places)
+        for name, conditions in self._conditions:
+            holds = all(str(combination[other]) in wanted for other, wanted in conditions)
+            if holds is (combination[name] is INACTIVE):
+                return False
+        return self._is_allowed(combination)
 
     def spread(self, count: int, seed: str) -> list[Places]:
         """Return so many combinations, spread over the space, or fewer where it has no more that are allowed.
@@ -123,7 +135,8 @@ def settings(factor: Factor) -> list[Any]:
         return list(factor.treatments)
     own = dict(zip(factor.texts, factor.treatments, strict=True))  # its own objects: exclusions go by these
     steps = (span.at(number / span.step_count) for number in range(span.step_count + 1))
-    return list({str(each): own.get(str(each), each) for each in steps}.values())
+    found = {str(each): own.get(str(each), each) for each in steps}
+    return [*found.values(), *(each for each in factor.treatments if each is INACTIVE)]
 
 
 def baseline_findings(where: str, factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Iterator[Finding]:

@@ -16,9 +16,10 @@ from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.listed_runs import ListedRunTableModel
-from robot_runner.core.design.precision import most_repetitions, rule_in_words
+from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
+from robot_runner.core.execution.deciding import asking_of, what_follows
 from robot_runner.core.execution.durations import Estimate, durations_of
 from robot_runner.core.execution.extension import unplanned_additions
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
@@ -171,7 +172,7 @@ def _with_duration(
             for place, run in enumerate(plan.runs)
             if rows is None or (rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None)
         ),
-        may_repeat=plan.model.repetitions < most_repetitions(rules),
+        follows=what_follows(asking_of(plan.model, rules), plan.runs),
     )
     plan = replace(plan, repeated=rule_in_words(rules, as_configured(plan.model).repetitions))
     window = probe_window_of(probed_plugins(plugins, events, parameters)) if parameters.probe else 0.0

@@ -37,7 +37,7 @@ _MOST_FINDINGS, _LONGEST_TEXT = 200, 1000
 #: Of the log of a run, so much of its end is shown, bytes.
 _LOG_BYTES = 16_000
 #: Runs that change the table as a whole: it is read again.
-_NEW_TABLES = frozenset({"experiment_started", "extended", "repeated", "deviation"})
+_NEW_TABLES = frozenset({"experiment_started", "extended", "repeated", "decided", "deviation"})
 
 
 class FollowedExperiment:
@@ -249,7 +249,7 @@ class FollowedExperiment:
             "host": status.holder.host if status.holder else None,
             "started_at": status.started_at,
             "finished_at": status.finished_at,
-            "precision": list(status.precision),
+            "precision": [*status.precision, *filter(None, [status.decided])],
             "order": status.order,
             "damaged": self._tail.damaged,
             "has_pictures": self._robot is not None,

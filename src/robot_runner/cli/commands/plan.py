@@ -84,6 +84,7 @@ def _as_json(plan: Plan) -> dict[str, object]:
         "executed": list(plan.executed),
         "excluded": dict(plan.excluded),
         "repeat_until": plan.repeated or None,
+        "decides": plan.model.design_facts.get("decides"),
         "run_table": str(plan.source) if plan.source else None,
         "measures": columns_as_json(plan.columns),
         "duration": asdict(plan.duration),

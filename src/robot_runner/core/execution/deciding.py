@@ -6,6 +6,7 @@ with the same plan; where the kill came before, the same is asked again, and ans
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -28,6 +29,7 @@ from robot_runner.core.design.precision import LEAST_REPETITIONS
 from robot_runner.core.errors import Finding
 from robot_runner.core.execution.notices import NextDecided, PrecisionJudged
 from robot_runner.core.execution.task import seed_of_run
+from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import utc_now
 
@@ -37,11 +39,13 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.asking import Asking, Decision
     from robot_runner.core.design.factor import Factor
+    from robot_runner.core.design.planned_runs import PlannedRun
+    from robot_runner.core.design.precision import Precision
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["Bookkeeper", "Deciding", "Growth"]
+__all__ = ["Bookkeeper", "Deciding", "Growth", "asking_of", "what_follows"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +80,23 @@ class Bookkeeper(Protocol):
         """Take down what is to be told at the end."""
 
 
+def asking_of(model: RunTableModel, rules: Sequence[Precision]) -> Asking | None:
+    """Return what decides which runs follow from results: the design, or the rules of `repeat_until`; else None."""
+    config = as_configured(model)
+    if isinstance(config.design, AdaptiveDesign):
+        return config.design.asking(config.factors, config.allowed, config.repetitions)
+    least = config.repetitions  # one run that is only tried is not repeated
+    return UntilPrecise(rules, model.factors, least) if rules and least >= LEAST_REPETITIONS else None
+
+
+def what_follows(asking: Asking | None, runs: Sequence[PlannedRun]) -> str:
+    """Return what may follow these runs, in words; empty where nothing does."""
+    if asking is None or not asking.may_add(runs):
+        return ""
+    is_repeated = isinstance(asking, UntilPrecise)
+    return "how often it is repeated until it is precise" if is_repeated else "which runs follow from the results"
+
+
 class Deciding:
     """Decides, whenever all planned runs are done, whether and which runs follow.
 
@@ -93,22 +114,14 @@ class Deciding:
         plan = experiment.parameters.analysis
         self._leaves_out = plan is not None and plan.doubtful is Doubtful.LEAVE_OUT
         self._seed = int(manifest["seed"])
-        asking = self._asking(experiment)
+        asking = asking_of(model, experiment.parameters.repeat_until)
         is_by_hand = manifest["design"]["source"] != "config"
         self._is_passed_over = is_by_hand and asking is not None
         self._asks = None if is_by_hand else asking
 
-    def _asking(self, experiment: Experiment) -> Asking | None:
-        config = self._config
-        if isinstance(config.design, AdaptiveDesign):
-            return config.design.asking(config.factors, config.allowed, config.repetitions)
-        rules = experiment.parameters.repeat_until
-        least = self._config.repetitions  # one run that is only tried is not repeated
-        return UntilPrecise(rules, self._model.factors, least) if rules and least >= LEAST_REPETITIONS else None
-
-    def may_add(self, rows: RunTableRows) -> bool:
-        """Whether runs may follow those of this table."""
-        return self._asks is not None and self._asks.may_add(list(rows.planned))
+    def follows(self, rows: RunTableRows) -> str:
+        """Return what may follow the runs of this table, in words; empty where nothing does."""
+        return what_follows(self._asks, list(rows.planned))
 
     def decide(self, progress: Bookkeeper, table: RecoveredTable) -> PrecisionJudged | NextDecided | None:
         """Have runs added where some follow, and else take down why not.
@@ -199,7 +212,8 @@ def _with_used(factor: Factor, rows: RunTableRows, decision: Decision) -> Factor
         return factor
     combinations = (*(run.combination for run in rows.planned), *(combination for combination, _ in decision.runs))
     used = {str(each[factor.name]): each[factor.name] for each in combinations}
-    return factor.with_treatments(sorted({**used, **dict(zip(factor.texts, factor.treatments, strict=True))}.values()))
+    found = {**used, **dict(zip(factor.texts, factor.treatments, strict=True))}.values()
+    return factor.with_treatments(sorted(found, key=lambda each: math.inf if each is INACTIVE else each))
 
 
 def _notice(decision: Decision, run_count: int, added: int) -> PrecisionJudged | NextDecided:

@@ -154,7 +154,7 @@ class Durations:
         self._has_begun = False
         self._left: Counter[CombinationKey] = Counter()
         self._to_come = 0
-        self._may_repeat = False
+        self._follows = ""
         self._expected: float | None = None
         self._computed = self._cost = 0.0
 
@@ -180,9 +180,9 @@ class Durations:
                 is_last = record.get("is_last", True)
                 self.end(_seconds(record["at"]), record["status"], is_last=is_last, run=record["run"])
 
-    def plan(self, combinations: Iterable[Mapping[str, Any]], *, may_repeat: bool = False) -> None:
+    def plan(self, combinations: Iterable[Mapping[str, Any]], *, follows: str = "") -> None:
         """Take down which runs are to come, and whether more may follow, until the experiment is precise."""
-        self._may_repeat = may_repeat
+        self._follows = follows
         self._left = Counter()
         if self._are_alike:
             self._left[frozenset()] = sum(1 for _ in combinations)
@@ -319,7 +319,7 @@ class Durations:
     def _unknown(self) -> tuple[str, ...]:
         """Return what comes on top of what is known."""
         waits = () if self._pauses else self._waits
-        waits = (*waits, "how often it is repeated until it is precise") if self._may_repeat else waits
+        waits = (*waits, self._follows) if self._follows else waits
         if self.count or not self._said:
             return waits
         opening = "what opens and closes a run"

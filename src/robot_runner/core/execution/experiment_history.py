@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import TimeLeft
@@ -193,9 +194,12 @@ class ExperimentHistory:
         self.precision = tuple(str(each["in_words"]) for each in record.get("precision", ()))
         self.decided = str(record.get("why", ""))
 
+    def _take_extended(self, record: Mapping[str, Any]) -> None:
+        if record.get("role") == CONFIRMATION:  # what somebody adds by hand is in the table at once
+            self._take_decided(record)
+
     def _take_decided(self, record: Mapping[str, Any]) -> None:
-        self._planned += len(record["runs"])
-        self._take_judged(record)
+        self._take_repeated(record)
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))

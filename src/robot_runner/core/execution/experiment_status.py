@@ -61,7 +61,7 @@ class ExperimentStatus:
         is_of_older_tool: whether another tool executed what is there.
         repeated: until when combinations are repeated, and how often at least and at most; empty where they are not.
         precision: how precise the experiment was when it was looked at last, for each rule, in words.
-        decided: what its design decided last and why; empty where it decides nothing.
+        decided: what its design decided last and why, or what it will decide; empty where it decides nothing.
         order: how many runs were executed out of the order of the run table; empty where none was.
     """
 
@@ -157,7 +157,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
         repeated=rule_in_words(*rules_of_mapping(manifest.get("repeat_until"))),
         precision=history.precision,
-        decided=history.decided,
+        decided=history.decided or str((manifest.get("design", {}).get("facts") or {}).get("decides", "")),
         gate=history.gate if holder else None,
         gate_seconds=history.gate_seconds,
     )

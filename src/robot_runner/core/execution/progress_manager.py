@@ -237,7 +237,7 @@ class ProgressManager:
         self._rows = self._table.rows = growth.rows
         self._table.write_schema(self._folder.schema)  # there may be new columns
         self._file.take(growth.rows)
-        self._durations.plan(map(growth.rows.combination, places), may_repeat=self._deciding.may_add(self._rows))
+        self._durations.plan(map(growth.rows.combination, places), follows=self._deciding.follows(self._rows))
         self._manifest["design"] |= described_design(growth.model)
         write_manifest(self._folder.manifest, self._manifest)
 
@@ -382,7 +382,7 @@ class ProgressManager:
 
     def _probed(self) -> Probe | None:
         # Runs may follow that are decided on once those of the table are done.
-        of_table = PendingRun(self._rows.run_id(0), 0) if self._deciding.may_add(self._rows) else None
+        of_table = PendingRun(self._rows.run_id(0), 0) if self._deciding.follows(self._rows) else None
         first = next(self.pending(), of_table)
         return self._probe(self.task_of(first)) if self._probe is not None and first is not None else None
 
@@ -391,7 +391,7 @@ class ProgressManager:
         combinations = [run.combination for run in self._rows.planned]
         journal = self._folder.journal
         durations = durations_of(each.config, each.plugins, each.events, each.parameters, combinations, journal)
-        durations.plan(map(combinations.__getitem__, self._selected), may_repeat=self._deciding.may_add(self._rows))
+        durations.plan(map(combinations.__getitem__, self._selected), follows=self._deciding.follows(self._rows))
         return durations
 
     def _left(self) -> dict[str, Any]:
