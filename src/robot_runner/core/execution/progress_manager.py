@@ -234,10 +234,8 @@ class ProgressManager:
         warm_up = None if self._selected else self._experiment.model.warm_up
         places = with_session_warm_ups(growth.rows, list(growth.places), warm_up)
         self._selected += places
-        has_new_columns = growth.rows.layout.columns != self._table.rows.layout.columns
         self._rows = self._table.rows = growth.rows
-        if has_new_columns:
-            self._table.write_schema(self._folder.schema)
+        self._table.write_schema(self._folder.schema)  # there may be new columns
         self._file.take(growth.rows)
         self._durations.plan(map(growth.rows.combination, places), may_repeat=self._deciding.may_add(self._rows))
         self._manifest["design"] |= described_design(growth.model)
