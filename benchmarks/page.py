@@ -49,7 +49,8 @@ def _measure(page: _Page, root: Path) -> None:
     first.wait_for("table")
     rows = json.loads(page.ask(f"{page.one}/rows?start=0&count=100"))
     shown = time.perf_counter() - begun
-    assert rows["total"] == _RUNS
+    if rows["total"] != _RUNS:
+        raise RuntimeError(f"{rows['total']} rows are shown")
     first.wait_for("counts")  # the journal was read to its end
     read = time.perf_counter() - begun
     time.sleep(2.0)
@@ -98,7 +99,8 @@ class _Page:
         while "End" not in told and self.process.stdout is not None:
             told += self.process.stdout.readline()
         found = re.search(r"http://127\.0\.0\.1:(\d+)/#key=(\w+)", told)
-        assert found is not None, told
+        if found is None:
+            raise RuntimeError(told)
         self.port, self._key = int(found[1]), found[2]
         self._process = psutil.Process(self.process.pid)
         self.one = f"/api/experiments/{json.loads(self.ask('/api/about'))['only']}"
@@ -144,7 +146,8 @@ class _Viewer:
     def wait_for(self, name: str) -> None:
         """Wait for an event of this name."""
         with self._changed:
-            assert self._changed.wait_for(lambda: name in self._names, 60), name
+            if not self._changed.wait_for(lambda: name in self._names, 60):
+                raise TimeoutError(name)
 
     def _read(self) -> None:
         name = ""
@@ -178,7 +181,8 @@ def _delays(page: _Page, root: Path, viewers: list[_Viewer]) -> tuple[list[float
     time.sleep(2.0)
     busy = (page.cpu_seconds - spent) / (time.perf_counter() - begun)
     delays = [viewer.seen[key] - at for viewer in viewers for key, at in written.items() if key in viewer.seen]
-    assert len(delays) == len(viewers) * len(written), f"{len(delays)} of {len(viewers) * len(written)} were seen"
+    if len(delays) != len(viewers) * len(written):
+        raise RuntimeError(f"{len(delays)} of {len(viewers) * len(written)} were seen")
     return delays, busy
 
 
@@ -203,7 +207,8 @@ def _ended(run: str, energy: float) -> str:
         "seconds": 1.0,
         "failure": None,
     }
-    return f"{json.dumps({'kind': 'attempt_finished', 'at': _AT, **facts, 'measures': measures, 'stamps': {}}, separators=(',', ':'))}\n"
+    record = {"kind": "attempt_finished", "at": _AT, **facts, "measures": measures, "stamps": {}}
+    return json.dumps(record, separators=(",", ":")) + "\n"
 
 
 def _make_experiment(root: Path) -> None:
