@@ -7,12 +7,12 @@ import itertools
 import json
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.page.followed_experiment import FollowedExperiment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from starlette.types import Receive, Scope, Send
@@ -21,6 +21,8 @@ __all__ = ["EventStream", "Followers", "Viewer", "as_json"]
 
 #: How often a followed experiment is looked at, s: what is recorded is seen within a second.
 _EVERY = 0.25
+#: The same where there is more to read: time for others.
+_AT_ONCE = 0.01
 #: After nobody has looked for this long, an experiment is no longer followed, s; its rows are forgotten later.
 _PATIENCE = 20.0
 #: Messages that a viewer may be behind; beyond that they are told to begin anew.
@@ -66,13 +68,29 @@ class Viewer:
         return b"".join([first, *rest])
 
 
+class Followed(Protocol):
+    """What is looked at: its parts by name, those that changed, and all of them."""
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether there is more to read at once."""
+        ...
+
+    def look(self) -> Mapping[str, Any]:
+        """Read what is new; returns what it may have changed."""
+        ...
+
+    def snapshot(self) -> Mapping[str, Any]:
+        """Return everything."""
+        ...
+
+
 class Channel:
     """One followed thing, its viewers, and the task that looks at it while there are any."""
 
-    def __init__(
-        self, look: Callable[[], Mapping[str, Any]], snapshot: Callable[[], Mapping[str, Any]], every: float
-    ) -> None:
-        self._look, self._snapshot, self._every = look, snapshot, every
+    def __init__(self, followed: Followed, every: float) -> None:
+        self._look, self._snapshot, self._every = followed.look, followed.snapshot, every
+        self._followed = followed
         self._viewers: set[Viewer] = set()
         self._last: dict[str, bytes] = {}
         self._task: asyncio.Task[None] | None = None
@@ -121,7 +139,7 @@ class Channel:
                         self._last[name] = message
                     for viewer in self._viewers:
                         viewer.put(message)
-            await asyncio.sleep(self._every)
+            await asyncio.sleep(_AT_ONCE if self._followed.is_behind else self._every)
         self.has_looked.clear()
 
 
@@ -141,7 +159,7 @@ class Followers:
         if folder not in self._followed:
             self._make_room()
             experiment = FollowedExperiment(folder)
-            self._followed[folder] = (experiment, Channel(experiment.look, experiment.snapshot, _EVERY))
+            self._followed[folder] = (experiment, Channel(experiment, _EVERY))
         return self._followed[folder]
 
     async def looked_at(self, folder: Path) -> FollowedExperiment:

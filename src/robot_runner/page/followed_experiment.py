@@ -119,7 +119,7 @@ class FollowedExperiment:
             self._history.read_table(self._files)
             self._has_caught_up = True
             self._signs = ()
-        if records or signs != self._signs or parts:
+        if (records and not self._tail.is_behind) or signs != self._signs or parts:
             self._signs = signs
             self._tell(parts)
         parts |= self._of_runs_in_flight()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import threading
+import time
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import RobotRunnerError
@@ -21,6 +22,8 @@ __all__ = ["FoundExperiments", "id_of", "is_experiment"]
 #: How deep experiments are looked for, and how many folders are looked into.
 _DEEPEST, _MOST_FOLDERS = 4, 3_000
 _MOST_EXPERIMENTS = 300
+#: How long one look reads on in one of them, s; the rest of a long journal is read at the next ones.
+_PATIENCE = 0.5
 
 
 def is_experiment(folder: Path) -> bool:
@@ -64,6 +67,11 @@ class FoundExperiments:
             self._find()
         return self._known.get(experiment_id)
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether there is more to read at once: in a moment will do."""
+        return False
+
     def look(self) -> dict[str, Any]:
         """Return all experiments with how each stands, those first that want somebody's attention."""
         with self._lock:
@@ -90,7 +98,11 @@ class FoundExperiments:
         if known is not None and known[0] == sign:
             return known[1]
         followed = self._followed.pop(experiment_id, None) or FollowedExperiment(folder)
-        state = followed.look().get("state") or followed.snapshot()["state"]
+        end = time.monotonic() + _PATIENCE
+        parts = followed.look()
+        while followed.is_behind and time.monotonic() < end:
+            parts = followed.look()
+        state = parts.get("state") or followed.snapshot()["state"]
         summary = {"id": experiment_id, "folder": str(folder.relative_to(self._folder.parent)), **_shortened(state)}
         if holder is not None or followed.is_behind:
             self._followed[experiment_id] = followed

@@ -122,7 +122,7 @@ class LivePage:
     def __init__(self, settings: PageSettings) -> None:
         self._settings = settings
         self._found = FoundExperiments(settings.folder, is_one=settings.is_one)
-        self._index = Channel(self._found.look, self._found.snapshot, _INDEX_EVERY)
+        self._index = Channel(self._found, _INDEX_EVERY)
         self._followers = Followers()
         self._reports = Reports()
         self._pictures: dict[str, RobotPictures] = {}
