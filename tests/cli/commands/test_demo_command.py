@@ -20,7 +20,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarn
 @pytest.fixture
 def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     """The demo with one repetition of a short mission."""
-    shorter = template("demo").replace("range(1, 6)", "[1]")
+    shorter = template("demo_config.py").replace("range(1, 6)", "[1]")
     shorter = shorter.replace("BasicTurtlebot3()", "BasicTurtlebot3(sleep_s=1, drive_s=2, task_s=2, rotate_s=8)")
     monkeypatch.setattr(demo, "template", lambda _: shorter)
 
