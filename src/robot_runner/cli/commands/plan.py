@@ -39,7 +39,7 @@ def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     add_config(parser)
     add_set(parser)
-    parser.add_argument("--all", action="store_true", help="show every run of a long table on a terminal, too")
+    parser.add_argument("--all", action="store_true", help="show every run of a long table")
     add_json(parser)
 
 
