@@ -64,9 +64,10 @@ picture: ## Record the demo into docs/images/demo.svg.
 	@sh scripts/set_up.sh test
 	@$(BIN)/python scripts/record_demo.py docs/images/demo.svg -- $(BIN)/robot-runner demo
 
-gallery: ## Execute the studies of the gallery, and picture their reports into docs/images/gallery (minutes).
+gallery: ## Picture the reports of the gallery's studies, and record the live page, into docs/images (minutes).
 	@sh scripts/set_up.sh test
 	@$(BIN)/python scripts/make_gallery.py .make/gallery --pictures docs/images/gallery
+	@$(BIN)/python scripts/record_page.py docs/images/live-page.webp
 
 lock: ## Bring the locked versions in requirements/ up to date.
 	@sh scripts/set_up.sh test

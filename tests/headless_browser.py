@@ -53,7 +53,8 @@ class Browser:
         while (answer := self._next()).get("id") != self._number:
             self._take(answer)
         assert "error" not in answer, answer
-        return answer["result"]
+        result: dict[str, Any] = answer["result"]
+        return result
 
     def open(self, path: Path | str, *, width: int = 1280, height: int = 900, is_phone: bool = False) -> None:
         """Open a file, or an address, in a window of this size."""
@@ -153,7 +154,8 @@ class Browser:
             assert data, "Chromium has ended"
             self._buffer += data
         message, _, self._buffer = self._buffer.partition(b"\0")
-        return json.loads(message)
+        told: dict[str, Any] = json.loads(message)
+        return told
 
 
 @contextmanager
