@@ -14,8 +14,8 @@ import numpy as np
 
 from benchmarks.null_designs import NullDesign
 from benchmarks.table import Row, print_table
+from robot_runner.analysis.statistics.analysed_design import VALUE, covariate_column
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import VALUE, covariate_column
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import planned_model_of
 from robot_runner.core.design.analysis_plan import Estimand

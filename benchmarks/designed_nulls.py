@@ -18,8 +18,8 @@ from scipy import stats
 
 from benchmarks.table import Judged
 from robot_runner.analysis.planning.planned_study import PlannedResults
+from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import design_of
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.known_design import PLAIN
 from robot_runner.analysis.statistics.lenth_test import fit_lenth
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
 
     Floats = NDArray[np.float64]
 
@@ -106,7 +106,8 @@ def _judged(design: DesignedNull, random: np.random.Generator, count: int) -> Ju
     p_values = _p_values(data, values)
     rates = 100 * np.mean(p_values <= _ALPHA, axis=1)
     family = 100 * float(np.mean(len(p_values) * p_values.min(axis=0) <= _ALPHA))  # Holm's adjustment of the smallest
-    if not np.isclose(min(1.0, len(p_values) * p_values[:, 0].min()), min(adjusted(p_values[:, 0].tolist(), Correction.HOLM))):
+    holm = min(adjusted(p_values[:, 0].tolist(), Correction.HOLM))
+    if not np.isclose(min(1.0, len(p_values) * p_values[:, 0].min()), holm):
         raise ValueError(f"{design.name}: Holm's adjustment is another")
     beside = f"family {family:.1f} %" if len(rates) > 1 else ""
     wrongly = _wrongly(data, values)

@@ -11,10 +11,10 @@ from scipy import stats
 
 from benchmarks.null_designs import DISTRIBUTIONS, NullDesign
 from benchmarks.table import Judged
+from robot_runner.analysis.statistics.analysed_design import Group
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import describe, quiet
-from robot_runner.analysis.statistics.design import Group
 from robot_runner.analysis.statistics.effect_sizes import (
     cliffs_delta,
     cohens_d,

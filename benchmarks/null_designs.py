@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from robot_runner.analysis.statistics.design import VALUE, MeasureData
+from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.storage.cells import RunStatus
@@ -17,6 +18,8 @@ from robot_runner.core.storage.table_schema import ColumnDescription, describe_c
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
+
+    from robot_runner.core.design.design import CombinationDesign, Design
 
 __all__ = ["make_experiment", "write_phases", "write_samples"]
 
@@ -33,14 +36,19 @@ def make_experiment(  # noqa: PLR0913 - keywords, of which a test gives two or t
     blocks: str | None = None,
     analysis: dict[str, Any] | None = None,
     doubts: dict[str, str] | None = None,
+    chosen: Design | CombinationDesign | None = None,
 ) -> ExperimentFolder:
     """Write an experiment; `values` gives a run's measures, or None for a run that is still to do.
 
-    `doubts` has the reason for which all values of a run are doubtful, or missing, by its id.
+    `doubts` has the reason for which all values of a run are doubtful, or missing, by its id. `chosen` is a design of
+    its own.
     """
     folder = ExperimentFolder(root)
     folder.runs.mkdir(parents=True)
-    model = RunTableModel(factors, repetitions=repetitions, data_columns=list(measures), shuffle=shuffle, seed=7)
+    columns = list(measures)
+    model = RunTableModel(
+        factors, repetitions=repetitions, data_columns=columns, shuffle=shuffle, seed=7, design=chosen
+    )
     rows = RunTableRows.of_plan(model.plan(), TableLayout.of_model(model, measures))
     with Journal(folder.journal) as journal:
         for place in range(len(rows)):
@@ -62,9 +70,7 @@ def make_experiment(  # noqa: PLR0913 - keywords, of which a test gives two or t
     write_schema(folder.schema, describe_columns(rows, known))
     design = {
         "source": "config",
-        "factors": {factor.name: list(factor.texts) for factor in factors},
-        "repetitions": repetitions,
-        "shuffle": shuffle,
+        **described_design(model),
         "blocks": blocks,
     }
     manifest = {"experiment_name": "made", "design": design, "seed": 7, "plugins": [], "executions": []}

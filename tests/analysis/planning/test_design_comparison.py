@@ -34,7 +34,7 @@ def test_designs_are_compared_by_what_they_tell_and_find():
     split = designs["split plot, Floor in whole plots"]
     assert split.runs > 2 * full.runs
     assert all(each.seconds <= 4 * 3600 for each in designs.values() if each.repetitions)
-    # 14 effects are corrected together; ten whole plots tell of floors with eight degrees of freedom, runs of the others.
+    # 14 effects are corrected together; ten whole plots tell of floors with eight degrees of freedom.
     powers = dict(split.powers)
     assert powers["effect of Floor on Energy"] < powers["effect of Map on Energy"]
     assert split.power > full.power + 0.2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pandas as pd
 
-from robot_runner.analysis.statistics.design import VALUE, MeasureData
+from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData
 
 # R: PlantGrowth (Dobson 1983)
 PLANT_GROWTH = {

@@ -15,7 +15,7 @@ from tests.analysis.statistics import reference_data as data
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
-from robot_runner.analysis.statistics.design import VALUE, MeasureData, covariate_column
+from robot_runner.analysis.statistics.analysed_design import VALUE, MeasureData, covariate_column
 from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.robust_covariance import fit_robustly
 from robot_runner.analysis.statistics.tests import planned_model_of

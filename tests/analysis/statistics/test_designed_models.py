@@ -74,7 +74,8 @@ def test_incomplete_blocks_are_compared_within_blocks():
     (effect,) = found.test.effects
     assert figures(effect) == pytest.approx((22.75 / 3 / 0.65, 3, 5))
     assert effect.p_value == pytest.approx(0.0107, abs=5e-5)
-    # Section 4.4.1: adjusted effects are k Q / (lambda a), -9/8, -7/8, -4/8 and 20/8; of differences sqrt(2 k MSE / (lambda a)).
+    # Section 4.4.1: adjusted effects are k Q / (lambda a), -9/8, -7/8, -4/8 and 20/8; of their
+    # differences sqrt(2 k MSE / (lambda a)).
     pairs = {(pair.first, pair.second): pair for pair in found.post_hoc[0].comparisons}
     assert pairs["c1", "c4"].difference == pytest.approx(-29 / 8)
     assert pairs["c2", "c3"].difference == pytest.approx(-3 / 8)
@@ -98,7 +99,7 @@ def test_a_fraction_names_what_it_cannot_tell_apart():
         assert f", aliased with {' x '.join(effect.aliases[0])}," in effect.conclusion
     # Each combination twice: Welch's t of contrasts, and an interaction is not compared pair by pair.
     twice = [(*row[:4], row[4] + shift) for row in data.FILTRATION_HALF for shift in (-1.0, 1.0)]
-    test, effects = effects_of(designed(twice, ["A", "B", "C", "D"], facts))
+    _, effects = effects_of(designed(twice, ["A", "B", "C", "D"], facts))
     assert {effect.test for effect in effects.values()} == {"Welch's t"}
     # All variances are 2: the error of an effect is sqrt(8 (1/4)^2 2 / 2), with Satterthwaite's 8.
     first = effects["A (aliased with B x C x D)"]
@@ -173,8 +174,13 @@ def made_tables():
     plot_facts = {"kind": "split_plot", "whole_plot": "Plot"}
     crossing = {"kind": "crossover", "subject": "Subject", "period": "Period"}
     return {
-        "split_plot": ([*"RPHE"], plot_facts, plots, of_plots),
-        "split_plot_in_replicates": ([], plot_facts | {"replicate": "Replicate"}, plots, of_plots),
+        "split_plot": (["Plot", "Hard", "Easy"], plot_facts, [plot[1:] for plot in plots], of_plots),
+        "split_plot_in_replicates": (
+            ["Replicate", "Plot", "Hard", "Easy"],
+            plot_facts | {"replicate": "Replicate"},
+            plots,
+            of_plots,
+        ),
         "latin_squares": (
             ["Row", "Column", "Treatment"],
             {"kind": "latin_square", "row": "Row", "column": "Column"},
@@ -208,9 +214,6 @@ def made_tables():
 def test_all_designs_are_analysed_as_r_does(tmp_path):
     ours = {}
     for name, (names, facts, rows, values) in made_tables().items():
-        names = ["Replicate", "Plot", "Hard", "Easy"] if name.startswith("split_plot") else names
-        if name == "split_plot":
-            rows, names = [row[1:] for row in rows], names[1:]
         lines = [[*row, value] for row, value in zip(rows, values, strict=True)]
         table = [dict(zip([*names, "y"], line, strict=True)) for line in lines]
         if name == "crossover":

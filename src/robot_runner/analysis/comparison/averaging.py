@@ -35,12 +35,12 @@ from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
-    from robot_runner.analysis.statistics.tests import AnyModel
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.analysis.comparison.harmonising import MeasureChoice
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
+    from robot_runner.analysis.statistics.tests import AnyModel
 
 __all__ = ["meta_analyse"]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.analysis.comparison.matching import can_be_converted, in_unit
-from robot_runner.analysis.statistics.design import VALUE, design_of
+from robot_runner.analysis.statistics.analysed_design import VALUE, design_of
 from robot_runner.analysis.statistics.left_out import left_out_of
 from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.core.design.columns import RUN_ID
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.design import Design, MeasureData
+    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
 
 __all__ = [
     "Experiment",

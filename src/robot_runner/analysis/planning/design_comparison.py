@@ -13,8 +13,8 @@ from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.analysis.planning.power_analysis import scenarios_of
 from robot_runner.analysis.planning.power_search import sought_claims
 from robot_runner.analysis.planning.power_simulation import AT_ONCE, Simulation
+from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
-from robot_runner.analysis.statistics.design import design_of
 from robot_runner.core.errors import AnalysisError, DesignError
 from robot_runner.core.words import counted, listed, shown_duration
 
@@ -279,8 +279,8 @@ def _reasons(best: ComparedDesign | None, found: Sequence[ComparedDesign], asked
         }[best.tells]
     else:
         yield (
-            f"No design reaches {asked.power:.0%}: this one finds the {least[0]} in {least[1]:.0%} of experiments, and no "
-            "other finds clearly more. Allow more time, leave out treatments, or look for a larger effect."
+            f"No design reaches {asked.power:.0%}: this one finds the {least[0]} in {least[1]:.0%} of experiments, and "
+            "no other finds clearly more. Allow more time, leave out treatments, or look for a larger effect."
         )
     richer = [each for each in found if each.tells > best.tells and each.repetitions and each.power is not None]
     for each in sorted(richer, key=lambda each: -(each.power or 0.0))[:1]:
@@ -296,8 +296,8 @@ def _notes(asked: Asked) -> Iterator[str]:
         )
     if not assumed.blocks:
         yield (
-            "Blocks and whole plots are taken not to vary as a whole: where they do, a split plot finds less of what is "
-            "hard to change. Say how with --block-sd."
+            "Blocks and whole plots are taken not to vary as a whole: where they do, a split plot finds less of what "
+            "is hard to change. Say how with --block-sd."
         )
     yield (
         "Fractions, covering arrays and D-optimal designs gain by leaving out interactions: where these are large, "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
-from robot_runner.analysis.statistics.design import BATCH, VALUE, design_of
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, design_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import counted, enumerated
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.planning.planned_study import Cell, Study
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.design import Design
+    from robot_runner.analysis.statistics.analysed_design import Design
 
 __all__ = ["Pilot", "pilot_values"]
 

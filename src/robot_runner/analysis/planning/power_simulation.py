@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import design_of
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.families import claim_of, contrast_key, effect_key, families_of
 from robot_runner.analysis.statistics.left_out import left_out_of
 from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.post_hoc import adjusted, contrast_of, p_value_of_contrast
-from robot_runner.analysis.statistics.response_surface import SurfaceModel
 from robot_runner.analysis.statistics.strata_model import StrataModel
+from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.planning.assumed_values import AssumedMeasure, Scenario
     from robot_runner.analysis.planning.planned_study import Cell, Study
-    from robot_runner.analysis.statistics.design import Design, MeasureData
+    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
     from robot_runner.analysis.statistics.families import Key
     from robot_runner.analysis.statistics.tests import AnyModel
     from robot_runner.core.design.hypothesis import Hypothesis

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.recomputing.measure_facts import facts_of_measure
 from robot_runner.analysis.recomputing.study_facts import Adjustment, Reported, StudyFacts
 from robot_runner.analysis.recomputing.table_source import Cells, factor_columns, source_of
-from robot_runner.analysis.statistics.design import BATCH, design_of
+from robot_runner.analysis.statistics.analysed_design import BATCH, design_of
 from robot_runner.analysis.statistics.disclosed import Beside, Reason
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.analysis.statistics.families import contrast_key, effect_key, families_of
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.recomputing.study_facts import MeasureFacts, Number
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.design import Design
+    from robot_runner.analysis.statistics.analysed_design import Design
     from robot_runner.analysis.statistics.families import Key
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
     from robot_runner.core.design.analysis_plan import AnalysisPlan

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from robot_runner.analysis.recomputing.study_facts import Number
-    from robot_runner.analysis.statistics.design import Design, MeasureData
+    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
     from robot_runner.analysis.statistics.tested import Comparison, Effect, EffectSize, Interval, PostHoc
     from robot_runner.analysis.statistics.tests import Choices

@@ -10,7 +10,7 @@ import re
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.recomputing.study_facts import FactorColumn, TableSource
-from robot_runner.analysis.statistics.design import PLACE
+from robot_runner.analysis.statistics.analysed_design import PLACE
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.design import Design
+    from robot_runner.analysis.statistics.analysed_design import Design
 
 __all__ = ["Cells", "factor_columns", "source_of"]
 

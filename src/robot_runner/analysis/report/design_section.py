@@ -56,6 +56,9 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     if config.get("file"):
         yield "Config", f"{config['file']}, class {config.get('class', '?')}"
     yield "Design", material.statistics.design.sentence
+    notes = material.manifest("design", "facts", "notes", default=[])
+    if isinstance(notes, list) and notes:
+        yield "Of the design", listed(notes)
     yield "Order", order_in_words(material)
     yield from _batches(material)
     for known in material.precisions.values():

@@ -74,7 +74,8 @@ def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[F
     """Yield how a measure is distributed, by combination or by each factor; nothing where no run has a number."""
     if measure.overall is None or not measure.overall.n:
         return
-    factors = material.results.factors
+    design = material.statistics.design
+    factors = tuple(name for name in material.results.factors if name in {*design.factors, *design.constant_factors})
     if len(factors) > 1 and 1 < len(material.order) <= _MOST_COMBINATIONS:
         yield _distribution(material, measure, factors)
         return
@@ -137,8 +138,11 @@ def _interactions(material: Material, measure: MeasureStatistics) -> Iterator[Fi
     """Yield how each two factors act together on a measure; nothing where no run has a number."""
     if measure.overall is None or not measure.overall.n:
         return
-    varied = material.statistics.design.factors
+    varied, is_full = material.statistics.design.factors, material.statistics.design.kind == "full_factorial"
+    tested = {effect.factors for effect in measure.test.effects} if measure.test is not None else set()
     for along, across in combinations(varied, 2):
+        if not is_full and (measure.surface is not None or (along, across) not in tested):
+            continue  # the design does not tell it, or a surface shows it
         if material.done[along].nunique() < material.done[across].nunique():
             along, across = across, along  # noqa: PLW2901 - fewer lines over more places are easier to read
         if material.done[across].nunique() <= _MOST_LINES:

@@ -19,6 +19,7 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
+from robot_runner.analysis.report.failed_pairs import failed_pair_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
 from robot_runner.analysis.wording import MISSING, NUMBER, listed
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
@@ -42,6 +43,7 @@ def outcome_section(material: Material) -> Section:
     failures = failures_in_words(material)
     if failures:
         blocks.append(Remarks(tuple(Remark(title, reason, Tone.BAD, "Failed") for title, reason in failures)))
+    blocks += failed_pair_parts(material)
     spans = _spans(material)
     if spans:
         blocks.append(_timeline(material, spans))

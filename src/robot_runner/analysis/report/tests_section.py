@@ -23,6 +23,7 @@ from robot_runner.analysis.report.blocks import (
 from robot_runner.analysis.report.material import correction_in_words
 from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
+from robot_runner.analysis.report.surface_part import surface_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
 from robot_runner.core.design.analysis_plan import Estimand
@@ -80,6 +81,7 @@ def _planned(material: Material) -> str:
 def _part(material: Material, measure: MeasureStatistics) -> Part:
     label = material.results.label(measure.name)
     blocks: list[Block] = [*_test(material, measure), *planned_parts(measure, label), *_assumptions(material, measure)]
+    blocks += surface_parts(material, measure)
     blocks += [_pair_table(measure, label, each) for each in measure.post_hoc]
     blocks += _beside(material, measure, label)
     if measure.power is not None:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.analysis.statistics.analysed_design import VALUE
 from robot_runner.analysis.statistics.covariate_design import AdjustmentError, CovariateDesign
-from robot_runner.analysis.statistics.design import VALUE
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 from robot_runner.core.design.analysis_plan import Estimand, Statistic
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast, Tested
     from robot_runner.analysis.statistics.covariate_design import Covariate
-    from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.robust_covariance import RobustFit
 
     Floats = NDArray[np.float64]

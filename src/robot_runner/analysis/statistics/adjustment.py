@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from scipy import stats
 
+from robot_runner.analysis.statistics.analysed_design import VALUE
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import VALUE
 from robot_runner.analysis.statistics.disclosed import AdjustedMean, Adjustment, Slope
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast
     from robot_runner.analysis.statistics.covariate_design import Covariate
-    from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tests import Choices
 
 __all__ = ["adjustment_of"]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import Group
+    from robot_runner.analysis.statistics.analysed_design import Group
 
 __all__ = ["LEVENE", "SHAPIRO_WILK", "equal_variances", "normality", "quantile_pairs"]
 

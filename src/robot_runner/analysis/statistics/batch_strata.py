@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
 
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]

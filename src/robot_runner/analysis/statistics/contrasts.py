@@ -116,7 +116,7 @@ def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -
         moments: of the cells.
         weights: one a cell, (groups, cells within a group).
         is_corrected: whether degrees of freedom are a ratio of unbiased estimates: of two runs each, those of
-            Satterthwaite find 2 % at 5 %, and these 4 to 6 % (up to 9 % where one combination varies four times as much).
+            Satterthwaite find 2 % at 5 %, and these 4 to 6 % (9 % where one combination varies four times as much).
     """
     estimate = np.einsum("gc,...gc->...", weights, moments.means)
     parts = np.einsum("gc,...gcd,gd->...g", weights, moments.errors, weights)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.statistics.analysed_design import PLACE, VALUE
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import PLACE, VALUE
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
 from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.core.design.analysis_plan import Correction
 
 __all__ = ["correlations_of", "drift_of"]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import Group
+    from robot_runner.analysis.statistics.analysed_design import Group
 
 __all__ = ["bootstrap_interval", "describe", "quiet"]
 
@@ -63,7 +63,7 @@ def describe(group: Group, *, level: float = 0.95, level_of_looks: float | None 
         level_of_looks: the level of each interval, where runs were added until one was narrow; see `known_precision`.
 
     Example:
-        >>> from robot_runner.analysis.statistics.design import Group
+        >>> from robot_runner.analysis.statistics.analysed_design import Group
         >>> describe(Group({"Task": "Video"}, np.array([1.0, 2.0, 3.0]), ("r_1", "r_2", "r_3"))).median
         2.0
     """

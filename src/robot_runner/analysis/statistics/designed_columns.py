@@ -1,4 +1,4 @@
-"""The columns of a design's model as they are, of any rank: to see what a measure has left beside effects and blocks."""
+"""The columns of a design's model as they are, of any rank: to see what is left beside effects and blocks."""
 
 from __future__ import annotations
 

@@ -13,26 +13,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, covariate_column
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, relative_ranks
 from robot_runner.analysis.statistics.cell_means import CellMeans
-from robot_runner.analysis.statistics.design import BATCH, VALUE, before_column, covariate_column, role_column
 from robot_runner.analysis.statistics.designed_columns import numbers_of_levels
 from robot_runner.analysis.statistics.effect_coding import coded_columns, mean_squares, term_size
+from robot_runner.analysis.statistics.known_design import before_column, role_column
 from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
 from robot_runner.analysis.statistics.listed_cells import listed_layout
-from robot_runner.analysis.statistics.response_surface import SurfaceModel, fit_surface
 from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataModel, fit_strata
+from robot_runner.analysis.statistics.surface_model import SurfaceModel, fit_surface
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
 from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.effect_coding import Term
     from robot_runner.core.design.analysis_plan import Statistic
 
@@ -144,8 +143,8 @@ class _Fitting:
         }
 
     def _dummies(self, name: str) -> Floats:
-        dummies = pd.get_dummies(self.data.frame[role_column(name)].astype(str))
-        return dummies.to_numpy(dtype=np.float64)
+        texts, code = np.unique(self.data.frame[role_column(name)].astype(str), return_inverse=True)
+        return np.asarray(np.eye(len(texts))[code])
 
     @cached_property
     def _blocks(self) -> Floats:
@@ -172,8 +171,8 @@ class _Fitting:
             before = self._carried_over(blocks)
             if before is None:
                 notes.append(
-                    "What is carried over from the treatment before cannot be told apart from subjects or periods here: "
-                    "the test takes it to be washed out."
+                    "What is carried over from the treatment before cannot be told apart from subjects or periods: the "
+                    "test takes it to be washed out."
                 )
             else:
                 notes.append(self._carry_over_in_words(before, blocks, terms))

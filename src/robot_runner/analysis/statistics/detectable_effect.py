@@ -19,7 +19,7 @@ from robot_runner.analysis.statistics.tested import NotComputed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from robot_runner.analysis.statistics.design import Group
+    from robot_runner.analysis.statistics.analysed_design import Group
 
 __all__ = ["power_of", "repetitions_needed"]
 

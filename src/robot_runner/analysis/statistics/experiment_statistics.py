@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.correlations import correlations_of
-from robot_runner.analysis.statistics.design import design_of
 from robot_runner.analysis.statistics.disclosed import Beside, LeftOut, Reason
 from robot_runner.analysis.statistics.families import concluded
 from robot_runner.analysis.statistics.left_out import (
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.design import Design
+    from robot_runner.analysis.statistics.analysed_design import Design
     from robot_runner.analysis.statistics.outcome import Standing
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 

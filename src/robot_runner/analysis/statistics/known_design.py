@@ -18,13 +18,23 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.aliasing import Aliasing
     from robot_runner.analysis.statistics.effect_coding import Term
 
-__all__ = ["PLAIN", "KnownDesign"]
+__all__ = ["PLAIN", "KnownDesign", "before_column", "role_column"]
 
 #: Kinds whose interactions are estimated, or are aliased in a way that is known.
 _WITH_INTERACTIONS = frozenset({"fractional_factorial", "split_plot", "full_factorial"})
 #: Facts that name one column each, or several, which are blocks of some kind: taken out, and not tested.
 _BLOCK_ROLES = ("row", "column", "rows", "columns", "greek", "square", "block", "replicate", "subject", "period", "day")
 _ONE_AT_A_TIME = "one_factor_at_a_time"
+
+
+def role_column(name: str) -> str:
+    """Return the column that a block of the design (a row, a period, a subject) has in the data of each measure."""
+    return f" role {name}"
+
+
+def before_column(factor: str) -> str:
+    """Return the column that has the treatment of the period before, in a crossover."""
+    return f" before {factor}"
 
 
 @dataclass(frozen=True, slots=True)

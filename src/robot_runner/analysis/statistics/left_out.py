@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
-from robot_runner.analysis.statistics.design import VALUE
+from robot_runner.analysis.statistics.analysed_design import VALUE
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.design.outliers import Doubtful, Outliers
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import Design, Group
+    from robot_runner.analysis.statistics.analysed_design import Design, Group
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
     Floats = NDArray[np.float64]

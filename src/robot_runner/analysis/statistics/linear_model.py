@@ -16,10 +16,10 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
 from robot_runner.analysis.statistics.contrasts import Contrast
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import BATCH, VALUE
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.design import MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
 
     Floats = NDArray[np.float64]
 

@@ -9,18 +9,18 @@ import numpy as np
 
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.adjustment import adjustment_of
+from robot_runner.analysis.statistics.analysed_design import VALUE
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.correlations import drift_of
 from robot_runner.analysis.statistics.descriptive import describe
-from robot_runner.analysis.statistics.design import VALUE
 from robot_runner.analysis.statistics.detectable_effect import power_of
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import MeasureStatistics
 from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
-from robot_runner.analysis.statistics.response_surface import SurfaceModel
+from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
@@ -29,7 +29,7 @@ from robot_runner.core.words import enumerated
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from robot_runner.analysis.statistics.design import Design, MeasureData
+    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
     from robot_runner.analysis.statistics.outcome import Description, Power
     from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest
     from robot_runner.core.design.analysis_plan import AnalysisPlan

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from robot_runner.analysis.statistics.disclosed import Adjustment, LeftOut
-    from robot_runner.analysis.statistics.response_surface import Surface
+    from robot_runner.analysis.statistics.surface_model import Surface
     from robot_runner.analysis.statistics.tested import (
         AssumptionCheck,
         ContrastTest,
@@ -235,6 +235,7 @@ class DesignSummary:
         left_out: how many runs of the table were not, because they failed or are still to do.
         smallest_group, largest_group: runs a combination.
         sentence: all this in one sentence.
+        kind: of the design, as the manifest names it.
     """
 
     factors: tuple[str, ...]
@@ -247,6 +248,7 @@ class DesignSummary:
     smallest_group: int
     largest_group: int
     sentence: str
+    kind: str = "full_factorial"
 
     @property
     def is_balanced(self) -> bool:

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import stats
 
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE
 from robot_runner.analysis.statistics.descriptive import quiet
-from robot_runner.analysis.statistics.design import BATCH, VALUE
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_rank_biserial, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Interval, NotComputed, PostHoc, TestMethod
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast
-    from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectSize, MeasureTest
     from robot_runner.analysis.statistics.tests import AnyModel, Choices
     from robot_runner.core.design.hypothesis import Hypothesis

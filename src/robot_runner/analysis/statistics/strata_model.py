@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["Hypothesis", "StrataModel", "StratumFit", "fit_stratum", "fit_strata"]
+__all__ = ["Hypothesis", "StrataModel", "StratumFit", "fit_strata", "fit_stratum"]
 
 #: Of a column: less than this share of it is what rounding leaves.
 _ROUNDING = 1e-9

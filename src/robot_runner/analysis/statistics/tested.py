@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from robot_runner.analysis.wording import listed
+from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -16,10 +16,10 @@ from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.effect_sizes import omega_squared
-from robot_runner.analysis.statistics.lenth_test import LENTH, LenthModel
+from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
-from robot_runner.analysis.statistics.response_surface import SurfaceModel
 from robot_runner.analysis.statistics.strata_model import StrataModel
+from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod, TestPart
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast
-    from robot_runner.analysis.statistics.design import MeasureData
     from robot_runner.analysis.statistics.tested import EffectTest
 
 __all__ = ["AnyModel", "Choices", "Model", "carry_out", "check_estimand", "levels_of", "model_of", "planned_model_of"]
@@ -87,9 +87,7 @@ def model_of(
         statistic: which tests several contrasts at once.
     """
     problem = _problem(data)
-    if problem:
-        return NotComputed("the test", problem)
-    designed = designed_model_of(data, estimand, statistic)
+    designed = NotComputed("the test", problem) if problem else designed_model_of(data, estimand, statistic)
     if designed is not None:
         return designed
     if data.known.whole_plot:  # some have lost a run, so that strata are not apart
@@ -218,13 +216,18 @@ _COMPARED = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Est
 
 
 def _reason(data: MeasureData, model: AnyModel, estimand: Estimand) -> str:
-    compared = _COMPARED[estimand]
-    count = len(data.factors)
     if isinstance(model, StrataModel | LenthModel | SurfaceModel):
         return model.reason
     if not data.known.is_plain and isinstance(model, CellMeans):
-        listed_of = f"{counted(count, 'factor')} in {len(model.layout.sizes)} combinations ({data.known.in_words})"
-        return f"{listed_of}, each run by itself: {compared} are compared, with a variance for each combination."
+        of = f"{counted(len(data.factors), 'factor')} in {len(model.layout.sizes)} combinations ({data.known.in_words})"
+        each = f"{_COMPARED[estimand]} are compared, with a variance for each combination."
+        return f"{of}, each run by itself: {each}"
+    return _reason_of_factorial(data, model, estimand)
+
+
+def _reason_of_factorial(data: MeasureData, model: CellMeans | FittedModel | AdjustedMeans, estimand: Estimand) -> str:
+    compared = _COMPARED[estimand]
+    count = len(data.factors)
     of = f"{count} factors and their interactions" if count > 1 else "One factor"
     if count == 1:
         of += f" with {counted(len(data.levels(data.factors[0])), 'treatment')}"

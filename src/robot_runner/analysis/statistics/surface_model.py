@@ -10,7 +10,6 @@ terms together, as SAS's RSREG prints it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
@@ -23,6 +22,8 @@ from robot_runner.analysis.statistics.strata_model import StratumFit, fit_stratu
 from robot_runner.analysis.statistics.tested import EffectTest, Interval, NotComputed, TestMethod
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.effect_coding import Term
@@ -195,7 +196,7 @@ class SurfaceModel:
         """
         row = np.zeros(self.columns.shape[1])
         for treatments, weight in weights:
-            numbers = {name: 0.0 for name in self.coding}
+            numbers = dict.fromkeys(self.coding, 0.0)
             for name, text in treatments.items():
                 if name not in self.coding:
                     return Contrast(*map(np.asarray, (0.0, math.nan, math.nan)))
@@ -331,6 +332,7 @@ def fit_surface(
         )
         fit = fit_stratum(columns, blocks, values, values.shape[-1])
         if fit is not None and fit.freedom >= 1:
+            notes = (note,) if note else ()
             break
     else:
         return NotComputed("the test", "there are too few runs for a surface of these factors.")
@@ -340,7 +342,6 @@ def fit_surface(
     places = {
         name: tuple(range(start, start + others[name].shape[1])) for name, start in zip(others, starts, strict=False)
     }
-    notes = (note,) if note else ()
     return SurfaceModel(factors, coding, terms, places, columns, blocks, cells.ravel(), fit, values, notes)
 
 

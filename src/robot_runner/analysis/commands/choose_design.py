@@ -1,8 +1,9 @@
 """Compare what can be learnt from different designs within a budget of time, and recommend one with reasons.
 
-The factors, exclusions and measures are those of the config; designs are the full factorial (also in blocks), fractions,
-a covering array, one factor at a time, D-optimal combinations and, with --hard, a split plot. Runs take as long as
-plugins say, as those of the experiment or of --pilot took, or as --run-time says. Power is simulated as by `power`.
+The factors, exclusions and measures are those of the config. Compared are the full factorial (also in blocks),
+fractions, a covering array, one factor at a time, D-optimal combinations and, with --hard, a split plot. Runs take as
+long as plugins say, as those of the experiment or of --pilot took, or as --run-time says. Power is simulated as by
+`robot-runner power`.
 """
 
 from __future__ import annotations

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
-from robot_runner.analysis.statistics.aliasing import aliasing_of
+from robot_runner.analysis.statistics.design_structure import are_complete, treatments_before, with_structure
 from robot_runner.analysis.statistics.designed_columns import designed_columns
-from robot_runner.analysis.statistics.known_design import PLAIN, KnownDesign
+from robot_runner.analysis.statistics.known_design import PLAIN, KnownDesign, role_column
 from robot_runner.analysis.statistics.outcome import DesignSummary
 from robot_runner.core.design.analysis_plan import ELAPSED, ORDER
 from robot_runner.core.design.columns import RUN_ID
@@ -32,10 +32,8 @@ __all__ = [
     "Design",
     "Group",
     "MeasureData",
-    "before_column",
     "covariate_column",
     "design_of",
-    "role_column",
 ]
 
 #: Columns of a measure's data beside the factors. Names of factors never begin with a blank.
@@ -49,16 +47,6 @@ _STAMP = "start_measurement_at"
 def covariate_column(name: str) -> str:
     """Return the column that a covariate has in the data of each measure."""
     return f" covariate {name}"
-
-
-def role_column(name: str) -> str:
-    """Return the column that a block of the design (a row, a period, a subject) has in the data of each measure."""
-    return f" role {name}"
-
-
-def before_column(factor: str) -> str:
-    """Return the column that has the treatment of the period before, in a crossover."""
-    return f" before {factor}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,6 +285,7 @@ class Design:
             smallest_group=min(found, default=0),
             largest_group=max(found, default=0),
             sentence=self._sentence(found),
+            kind=self.known.kind,
         )
 
     @property
@@ -323,11 +312,10 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
         results: the experiment.
         blocks: the column of the blocks; None for those that the order was randomised within.
     """
-    results = results.confirming
-    done = results.done
+    done = (results := results.confirming).done
     column = blocks if blocks in results.runs.columns else results.block
     known = KnownDesign.of_manifest(results.manifest, results.runs.columns)
-    if _are_complete(known, results):
+    if are_complete(known, results):
         known, column = PLAIN, known.blocks[0]
     if column is not None and known != PLAIN:  # complete blocks are those of a full factorial alone
         known, column = known.with_blocks((column,)), None
@@ -346,49 +334,14 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
         if column is not None and column == results.repetition:  # it is counted on across batches
             columns[_BLOCK] = columns[_BLOCK] + " of batch " + batches.astype("str")
     if known.period:
-        columns |= _treatments_before(results, known, names)
+        columns |= treatments_before(results, known, names)
     frame = pd.DataFrame(columns)
     varied = tuple(name for name in names if _distinct(frame[name]) > 1)
     constant = tuple(name for name in names if name not in varied)
     has_blocks = column is not None and _distinct(frame[_BLOCK]) > 1
     block = column if has_blocks else None
-    known = _with_structure(known, results, frame, varied)
+    known = with_structure(known, results, frame, varied)
     return Design(results, frame, varied, constant, block, len(results.runs) - len(done), known=known)
-
-
-def _treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:
-    """Return the treatment that each subject had in the period before, as planned; nothing in its first period."""
-    where, runs = [known.subject, known.period], results.runs
-    periods = runs.drop_duplicates(where).sort_values(known.period, key=treatment_texts, kind="stable")
-    texts = periods[list(names)].astype("str").set_axis(periods[RUN_ID])
-    before = texts.groupby(periods[known.subject].astype("str").to_numpy()).shift().fillna("")
-    first = runs.groupby(where, observed=True)[RUN_ID].transform("first").set_axis(runs[RUN_ID])
-    own = results.done[RUN_ID].map(first)
-    return {before_column(name): own.map(before[name]) for name in names}
-
-
-def _are_complete(known: KnownDesign, results: Results) -> bool:
-    """Return whether the blocks of a design are of one kind and each hold all combinations, as those of a factorial."""
-    if known.kind != "blocks" or len(known.blocks) != 1:
-        return False
-    names = [name for name in results.factors if name not in known.blocks]
-    planned = results.runs[[*known.blocks, *names]].astype("str").drop_duplicates()
-    held = planned.groupby(known.blocks[0]).size()
-    return bool((held == len(planned[names].drop_duplicates())).all())
-
-
-def _with_structure(known: KnownDesign, results: Results, frame: pd.DataFrame, varied: Sequence[str]) -> KnownDesign:
-    """Return a design with the effects that its planned combinations can tell, and how whole plots are numbered."""
-    if known == PLAIN or known.is_surface or not varied:
-        return known
-    planned = results.runs[list(varied)].astype("str").drop_duplicates()
-    codes = {name: np.unique(planned[name], return_inverse=True)[1] for name in varied}
-    known = known.with_aliasing(aliasing_of(codes, main_only=not known.has_interactions, together=known.together))
-    if known.whole_plot:
-        plots = frame.groupby(role_column(known.whole_plot), observed=True)
-        numbered_anew = tuple(name for name in known.blocks if plots[role_column(name)].nunique().max() > 1)
-        known = known.with_plot_columns(numbered_anew)
-    return known
 
 
 def _distinct(values: pd.Series) -> int:

@@ -1,0 +1,127 @@
+"""The part on a response surface: its coefficients, what it lacks, and where it neither rises nor falls."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from robot_runner.analysis.figures.surfaces import Axis, draw_contours, draw_curve
+from robot_runner.analysis.report.blocks import Block, FigureBlock, Paragraph, Part
+from robot_runner.analysis.report.tables import build_table, interval, number, p_value, text
+from robot_runner.analysis.wording import p_in_words, shown_interval, shown_number, with_unit
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.analysis.report.blocks import Table
+    from robot_runner.analysis.report.material import Material
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics
+    from robot_runner.analysis.statistics.surface_model import Surface
+
+__all__ = ["surface_figure", "surface_in_words", "surface_parts"]
+
+_GRID = 60
+_PAIR = 2
+
+
+def surface_parts(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
+    """Yield the part on a measure's surface, where it has one."""
+    surface = measure.surface
+    if surface is None:
+        return
+    blocks: list[Block] = [Paragraph(each) for each in surface_in_words(material, measure, surface)]
+    figure = surface_figure(material, measure) if measure.name in material.drawn else None
+    if figure is not None:
+        blocks.append(figure)
+    blocks.append(_coefficients(material, measure, surface))
+    yield Part(f"surface-{measure.name}", "Response surface", tuple(blocks))
+
+
+def surface_in_words(material: Material, measure: MeasureStatistics, surface: Surface) -> Iterator[str]:
+    """Yield what the surface says: how it fits, and its stationary point."""
+    alpha = material.statistics.alpha
+    explained = f"The surface explains {surface.r_squared:.0%} of the variance"
+    fit = surface.lack_of_fit
+    if fit is None:
+        yield f"{explained}; whether it lacks something is not known, as no combination was repeated."
+    else:
+        figures = f"F({fit.freedom[0]:g}, {fit.freedom[1]:g}) = {fit.f_value:.3g}, {p_in_words(fit.p_value)}"
+        verdict = (
+            "it lacks something, so that its coefficients describe the measure only roughly"
+            if fit.p_value < alpha
+            else "repeated runs do not show that it lacks something"
+        )
+        yield f"{explained}; {verdict} (lack of fit: {figures})."
+    point = surface.stationary
+    if point is None:
+        yield "It has no stationary point: it was fitted without squares, or has no curvature."
+        return
+    at = enumerated([f"{name} = {with_unit(value, material.results.unit(name))}" for name, value in point.at.items()])
+    kind = {
+        "minimum": "a minimum",
+        "maximum": "a maximum",
+        "saddle point": "a saddle point: it rises in one direction, and falls in another",
+        "ridge": "on a ridge, or not known: the intervals of its curvatures do not all leave out 0",
+    }[point.kind]
+    where = "within the region that was explored" if point.is_inside else "outside the region: do not rely on it"
+    curvatures = "; ".join(f"{shown_number(each)} {shown_interval(of)}" for each, of in point.curvatures)
+    value = with_unit(point.value, measure.unit)
+    yield f"Its stationary point is {kind}. It lies at {at}, {where}; {measure.name} is {value} there."
+    yield f"Curvatures along its own axes, of coded factors: {curvatures}."
+
+
+def _coefficients(material: Material, measure: MeasureStatistics, surface: Surface) -> Table:
+    alpha = material.statistics.alpha
+    fields = (
+        text("Term", "label"),
+        number(f"Coefficient ({measure.unit})" if measure.unit else "Coefficient", "estimate"),
+        interval("CI", "interval"),
+        number("t", "statistic", 3),
+        p_value("p", "p_value", lambda each: bool(each.term) and each.p_value < alpha),
+    )
+    coding = "; ".join(f"{name}: ({name} - {middle:g}) / {half:g}" for name, (middle, half) in surface.coding.items())
+    note = f"Of coded factors. {coding}. p-values of coefficients are not adjusted: conclusions are those of the tests."
+    caption = f"{material.results.label(measure.name)}: coefficients of the surface."
+    return build_table(f"surface {measure.name}", caption, surface.coefficients, fields, note)
+
+
+def surface_figure(material: Material, measure: MeasureStatistics) -> FigureBlock | None:
+    """Return the contours over the two factors that matter most, others at the stationary point or in the middle."""
+    surface = measure.surface
+    if surface is None:
+        return None
+    weight = {
+        name: max(abs(each.estimate) for each in surface.coefficients if name in each.term) for name in surface.coding
+    }
+    names = sorted(surface.coding, key=lambda name: -weight[name])[:_PAIR]
+    inside = surface.stationary if surface.stationary is not None and surface.stationary.is_inside else None
+    point = dict(inside.at) if inside is not None else {}
+    fixed = {name: point.get(name, middle) for name, (middle, _) in surface.coding.items()}
+    axes = [_axis(material, name, point.get(name)) for name in names]
+    label = material.results.label(measure.name)
+    others = [f"{name} = {shown_number(fixed[name])}" for name in surface.coding if name not in names]
+    held = f" {enumerated(others)}." if others else ""
+    if len(axes) < _PAIR:
+        values = pd.to_numeric(material.done[measure.name], errors="coerce").tolist()
+        heights = surface.at({names[0]: axes[0].numbers})
+        draw = partial(draw_curve, axes[0], heights, values, label)
+    else:
+        along, across = np.meshgrid(axes[0].numbers, axes[1].numbers)
+        everywhere = {name: np.full_like(along, value) for name, value in fixed.items()}
+        heights = surface.at(everywhere | {names[0]: along, names[1]: across})
+        draw = partial(draw_contours, axes[0], axes[1], heights, label)
+    caption = (
+        f"Response surface of {label} over {enumerated(names)}; points are runs, a cross the stationary point.{held}"
+    )
+    return FigureBlock(
+        f"surface {measure.name}", caption, f"Contours of {measure.name} over {enumerated(names)}.", draw
+    )
+
+
+def _axis(material: Material, name: str, stationary: float | None) -> Axis:
+    runs = [float(each) for each in material.done[name].astype("str")]
+    return Axis(material.results.label(name), np.linspace(min(runs), max(runs), _GRID), runs, stationary)

@@ -1,0 +1,109 @@
+"""Reports of designs of their own: sentences agree with tests; aliases, surfaces and failures are shown."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.analysis.made_experiment import make_experiment
+from tests.analysis.report.agreement import disagreements
+
+from robot_runner.analysis import load_results
+from robot_runner.analysis.report.failed_pairs import failed_pairs
+from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.numeric_range import Range
+from robot_runner.designs.blocks import Blocks
+from robot_runner.designs.covering import CoveringArray
+from robot_runner.designs.crossover import Crossover
+from robot_runner.designs.fractional import FractionalFactorial
+from robot_runner.designs.one_at_a_time import OneFactorAtATime
+from robot_runner.designs.optimal import DOptimal
+from robot_runner.designs.response_surface import CentralComposite
+from robot_runner.designs.space_filling import LatinHypercube
+from robot_runner.designs.split_plot import SplitPlot
+from robot_runner.designs.squares import LatinSquare
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TWO = [Factor(name, ["low", "high"]) for name in ("Speed", "Load", "Map", "Light")]
+THREE = [Factor(name, ["a", "b", "c"]) for name in ("Planner", "Camera")]
+NUMBERS = [Factor("Speed", Range(0.1, 0.3)), Factor("Load", Range(0.0, 2.0))]
+DESIGNS = {
+    "fraction": (TWO, FractionalFactorial(resolution=4), 1),
+    "repeated fraction": (TWO, FractionalFactorial(resolution=4), 3),
+    "covering array": ([*TWO, *THREE], CoveringArray(strength=2), 2),
+    "one at a time": (TWO, OneFactorAtATime(base={each.name: "low" for each in TWO}), 4),
+    "D-optimal": ([*TWO, *THREE], DOptimal(runs=16), 1),
+    "D-optimal, interactions": (TWO[:3], DOptimal(runs=8, model="interactions"), 2),
+    "central composite": (NUMBERS, CentralComposite(), 1),
+    "Latin hypercube": (NUMBERS, LatinHypercube(runs=14), 1),
+    "Latin square": ([Factor("Day", [1, 2, 3]), Factor("Hour", [1, 2, 3]), THREE[0]], LatinSquare("Day", "Hour"), 2),
+    "crossover": (
+        [Factor("Robot", list("ABCDEF")), Factor("Period", [1, 2, 3]), THREE[0]],
+        Crossover("Robot", "Period"),
+        1,
+    ),
+    "split plot": ([Factor("Plot", [1, 2, 3, 4]), *TWO[:2]], SplitPlot("Speed", "Plot"), 2),
+    "incomplete blocks": ([Factor("Day", [1, 2, 3]), THREE[0]], Blocks("Day"), 2),
+}
+
+
+def report_of(folder: Path) -> dict[str, Any]:
+    written = write_report(load_results(folder), ReportFormat.JSON, output=folder.parent / "out")
+    return json.loads(written.document.read_text(encoding="utf-8"))
+
+
+def made(folder: Path, design: str, size: float) -> Path:
+    factors, chosen, repetitions = DESIGNS[design]
+    random = np.random.default_rng(len(design))
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        shift = sum(size * (str(each) in {"high", "c"}) for each in treatments.values())
+        shift += sum(
+            10 * size * (float(each) - 0.2) ** 2 for name, each in treatments.items() if isinstance(each, float)
+        )
+        return {"Energy": 50 + shift + float(random.normal())}
+
+    return make_experiment(folder, factors, values, repetitions=repetitions, shuffle=True, chosen=chosen).root
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_sentences_agree_with_the_tests_of_every_design(tmp_path: Path, design: str) -> None:
+    for size in (0.0, 6.0):
+        report = report_of(made(tmp_path / f"{size:g}" / "experiment", design, size))
+        assert list(disagreements(report)) == []
+        (measure,) = report["statistics"]["measures"]
+        assert measure["test"] is not None, measure["not_computed"]
+        blocks = {"Day", "Hour", "Robot", "Period", "Plot"}
+        assert not blocks & {name for effect in measure["test"]["effects"] for name in effect["factors"]}
+        for effect in measure["test"]["effects"]:
+            for alias in effect["aliases"]:
+                assert " x ".join(alias) in effect["conclusion"]
+        assert bool(measure["surface"]) is (design in {"central composite", "Latin hypercube"})
+
+
+def test_a_surface_is_drawn_and_told(tmp_path: Path) -> None:
+    folder = made(tmp_path / "experiment", "central composite", 6.0)
+    written = write_report(load_results(folder), ReportFormat.HTML, output=tmp_path / "out")
+    page = written.document.read_text(encoding="utf-8")
+    for words in ("Response surface", "Its stationary point is", "lack of fit: F(", "Curvatures along its own axes"):
+        assert words in page
+    assert "Interaction of Speed and Load on Energy." not in page  # its lines would hang on few runs each
+
+
+def test_failures_are_told_by_pairs_of_treatments() -> None:
+    rows = [
+        ("x", "p", "Done"),
+        ("x", "q", "Failed"),
+        ("y", "q", "Done"),
+        ("x", "q", "Failed"),
+        ("y", "p", "Failed"),
+        ("y", "p", "Done"),
+    ]
+    found = failed_pairs(pd.DataFrame(rows, columns=["A", "B", "status"]), ("A", "B"))
+    assert [tuple(each) for each in found] == [("A = x, B = q", 2, 2), ("A = y, B = p", 2, 1)]
