@@ -13,7 +13,7 @@ BIN := .venv/bin
 CODE := src tests benchmarks scripts examples robot
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check bench soak docs cli-page format picture lock lower-bounds dist system-packages clean
+.PHONY: help demo test check bench soak docs cli-page format picture gallery lock lower-bounds dist system-packages clean
 
 help: ## Show this list.
 	@echo "Robot Runner. Python 3.11 or newer and make are enough; every target does its own set-up."
@@ -63,6 +63,10 @@ format: ## Format the code, and mend what the linter can mend by itself.
 picture: ## Record the demo into docs/images/demo.svg.
 	@sh scripts/set_up.sh test
 	@$(BIN)/python scripts/record_demo.py docs/images/demo.svg -- $(BIN)/robot-runner demo
+
+gallery: ## Execute the studies of the gallery, and picture their reports into docs/images/gallery (minutes).
+	@sh scripts/set_up.sh test
+	@$(BIN)/python scripts/make_gallery.py .make/gallery --pictures docs/images/gallery
 
 lock: ## Bring the locked versions in requirements/ up to date.
 	@sh scripts/set_up.sh test

@@ -1,11 +1,19 @@
-"""What mkdocs does beside its plugins: tables that GitHub and the built documentation both show well."""
+"""What mkdocs does beside its plugins: tables that GitHub and our own pages both show well, and the version."""
 
 from __future__ import annotations
 
+import os
 import re
-from typing import Any
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["on_page_content", "on_page_markdown"]
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+
+__all__ = ["on_config", "on_page_content", "on_page_markdown"]
+
+_PROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
 _FENCE = re.compile(r"^(```|~~~).*?^\1[^\S\n]*$", re.MULTILINE | re.DOTALL)
 _ROW = re.compile(r"^\|.*\|[^\S\n]*$", re.MULTILINE)
@@ -16,6 +24,18 @@ _CELL = re.compile(r"<t[dh]\b.*?</t[dh]>", re.DOTALL)
 _BREAK = re.compile(r"(?<=[_./,:=(|\[-])(?=\w)")
 #: Shorter code is not broken: characters.
 _UNBROKEN = 16
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Have each page say of which version it is, and where it is at home.
+
+    Read the Docs builds each released version and tells in the environment which one this is and at which address.
+    """
+    version = tomllib.loads(_PROJECT.read_text(encoding="utf-8"))["project"]["version"]
+    published = os.environ.get("READTHEDOCS_VERSION")
+    config.copyright = f"Robot Runner {version}" + (f" ({published})" if published else "")
+    config.site_url = os.environ.get("READTHEDOCS_CANONICAL_URL") or config.site_url
+    return config
 
 
 def on_page_markdown(markdown: str, **kwargs: Any) -> str:

@@ -82,14 +82,13 @@ class Browser:
             self.call("Input.dispatchMouseEvent", type="mouseMoved", x=place[0] - step, y=place[1])
         self.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
-    def wait_for(self, condition: str, *, seconds: float = _DEADLINE) -> Any:
-        """Wait until an expression is true in the page, and return its value."""
+    def wait_for(self, condition: str, *, seconds: float = _DEADLINE) -> None:
+        """Wait until an expression is true in the page."""
         deadline = time.monotonic() + seconds
-        while not (value := self.evaluate(condition)):
+        while not self.evaluate(f"Boolean({condition})"):
             seen = self.evaluate("document.body.innerText")
             assert time.monotonic() < deadline, f"this never came: {condition}\n{seen}"
             time.sleep(0.05)
-        return value
 
     def press(self, selector: str) -> None:
         """Press what a selector names with the pointer, where it is on the screen."""

@@ -13,8 +13,11 @@ from tests.conftest import HEAD, written_config
 
 from robot_runner.analysis import analyse, load_results, write_report
 from robot_runner.analysis.figures.style import FigureFormat
+from robot_runner.analysis.planning.registered import registered
 from robot_runner.analysis.report.writing import ReportFormat
+from robot_runner.core.config.loader import load_config
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.config.registered_config import registration_content
 from robot_runner.core.design.asking import AdaptiveDesign, Told
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.growing import Additions
@@ -28,6 +31,8 @@ from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.registration import write_registration
+from robot_runner.replication.replicating import prepare_replication
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -221,6 +226,39 @@ def test_a_race_drops_what_is_clearly_worse_and_keeps_its_blocks_balanced(tmp_pa
     numbers = [run["block"] for record in records(config, "decided") for run in record["runs"]]
     assert numbers[0] == 4
     assert numbers == sorted(numbers)
+
+
+def test_side_by_side_the_same_is_decided(tmp_path: Path, searched: tuple[Path, list[NextDecided]]) -> None:
+    config = with_design(tmp_path, body=BODY.replace("IN_PROCESS", "FORK\nworkers = 2\nclaims = []"))
+    execute(config)
+    assert planned(config) == planned(searched[0])
+    config.write_text(config.read_text(encoding="utf-8").replace("workers = 2", "workers = 5"), encoding="utf-8")
+    (found,) = (each for each in prepare(config).findings if "at a time" in each.problem)
+    assert found.problem == "4 of the runs are decided on at a time, which is fewer than there are workers, 5"
+    assert found.fix == "Give the design at_a_time=3."
+
+
+def test_a_registered_search_is_no_deviation_and_its_replication_executes_the_same_runs(tmp_path: Path) -> None:
+    config = with_design(tmp_path)
+    preparation = prepare(config)
+    assert preparation.experiment is not None
+    experiment = preparation.experiment
+    loaded = load_config(config)
+    content = registration_content(loaded, experiment.model, experiment.parameters, experiment.columns)
+    assert content["design"]["parameters"]["runs"] == 16
+    seal = {**content, "registered_at": "2026-01-01T00:00:00.000Z", "power": None}
+    write_registration(config.with_suffix(".registration.json"), seal)
+    execute(config)
+    results = load_results(folder_of(config).root).confirming
+    told = registered(results, analyse(results))
+    assert told is not None
+    assert (told.deviations, told.problem) == ((), "")
+    replication = prepare_replication(folder_of(config).root, tmp_path / "again", {}).experiment
+    execute_experiment(replication, SilentObserver())
+    again = load_results(replication.folder.root)
+    columns = ["run_id", "Speed", "Repetition", "batch", "Energy"]
+    assert again.runs[columns].astype(str).equals(results.with_exploration.runs[columns].astype(str))
+    assert again.confirming_batches == (2,)
 
 
 def test_an_adaptive_experiment_is_not_extended_by_hand_and_goes_on_with_more_runs(tmp_path: Path) -> None:

@@ -23,7 +23,8 @@ LONGER = {"architecture.md", "migration.md"}
 
 
 def _nav() -> list[dict[str, Any]]:
-    return yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    parts: list[dict[str, Any]] = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"]
+    return parts
 
 
 def _pages(part: object) -> Iterator[str]:

@@ -79,9 +79,12 @@ def without_stamps(table: Iterable[dict[str, str]]) -> list[dict[str, str]]:
 
 
 def test_told_to_end_all_that_are_in_flight_are_closed_and_the_experiment_resumes(
-    start: Start, write_config: Callable[..., Path]
+    start: Start, write_config: Callable[..., Path], robot_runner: Callable[..., Any]
 ) -> None:
     experiment = begun(start, write_config)
+    lines = [line.strip() for line in robot_runner("status", experiment.folder).out.splitlines()]
+    for slot in (1, 2, 3):
+        assert any(line.endswith(f"slot {slot}: r_{slot}, launch_mission") for line in lines), lines
     sent = experiment.send(signal.SIGINT)
     stopped = stops(experiment, "r_1", "r_2", "r_3")
     assert max(stopped) - sent < 3.5, "they were told one after another"

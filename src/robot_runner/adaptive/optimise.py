@@ -185,7 +185,8 @@ class Optimise:
             beside = " and of the baseline" if self.baseline else ""
             decides += f"; then {counted(self.confirm, 'run')} of the best{beside}, which confirm it"
         confirming = self.confirm * ((1 if len(self.directions) == 1 else self.runs) + bool(self.baseline))
-        return {"kind": "optimise", "decides": decides, "most_runs": self.runs + confirming}
+        most = self.runs + confirming
+        return {"kind": "optimise", "decides": decides, "most_runs": most, "at_a_time": self.at_a_time}
 
 
 class _Search:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from math import prod
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import Column, aligned, fitting, width_of
 from robot_runner.core.design.columns import BATCH, REPETITION
+from robot_runner.core.design.factor import full_size
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.words import counted, enumerated, listed, plain, shown_treatment
 
@@ -26,7 +26,9 @@ __all__ = [
     "batch_order_in_words",
     "columns_as_json",
     "design_as_json",
+    "design_in_words",
     "in_words",
+    "kind_in_words",
     "later_orders_in_words",
     "measures_in_words",
     "order_in_words",
@@ -115,13 +117,13 @@ def in_words(model: RunTableModel) -> str:
     parts = [f"{factor.name} ({_treatments_in_words(factor)})" for factor in model.factors]
     if isinstance(model, ListedRunTableModel):
         return f"{counted(len(model.runs), 'run')}, listed one by one: {', '.join(parts) or 'nothing is varied'}"
-    combinations = prod(len(factor.treatments) for factor in model.factors)
+    combinations = full_size(model.factors)
     runs = sum(not run.is_warm_up for run in model.plan())
     if not model.is_full_factorial and not model.is_extended:
-        kind = str(model.design_facts["kind"]).replace("_", " ")
         has_ranges = any(factor.range is not None for factor in model.factors)
-        full = "" if has_ranges else f"; the full factorial has {combinations * model.repetitions:,}"
-        return f"{counted(runs, 'run')}, {kind}{full}: {' x '.join(parts)}"
+        full = "" if has_ranges else f"; the full factorial has {_large(combinations * model.repetitions)}"
+        named = " x ".join(parts) if len(parts) <= _MOST_NAMED else f"{len(parts):,} factors"
+        return f"{counted(runs, 'run')}, {kind_in_words(model)}{full}: {named}"
     if model.repetitions > 1 and not model.design_facts.get("decides"):  # then it varies from one to another
         parts.append(f"{model.repetitions:,} repetitions")
     if model.is_extended:
@@ -130,6 +132,57 @@ def in_words(model: RunTableModel) -> str:
     excluded = combinations - runs // model.repetitions
     less = f", {counted(excluded, 'combination')} excluded" if excluded else ""
     return f"{counted(runs, 'run')}: {' x '.join(parts)}{less}"
+
+
+#: Of more factors only the number is told.
+_MOST_NAMED = 12
+
+
+def kind_in_words(model: RunTableModel) -> str:
+    """Return the kind of a design, as in `fractional factorial`."""
+    return str(model.design_facts.get("kind", "design")).replace("_", " ")
+
+
+def design_in_words(model: RunTableModel) -> list[tuple[str, str]]:
+    """Return what a design other than the full factorial chooses and what it costs, as headed lines."""
+    if model.is_full_factorial:
+        return []
+    facts = model.design_facts
+    told = [f"{name.replace('_', ' ')}: {_fact(value)}" for name, value in facts.items() if name not in _TOLD_APART]
+    return [
+        ("Design", "; ".join([kind_in_words(model), *told])),
+        ("Resolution", _RESOLUTIONS.get(min(facts.get("resolution", 0), 5), "")),
+        ("Aliases", _aliases_in_words(facts)),
+    ]
+
+
+def _large(number: int) -> str:
+    return f"{number:,}" if number < _LARGE else f"some 10^{len(str(number)) - 1}"
+
+
+_LARGE = 10**12
+_TOLD_APART = frozenset({"kind", "resolution", "aliases", "aliases_listed", "ranges", "decides"})
+_RESOLUTIONS = {
+    3: "3: main effects can be told from each other, but not from interactions of two factors",
+    4: "4: main effects can be told from interactions of two factors, but these not from each other",
+    5: "5 or more: main effects and interactions of two factors can all be told apart",
+}
+
+
+def _fact(value: object) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {each}" for name, each in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _aliases_in_words(facts: Mapping[str, Any]) -> str:
+    """Return which effects cannot be told apart, as in `Load = Speed x Task`."""
+    if "aliases" not in facts:
+        return ""
+    if facts.get("aliases_listed") is False:
+        return "too many effects to list them"
+    groups = (" = ".join(" x ".join(effect) for effect in group) for group in facts["aliases"])
+    return "; ".join(groups) or "none among main effects and interactions of two factors"
 
 
 def _treatments_in_words(factor: Factor) -> str:
@@ -196,6 +249,11 @@ def design_as_json(model: RunTableModel) -> dict[str, Any]:
             "blocks": model.blocks,
             "seed": model.seed if model.seed_is_given else None,
         },
+        **(
+            {}
+            if model.is_full_factorial
+            else {"design": {**model.design.as_mapping(), "facts": dict(model.design_facts)}}
+        ),
         **warm_up,
         **batches,
     }

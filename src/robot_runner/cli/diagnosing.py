@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import grp
 import importlib.metadata
+import importlib.util
 import inspect
 import os
 import platform
@@ -166,10 +167,19 @@ def _extra(extra: str, packages: Sequence[str]) -> Callable[[], tuple[str, str, 
     def ask() -> tuple[str, str, str]:
         missing = [name for name in packages if not _is_installed(name)]
         if missing:
-            return ABSENT, f"without {enumerated(missing)}", f"Install it: pip install 'robot-runner[{extra}]'."
+            return ABSENT, f"without {enumerated(missing)}", f"Install it: {_installing(extra)}"
         return READY, "", ""
 
     return ask
+
+
+def _installing(extra: str) -> str:
+    """Return the command that adds an extra to this very environment, whichever tool has made it."""
+    wanted = f"'robot-runner[{extra}]'"
+    if importlib.util.find_spec("pip") is None:  # made by uv
+        return f"uv pip install --python {sys.executable} {wanted}"
+    is_active = os.environ.get("VIRTUAL_ENV") == sys.prefix
+    return f"pip install {wanted}" if is_active else f"{sys.executable} -m pip install {wanted}"
 
 
 def _is_installed(package: str) -> bool:

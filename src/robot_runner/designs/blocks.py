@@ -174,7 +174,9 @@ def _described(treatments: int, blocks: Sequence[Sequence[int]]) -> dict[str, An
     if is_complete:
         words = f"complete blocks of {size}: each combination equally often in each"
     elif least == most and sizes[0] == sizes[-1]:
-        words = f"balanced incomplete blocks of {size}: each pair together {least} times, efficiency {found:.3f}"
+        words = (
+            f"balanced incomplete blocks of {size}: each pair together {counted(least, 'time')}, efficiency {found:.3f}"
+        )
     else:
         words = (
             f"incomplete blocks of {size}, not balanced: each pair together {least} to {most} times, efficiency "

@@ -13,6 +13,7 @@ from robot_runner.core.design.design import ChosenCombinations
 from robot_runner.core.design.exclusions import Allowed
 from robot_runner.core.design.factor import full_factorial, full_size
 from robot_runner.core.errors import DesignError, Finding
+from robot_runner.core.words import counted
 from robot_runner.designs.choosing import at_places, library_findings, number_findings
 
 if TYPE_CHECKING:
@@ -73,9 +74,9 @@ class CoveringArray:
         if wrong:
             return
         if self.strength > len(factors):
-            problem = f"strength={self.strength}, and there {'is' if len(factors) == 1 else 'are'} {len(factors)}"
+            problem = f"strength={self.strength}, and there {'is' if len(factors) == 1 else 'are'} "
             fix = f"Give {len(factors)} or less." if len(factors) > 1 else "Leave the design out."
-            yield Finding.error("design", f"{problem} of factors", fix)
+            yield Finding.error("design", problem + counted(len(factors), "factor"), fix)
         elif self.strength > _PAIRS or any(len(factor.treatments) > 2 for factor in factors):  # noqa: PLR2004 - exact
             yield from _size_findings(factors, self.strength)
 

@@ -23,12 +23,12 @@ Array = NDArray[np.int64]
 
 #: Moves that a column's search makes at most, moves without gain at most, and how often columns are gone over again.
 _MOVES, _IDLE, _ROUNDS = 400, 150, 20
-#: An array that misses more pairs than this, while it is completed, is given up: more rows are quicker than more search.
+#: An array that misses more pairs than this is given up: more rows are quicker than more search.
 _GIVEN_UP = 2
 #: How many moves at least a cell may not go back to the symbol that it had.
 _TENURE = 4
-#: Fields whose multiplication is not that of numbers modulo a prime: the prime, and -x^n (x^n, for 2) as a polynomial
-#: of less degree, its constant first.
+#: Fields whose multiplication is not that of numbers modulo a prime: the prime, and what x^n is as a polynomial of less
+#: degree, its constant first.
 _FIELDS = {4: (2, (1, 1)), 8: (2, (1, 1, 0)), 9: (3, (1, 2)), 16: (2, (1, 1, 0, 0))}
 _PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23)
 
@@ -141,7 +141,7 @@ def _multiplied(one: Sequence[int], other: Sequence[int], prime: int, power: Seq
             product[place + its_place] += digit * its_digit
     for place in reversed(range(len(power), len(product))):
         for shift, digit in enumerate(power):  # x^n is replaced by what it equals
-            product[place - len(power) + shift] += product[place] * digit * (1 if prime == 2 else -1)  # noqa: PLR2004
+            product[place - len(power) + shift] += product[place] * digit
     return [digit % prime for digit in product[: len(power)]]
 
 

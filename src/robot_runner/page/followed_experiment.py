@@ -65,6 +65,7 @@ class FollowedExperiment:
         self._signs: tuple[Any, ...] = ()
         self._table_is_due = True
         self._refused_table = (0, 0)
+        self._since_table: dict[str, Mapping[str, Any]] = {}
         self._robot: str | None = None
         self._has_caught_up = False
 
@@ -111,6 +112,8 @@ class FollowedExperiment:
             parts |= self._read_table()
         for record in records:
             self._take(record)
+        if self._table_is_due:
+            parts |= self._read_table()
         signs = (holder_of(self._files.lock), pause_is_requested(self._files.pause), self._tail.damaged)
         if not self._tail.is_behind and not self._has_caught_up:
             self._history.read_table(self._files)
@@ -133,6 +136,8 @@ class FollowedExperiment:
         if rows is None:
             return {"table": self._columns()}
         self._table_is_due, self._refused_table = False, (0, 0)
+        for record in self._since_table.values():
+            self.table.end(record)
         if self._has_caught_up:
             self._history.take_rows(rows)
         self._means.begin_anew()
@@ -150,7 +155,10 @@ class FollowedExperiment:
         if kind == "attempt_started":
             self.table.begin(record["run"])
         elif kind == "attempt_finished":
+            self._since_table[record["run"]] = record
             self.table.end(record)
+        elif kind == "table_written":
+            self._since_table.clear()
         self._table_is_due |= kind in _NEW_TABLES
 
     def _take_doing(self, kind: str, record: Mapping[str, Any]) -> None:
@@ -188,9 +196,15 @@ class FollowedExperiment:
             parts["means"] = self._means.told(self._excluded())
 
     def _mark_in_flight(self) -> None:
-        if self._status is not None and self._status.holder is not None:
-            for each in self._status.in_flight:
-                self.table.begin(each.run)
+        """Have the rows of runs in flight say so; where nobody executes them any longer, they are to do again."""
+        if self._status is None:
+            return
+        for each in self._status.in_flight:
+            self.table.begin(each.run)
+        if self._status.holder is None:
+            for run in self._doing:
+                self.table.leave(run)
+            self._doing.clear()
 
     def _excluded(self) -> set[int]:
         out = self._status.excluded if self._status else ()

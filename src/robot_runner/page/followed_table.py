@@ -118,6 +118,13 @@ class FollowedTable:
             self.statuses[place] = RunStatus.RUNNING
             self.changed.add(place)
 
+    def leave(self, run_id: str) -> None:
+        """Take down that nobody executes a run any longer that had begun."""
+        place = self._places.get(run_id)
+        if place is not None and self.statuses[place] is RunStatus.RUNNING:
+            self.statuses[place] = RunStatus.TODO
+            self.changed.add(place)
+
     def end(self, record: Mapping[str, Any]) -> None:
         """Take down how an attempt ended, and what it measured."""
         place = self._places.get(record["run"])

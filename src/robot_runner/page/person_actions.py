@@ -66,7 +66,8 @@ def _pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     status = _status(experiment)
     require_executed(status, experiment.folder.name, "There is nothing to pause")
     request_pause(ExperimentFolder(experiment.folder).pause)
-    return f"It pauses after {status.current_run}." if status.current_run else "It pauses before the next run."
+    run = status.current_run or (status.waiting_for or {}).get("next_run")
+    return f"It pauses after {run}." if run else "It pauses before the next run."
 
 
 def _end_pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:

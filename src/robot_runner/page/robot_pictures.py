@@ -54,7 +54,7 @@ class RobotPictures:
             if self._problem:
                 raise self._refusal()
             image = self._rendered(pose)
-            self._last = (pose, now, image)
+            self._last = (pose, time.monotonic(), image)
             return image
 
     def close(self) -> None:

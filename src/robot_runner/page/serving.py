@@ -8,13 +8,14 @@ import ipaddress
 import socket
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ConfigError, ExecutionError
 from robot_runner.page.page_access import Keys, Role, known_names
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from io import RawIOBase
     from pathlib import Path
 
 __all__ = ["Serving"]
@@ -96,7 +97,7 @@ class Serving:
         segno.make(link, error="l").terminal(drawn, compact=True, border=2)
         return drawn.getvalue()
 
-    def serve(self, until_closed: BinaryIO | None = None) -> None:
+    def serve(self, until_closed: RawIOBase | None = None) -> None:
         """Serve until a signal comes, or the given stream is closed at its other end."""
         import uvicorn  # noqa: PLC0415 - of the extra
 
@@ -132,7 +133,7 @@ class Serving:
         return f"[{host}]" if host.version == 6 else str(host)  # noqa: PLR2004 - IPv6
 
 
-def _end_with(stream: BinaryIO, server: Any) -> None:
+def _end_with(stream: RawIOBase, server: Any) -> None:
     while stream.read(1):
         pass
     server.should_exit = True

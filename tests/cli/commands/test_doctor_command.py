@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 import threading
 import time
 from typing import TYPE_CHECKING, Any
@@ -39,10 +40,11 @@ def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, 
 def test_an_extra_that_is_missing_is_told_with_its_packages(
     robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv("VIRTUAL_ENV", raising=False)
     monkeypatch.setattr(diagnosing, "_is_installed", lambda package: package != "mujoco")
     found = {each["name"]: each for each in robot_runner("doctor", "--json").json["found"] if each["area"] == "Extras"}
     assert (found["sim"]["state"], found["sim"]["detail"]) == (ABSENT, "without mujoco")
-    assert found["sim"]["fix"] == "Install it: pip install 'robot-runner[sim]'."
+    assert found["sim"]["fix"] == f"Install it: {sys.executable} -m pip install 'robot-runner[sim]'"
     assert found["psutil"]["state"] == READY
 
 

@@ -73,6 +73,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "order": "",
         "precision": [],
         "repeated": "",
+        "decided": "",
     }
 
 

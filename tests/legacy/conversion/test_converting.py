@@ -32,6 +32,8 @@ def converted() -> Callable[[Path], Path]:
         conversion = convert(path)
         new = path.with_name("converted.py")
         new.write_text(conversion.text, encoding="utf-8")
+        for name, text in conversion.beside.items():
+            new.with_name(name).write_text(text, encoding="utf-8")
         assert [str(finding) for finding in check_conversion(conversion, new) if finding.is_error] == []
         return new
 
@@ -374,7 +376,51 @@ def test_a_profiler_that_needs_no_tool_around_it_is_kept(
 ) -> None:
     head = RUNNER.replace("from pathlib", "from Plugins.Profilers.Ps import Ps as Meter\nfrom pathlib")
     text = converted(config("def start_measurement(self, context): self.meter = Meter()", head=head)).read_text()
-    assert "from robot_runner.legacy.profilers.command_line import Ps as Meter" in text
+    assert "from robot_runner.plugins.earlier import Ps as Meter" in text
+
+
+def test_a_plugin_of_a_clones_own_is_written_beside_with_public_imports(
+    config: Callable[..., Path], converted: Callable[[Path], Path], write: Callable[..., Path]
+) -> None:
+    write(
+        "from Plugins.Profilers.DataSource import CLISource\nfrom Plugins.Profilers.Ps import Ps\n\n\n"
+        "class ClonesMeter:\n    kinds = (CLISource, Ps)\n    def read(self): return 4.5\n",
+        "Plugins/Profilers/ClonesMeter.py",
+    )
+    head = RUNNER.replace(
+        "from pathlib", "from Plugins.Profilers.ClonesMeter import ClonesMeter as Meter\nfrom pathlib"
+    )
+    new = converted(config("def populate_run_data(self, context): return {'seconds': Meter().read()}", head=head))
+    assert "from ClonesMeter import ClonesMeter as Meter" in new.read_text()
+    beside = new.with_name("ClonesMeter.py").read_text()
+    assert "from robot_runner.plugins.earlier import CLISource\nfrom robot_runner.plugins.earlier import Ps\n" in beside
+    assert {value for (value,) in measures_of(new, ["seconds"])} == {"4.5"}
+
+
+def test_a_measure_that_is_called_like_a_column_of_ours_is_renamed_wherever_it_is_named(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel(
+            factors=[FactorModel("size", ["status", "big"])], data_columns=["status", "seconds"]
+        )
+"""
+    methods = """
+def interact(self, context: RunnerContext) -> None:
+    self.answer = {"status": 200}["status"]
+
+def populate_run_data(self, context: RunnerContext):
+    row = {"seconds": 1}
+    row["status"] = self.answer
+    return row
+"""
+    old = config(methods, table=table)
+    new = converted(old)
+    assert 'FactorModel("size"' not in new.read_text()
+    assert '["status", "big"]' in new.read_text(), "a treatment keeps its name"
+    assert measures_of(new, ["status_", "size"]) == [["200", "status"], ["200", "big"]]
+    assert any("the column 'status' is called 'status_' now" in finding.problem for finding in convert(old).findings)
 
 
 CARBON = """\
@@ -444,7 +490,10 @@ def test_codecarbon_without_a_country_is_refused(config: Callable[..., Path]) ->
 def test_what_has_no_counterpart_is_named_with_its_line(
     config: Callable[..., Path], write: Callable[..., Path], line: str, use: str, problem: str
 ) -> None:
-    write("class OwnMeter: ...\n", "Plugins/Profilers/OwnMeter.py")
+    write(
+        "from ProgressManager.RunTable.Models.RunProgress import RunProgress\nclass OwnMeter: ...\n",
+        "Plugins/Profilers/OwnMeter.py",
+    )
     path = config(use, head=RUNNER.replace("from pathlib", f"{line}\nfrom pathlib"))
     with pytest.raises(ConfigError) as refused:
         convert(path)

@@ -206,12 +206,14 @@ def _text(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     factors = " x ".join(f"{name} ({', '.join(texts)})" for name, texts in design["factors"].items())
     left_out = f", less {counted(len(design['excluded']), 'combination')}" if design.get("excluded") else ""
     if "parameters" in design:
-        left_out = f", {counted(len(design['combinations']), 'combination')} of a {design['facts']['kind']} design"
+        kind = str(design["parameters"]["kind"]).replace("_", " ")
+        left_out = f", {counted(len(design['combinations']), 'combination')} of a {kind} design"
     yield (
         "Design",
         f"{factors}{left_out}; {counted(design['repetitions'], 'repetition')}, {counted(design['runs'], 'run')}",
     )
     blocks = f" within blocks of {design['blocks']}" if design["blocks"] else ""
+    yield "Decided", str((design.get("facts") or {}).get("decides", ""))
     yield "Repeated", repeated_in_words(content["repeat_until"]) if content.get("repeat_until") else ""
     whence = "given by the config" if content["seed_is_given"] else "drawn now, and used by the experiment"
     order = f"randomised{blocks} from seed {content['seed']} ({whence})"

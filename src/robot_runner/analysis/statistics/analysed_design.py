@@ -307,8 +307,7 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
         results: the experiment.
         blocks: the column of the blocks; None for those that the order was randomised within.
     """
-    results = results.confirming
-    done = results.done
+    done = (results := results.confirming).done
     column = blocks if blocks in results.runs.columns else results.block
     known = KnownDesign.of_manifest(results.manifest, results.runs.columns)
     if are_complete(known, results):

@@ -14,6 +14,7 @@ from robot_runner.cli.design_layouts import notes_in_words, print_layouts
 from robot_runner.cli.design_words import (
     columns_as_json,
     design_as_json,
+    design_in_words,
     in_words,
     measures_in_words,
     print_runs,
@@ -38,7 +39,7 @@ def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
     add_config(parser)
     add_set(parser)
-    parser.add_argument("--all", action="store_true", help="show every run of a long table on a terminal, too")
+    parser.add_argument("--all", action="store_true", help="show every run of a long table")
     add_json(parser)
 
 
@@ -58,6 +59,7 @@ def execute(arguments: Namespace) -> int:
         console,
         [
             ("Runs", in_words(plan.model) if plan.source is None else counted(len(plan.runs), "run")),
+            *design_in_words(plan.model),
             ("Repeated", plan.repeated),
             ("Decided", str(plan.model.design_facts.get("decides", ""))),
             ("Layout", notes_in_words(plan.model.design_facts)),

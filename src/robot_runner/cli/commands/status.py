@@ -21,6 +21,7 @@ from robot_runner.core.words import counted, enumerated, one_line, shown_duratio
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Iterator
 
     from robot_runner.cli.parser import Parser
     from robot_runner.core.execution.experiment_history import Session
@@ -56,7 +57,7 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Runs", _counts(status)),
             ("Warm-up", _warm_ups(status)),
             ("Batches", _batches(status)),
-            ("Now", _now(status)),
+            *_now(status),
             ("To do", _to_do(status)),
             ("Left", _left(status)),
             ("Waited", f"{shown_duration(status.gate_seconds)} at gates" if status.gate_seconds else ""),
@@ -86,17 +87,20 @@ def _bar(status: ExperimentStatus) -> Text:
     return bar.append("─" * (_BAR - len(bar)), style="dim")
 
 
-def _now(status: ExperimentStatus) -> str:
+def _now(status: ExperimentStatus) -> Iterator[tuple[str, str]]:
+    """Yield what happens at this moment: a line for each place, where there are several."""
+    heading = "Now"
     if status.gate is not None:
         gate = status.gate
         seen = f": {one_line(gate['seen'])}" if gate["seen"] else ""
         after = f"after {shown_duration(gate['seconds'])}, at {gate['at']}"
-        return f"{gate['run']} waits until {one_line(gate['condition'])}{seen} ({after})"
+        yield heading, f"{gate['run']} waits until {one_line(gate['condition'])}{seen} ({after})"
+        heading = ""
     places = len(status.in_flight) > 1
-    return "; ".join(
-        f"{f'{each.place}: ' if places and each.place else ''}{each.run}, {each.event or 'about to start'}"
-        for each in status.in_flight
-    )
+    for each in status.in_flight:
+        place = f"{each.place}: " if places and each.place else ""
+        yield heading, f"{place}{each.run}, {each.event or 'about to start'}"
+        heading = ""
 
 
 def _to_do(status: ExperimentStatus) -> str:

@@ -92,6 +92,11 @@ def check_repeat_until(
     if parameters.repeat_until:
         problem = "the design decides on the runs, and so would repeat_until"
         findings.append(Finding.error(where, problem, "Leave one of them out."))
+    at_a_time = int(own.design_facts.get("at_a_time", 0)) * own.repetitions
+    workers = parameters.workers
+    if isinstance(workers, int) and 0 < at_a_time < workers:
+        problem = f"{at_a_time} of the runs are decided on at a time, which is fewer than there are workers, {workers}"
+        findings.append(Finding.warning(place, problem, f"Give the design at_a_time={-(-workers // own.repetitions)}."))
     return findings
 
 

@@ -94,9 +94,9 @@ def registration_content(
 
 
 def _combinations(model: RunTableModel) -> dict[str, list[list[str]]]:
-    """Return what a full factorial leaves out, or what another design chooses, which leaves out nearly everything."""
+    """Return what a full factorial leaves out; else the combinations, as other designs leave out nearly everything."""
     kept = list(map(_texts, model.combinations_of(model.factors)))
-    if not model.is_full_factorial:
+    if not model.is_full_factorial or any(factor.when for factor in model.factors):
         return {"combinations": list(map(list, kept))}
     every = map(_texts, full_factorial(model.factors))
     return {"excluded": list(map(list, filterfalse(set(kept).__contains__, every)))}

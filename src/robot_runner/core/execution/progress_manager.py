@@ -26,7 +26,7 @@ from robot_runner.core.execution.turns import Turns, turns_of
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, put_earlier_attempt_away
-from robot_runner.core.storage.lock import ExperimentLock, forget_pause, forget_stop
+from robot_runner.core.storage.lock import ExperimentLock, forget_requests
 from robot_runner.core.storage.manifest import write_manifest
 
 if TYPE_CHECKING:
@@ -85,9 +85,8 @@ class ProgressManager:
         with ExitStack() as opened:
             self._left_behind = made_folder(self._folder)
             opened.enter_context(ExperimentLock(self._folder.lock))
-            for forget, request in ((forget_pause, self._folder.pause), (forget_stop, self._folder.stop)):
-                opened.callback(forget, request)  # of no use to the next session
-                forget(request)  # of one that was killed
+            opened.callback(forget_requests, self._folder.pause, self._folder.stop)  # of no use to the next session
+            forget_requests(self._folder.pause, self._folder.stop)  # of one that was killed
             left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
             self._findings += [each for each in (left_over, await_standby(self._folder)) if each is not None]
             accept_changes = self._resumption.accept_changes
@@ -235,10 +234,8 @@ class ProgressManager:
         warm_up = None if self._selected else self._experiment.model.warm_up
         places = with_session_warm_ups(growth.rows, list(growth.places), warm_up)
         self._selected += places
-        has_new_columns = growth.rows.layout.columns != self._table.rows.layout.columns
         self._rows = self._table.rows = growth.rows
-        if has_new_columns:
-            self._table.write_schema(self._folder.schema)
+        self._table.write_schema(self._folder.schema)  # there may be new columns
         self._file.take(growth.rows)
         self._durations.plan(map(growth.rows.combination, places), may_repeat=self._deciding.may_add(self._rows))
         self._manifest["design"] |= described_design(growth.model)
@@ -398,5 +395,4 @@ class ProgressManager:
         return durations
 
     def _left(self) -> dict[str, Any]:
-        left = self.time_left
-        return {} if left is None else {"left": left.facts()}
+        return {} if (left := self.time_left) is None else {"left": left.facts()}

@@ -28,6 +28,7 @@ __all__ = [
     "Request",
     "forget_command",
     "forget_pause",
+    "forget_requests",
     "forget_stop",
     "holder_of",
     "pause_is_requested",
@@ -212,3 +213,9 @@ def stop_is_requested(path: Path) -> bool:
 def forget_stop(path: Path) -> None:
     """Remove a request to stop: it was seen, or came from before the experiment began."""
     remove(path)
+
+
+def forget_requests(*paths: Path) -> None:
+    """Remove requests to pause or to stop that are of no use any longer."""
+    for path in paths:
+        remove(path)

@@ -231,7 +231,10 @@ def _factor(column: FactorColumn, rows: RunTableRows) -> ColumnDescription:
     own = set(map(id, known))
     treatments = [*known, *(value for value in rows.values(name) if id(value) not in own)]
     kind = type_of_values(["None" if treatment is None else treatment for treatment in treatments])
-    return ColumnDescription(name=name, role=ColumnRole.FACTOR, type=kind, title=name, description="A factor.")
+    unit, when = (column.factor.unit, column.factor.when) if column.factor else ("", {})
+    conditions = " and ".join(f"{other} is {' or '.join(map(str, wanted))}" for other, wanted in when.items())
+    text = f"A factor; inactive unless {conditions}." if conditions else "A factor."
+    return ColumnDescription(name=name, role=ColumnRole.FACTOR, type=kind, title=name, description=text, unit=unit)
 
 
 def _repetition(name: str, *, has_warm_ups: bool) -> ColumnDescription:

@@ -46,6 +46,8 @@ def execute(arguments: Namespace) -> int:
     with quiet_loading():
         conversion = convert(old)
         write_new_file(new, conversion.text, instead="Choose another name: --out NAME.py")
+        for name, text in conversion.beside.items():
+            write_new_file(new.with_name(name), text, instead="Convert into a folder of its own: --out FOLDER/NAME.py")
         findings = check_conversion(conversion, new)
     console = output()
     if any(finding.is_error for finding in findings):
@@ -58,6 +60,7 @@ def execute(arguments: Namespace) -> int:
     print_facts(
         console,
         [
+            ("Beside it", ", ".join(conversion.beside)),
             ("Check", command_line("check", str(new))),
             ("Execute", command_line(str(new))),
         ],

@@ -22,6 +22,7 @@ from robot_runner.legacy.conversion.callbacks import (
     order_findings,
     remove_subscriptions,
 )
+from robot_runner.legacy.conversion.clashing_names import rename_clashing
 from robot_runner.legacy.conversion.names import (
     ONLY_FACTOR,
     ConvertedImports,
@@ -34,7 +35,7 @@ from robot_runner.legacy.session import active_session
 from robot_runner.legacy.syntax import Edits, attributes_of, classes_of, imports_of, nodes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator, Mapping
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.legacy.earlier_experiment import EarlierExperiment
@@ -88,10 +89,16 @@ def _runs(experiment: Experiment) -> list[Run]:
     return [tuple((name, str(value)) for name, value in run.combination.items()) for run in experiment.model.plan()]
 
 
-def check_neighbours(experiment: Experiment, tree: ast.Module) -> Iterator[Finding]:
-    """Yield which modules that the config imports are written for the earlier tool themselves: they come first."""
+def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collection[str]) -> Iterator[Finding]:
+    """Yield which modules that the config imports are written for the earlier tool themselves: they come first.
+
+    Args:
+        experiment: of the config.
+        tree: of the config.
+        written: the names of the files that are converted with it.
+    """
     modules = {*experiment.local_modules, *_imported_files(tree)}
-    for module in sorted(modules):
+    for module in sorted(each for each in modules if each.name not in written):
         for each in imports_of(ast.parse(module.read_text(encoding="utf-8"))):
             if is_earlier_import(each.module):
                 yield Finding.error(
@@ -119,11 +126,13 @@ class Conversion:
         text: the file.
         before: the experiment of the file that was converted.
         findings: what a user should look at.
+        beside: the texts of modules that the file imports and that are to stand beside it, by their files' names.
     """
 
     text: str
     before: Experiment
     findings: tuple[Finding, ...]
+    beside: Mapping[str, str]
 
 
 def convert(path: Path) -> Conversion:
@@ -145,10 +154,11 @@ def convert(path: Path) -> Conversion:
     with config.executing_nothing() as session:
         converting = _Converting(recognised, session, experiment)
         text = converting.text()
-    refused = [*converting.imports.findings, *check_neighbours(experiment, recognised.tree)]
+    refused = [*converting.imports.findings, *check_neighbours(experiment, recognised.tree, converting.imports.beside)]
     if any(finding.is_error for finding in refused):
         raise ConfigError.of_findings([finding for finding in refused if finding.is_error])
-    return Conversion(text, experiment, (*refused, *order_findings(session), *_left_out(session)))
+    findings = (*refused, *order_findings(session), *_left_out(session))
+    return Conversion(text, experiment, findings, converting.imports.beside)
 
 
 def check_conversion(conversion: Conversion, written: Path) -> tuple[Finding, ...]:
@@ -181,6 +191,7 @@ class _Converting:
         convert_imports(self._recognised.path, self._tree, self.imports, self._edits)
         methods = {node.name for node in config.body if isinstance(node, ast.FunctionDef)}
         callbacks = named_callbacks(self._session, methods)
+        self.imports.findings += rename_clashing(self._session, self._tree, self.imports, self._edits)
         self._rename_class(config)
         if callbacks.is_by_name:
             remove_subscriptions(config, self._edits)

@@ -74,7 +74,7 @@ function showState(state) {
 
 function toldOf(state) {
   const told = [];
-  if (state.pause_is_requested && state.word === "running") { told.push("pauses before the next run"); }
+  if (state.pause_is_requested && ["running", "waiting"].includes(state.word)) { told.push("pauses before the next run"); }
   if (state.gate) { told.push(state.gate.run + " waits until " + state.gate.condition + (state.gate.seen ? " (" + state.gate.seen + ")" : "")); }
   told.push(...state.precision);
   if (state.damaged) { told.push(state.damaged + " lines of the journal are damaged and passed over"); }
@@ -123,7 +123,7 @@ function showActions(state) {
   const offered = [];
   const executed = ["running", "waiting", "paused"].includes(state.word);
   if (state.word === "paused" || (executed && state.pause_is_requested)) { offered.push(["end-pause", state.word === "paused" ? "Go on" : "Do not pause", "main"]); }
-  if (state.word === "running" && !state.pause_is_requested) { offered.push(["pause", "Pause after this run", ""]); }
+  if (["running", "waiting"].includes(state.word) && !state.pause_is_requested) { offered.push(["pause", state.word === "waiting" ? "Pause after " + state.waiting.run : "Pause after this run", ""]); }
   if (executed) { offered.push(["stop", "Stop…", "danger"]); }
   const may = shown.about.may_act ? offered : [];
   const key = JSON.stringify(may) + state.has_report;
@@ -159,8 +159,8 @@ async function act(action, body) {
   const answer = await ask("/api/experiments/" + shown.id + "/" + action, body).catch(() => ({ ok: false, said: { problem: "The server cannot be reached." } }));
   $("said").classList.toggle("bad", !answer.ok);
   const first = (answer.said.findings || [])[0];
-  const why = answer.status === 422 ? "Not all answers are taken: see below." : sentence(answer.said.problem) + (first && first.fix ? " " + first.fix : "");
-  setText($("said"), answer.ok ? answer.said.said : why);
+  const why = () => answer.status === 422 ? "Not all answers are taken: see below." : sentence(answer.said.problem) + (first && first.fix ? " " + first.fix : "");
+  setText($("said"), answer.ok ? answer.said.said : why());
   return answer;
 }
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from rich.text import Text
 
 from robot_runner.cli.console import output, print_facts, shown_path
 from robot_runner.core.errors import StorageError, did_you_mean
+from robot_runner.core.execution.processes import use_no_streams
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -77,10 +79,12 @@ def execute(arguments: Namespace) -> int:
         is_one=arguments.until_closed,
     )
     _tell(serving, arguments)
-    try:
-        serving.serve(sys.stdin.buffer if arguments.until_closed else None)
-    except KeyboardInterrupt:
-        return 0
+    until_closed = None
+    if arguments.until_closed:
+        until_closed = os.fdopen(os.dup(0), "rb", buffering=0)
+        use_no_streams()  # who started it reads no further
+    with suppress(KeyboardInterrupt):
+        serving.serve(until_closed)
     return 0
 
 
@@ -105,10 +109,6 @@ def _tell(serving: Serving, arguments: Namespace) -> None:
     if is_beyond and sys.stdout.isatty():
         console.print(Text(serving.code(elsewhere)))
     sys.stdout.flush()
-    if arguments.until_closed:  # who started it reads no further
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, 1)
-        os.dup2(nowhere, 2)
 
 
 def _folder(given: str, *, may_be_missing: bool) -> Path:
@@ -118,5 +118,5 @@ def _folder(given: str, *, may_be_missing: bool) -> Path:
     if folder.exists():
         raise StorageError("this is no folder", where=given, fix="Name the folder of an experiment, or one above it.")
     names = [each.name for each in folder.parent.iterdir() if each.is_dir()] if folder.parent.is_dir() else []
-    fix = did_you_mean(folder.name, names) if len(names) < _MOST_NAMES else "Name a folder that is there."
+    fix = did_you_mean(folder.name, names) if 0 < len(names) < _MOST_NAMES else "Name a folder that is there."
     raise StorageError("there is no such folder", where=given, fix=fix)

@@ -1,0 +1,174 @@
+"""An experiment that is followed from its folder, as it grows, is made anew, or is hostile."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.analysis import experiment_folders
+
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.page.followed_experiment import FollowedExperiment
+from robot_runner.page.found_experiments import FoundExperiments, id_of
+from robot_runner.page.journal_tail import JournalTail
+from robot_runner.page.sampled_curves import RunCurves, ThinnedSamples
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+AT = "2026-01-31T12:00:00.000Z"
+
+
+def line(kind: str, **fields: Any) -> str:
+    return json.dumps({"kind": kind, "at": AT, **fields}, separators=(",", ":")) + "\n"
+
+
+def begin(run: str) -> str:
+    return line("attempt_started", run=run, attempt=1)
+
+
+def end(run: str, energy: float | None, *, status: str = "done", doubts: tuple[str, ...] = ()) -> str:
+    measure = {"value": energy, "owner": "config", "origin": None, "doubts": list(doubts)}
+    facts = {"seconds": 1.0, "failure": "it fell" if status == "failed" else None, "is_last": True, "stamps": {}}
+    return line("attempt_finished", run=run, attempt=1, status=status, measures={"Energy": measure}, **facts)
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """Return an experiment of two tasks with two runs each, none of which was executed."""
+    folder = experiment_folders.two_tasks(tmp_path / "trial", (870.0, 872.0), (834.0, 836.0)).root
+    table = (folder / "run_table.csv").read_text().splitlines()
+    (folder / "run_table.csv").write_text("\n".join([table[0], *table[1:]]) + "\n")
+    return folder
+
+
+def settled(experiment: FollowedExperiment) -> dict[str, Any]:
+    parts = experiment.look()
+    while experiment.is_behind:
+        parts |= experiment.look()
+    return parts
+
+
+def test_it_tells_what_status_tells(root: Path) -> None:
+    followed = FollowedExperiment(root)
+    parts = settled(followed)
+    told, status = parts["state"], read_status(root)
+    assert told["counts"]["done"] == status.done == 4
+    assert (told["word"], told["name"]) == ("done", status.experiment_name)
+    assert followed.look() == {}, "nothing has happened"
+    means = next(each for each in parts["means"] if each["factor"] == "Task")
+    count, mean, half = means["rows"][0]["cells"][0]
+    assert (count, mean) == (2, pytest.approx(871.0))
+    assert half == pytest.approx(12.706, abs=0.001)  # t(0.975, 1) * 1.4142 / sqrt(2)
+
+
+def test_records_reach_rows_means_and_findings(root: Path) -> None:
+    followed = FollowedExperiment(root)
+    settled(followed)
+    with (root / "journal.jsonl").open("a") as journal:
+        journal.write(line("experiment_started", runs=4) + begin("r_1"))
+        journal.flush()
+        settled(followed)
+        assert followed.rows(0, 9, status="running")["rows"] == [], "nobody executes it"
+        journal.write(end("r_1", 900.0, doubts=("the sensor was at its limit",)))
+        journal.write(line("finding", run="r_1", owner="Ina219", problem="it is odd", fix="Look."))
+        journal.flush()
+        parts = settled(followed)
+    (row,) = parts["rows"]["rows"]
+    assert (row[1:3], row[4], row[5]) == (["r_1", "done"], [900.0], ["Energy"])
+    means = next(each for each in parts["means"] if each["factor"] == "Task")
+    assert any(cells[0][1] == pytest.approx(886.0) for cells in (each["cells"] for each in means["rows"]))
+    assert parts["findings"]["last"][-1]["problem"] == "it is odd"
+
+
+def test_the_journal_is_read_once_and_torn_or_damaged_lines_harm_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    tail = JournalTail(path)
+    assert tail.read() == []
+    path.write_text(begin("r_1") + "{broken\n" + '{"kind":"event","at":5}\n' + begin("r_2")[:20])
+    assert [each["run"] for each in tail.read()] == ["r_1"]
+    assert tail.damaged == 2
+    with path.open("a") as file:
+        file.write(begin("r_2")[20:])
+    assert [each["run"] for each in tail.read()] == ["r_2"]
+    assert tail.read() == []
+    other = tmp_path / "other"
+    other.write_text(begin("r_9"))
+    other.replace(path)
+    assert [each["run"] for each in tail.read()] == ["r_9"]
+    assert (tail.has_begun_anew, tail.damaged) == (True, 0)
+    path.write_bytes(b"x" * 3_000_000 + b"\n" + begin("r_3").encode() * 20_000)
+    records = tail.read()
+    while tail.is_behind:
+        records += tail.read()
+    assert (len(records), tail.damaged) == (20_000, 1)
+
+
+@pytest.mark.parametrize("name", ["journal.jsonl", "run_table.csv", "manifest.json", "run_table.schema.json"])
+@pytest.mark.parametrize("harm", ["link", "pipe", "binary", "deep", "folder"])
+def test_a_hostile_folder_is_told_and_harms_nobody(root: Path, name: str, harm: str) -> None:
+    path = root / name
+    path.unlink()
+    harms: dict[str, Callable[[], object]] = {
+        "link": lambda: path.symlink_to("/etc/passwd"),
+        "pipe": lambda: os.mkfifo(path),
+        "binary": lambda: path.write_bytes(bytes(range(256)) * 100),
+        "deep": lambda: path.write_text("[" * 100_000 + "]" * 100_000),
+        "folder": path.mkdir,
+    }
+    harms[harm]()
+    followed = FollowedExperiment(root)
+    state = settled(followed).get("state") or followed.snapshot()["state"]
+    assert state["word"]
+    assert "root:" not in json.dumps(followed.snapshot())
+    summaries = FoundExperiments(root.parent).look()["experiments"]
+    assert len(summaries) <= 1
+
+
+def test_only_experiments_below_the_folder_are_found_and_links_are_not_followed(root: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path.parent / f"{tmp_path.name}-elsewhere"
+    root.rename(elsewhere)
+    (tmp_path / "lab" / "deep").mkdir(parents=True)
+    experiment_folders.two_tasks(tmp_path / "lab" / "deep" / "trial", (1.0, 2.0), (3.0, 4.0))
+    (tmp_path / "lab" / "linked").symlink_to(elsewhere)
+    found = FoundExperiments(tmp_path)
+    (one,) = found.look()["experiments"]
+    assert (one["word"], one["folder"].endswith("lab/deep/trial")) == ("done", True)
+    assert found.folder(one["id"]) == tmp_path / "lab" / "deep" / "trial"
+    assert found.folder(id_of(elsewhere)) is None
+
+
+def test_samples_are_thinned_to_least_and_largest_values() -> None:
+    samples = ThinnedSamples(1)
+    for place in range(100_000):
+        samples.add(float(place), [1000.0 if place == 77_777 else float(place % 3)])
+    assert 200 <= len(samples.times) <= 400
+    assert max(each for each in samples.high[0] if each is not None) == 1000.0
+    assert min(each for each in samples.low[0] if each is not None) == 0.0
+
+
+def test_curves_grow_with_their_files_and_live_samples_give_way(root: Path) -> None:
+    folder = root / "runs" / "r_1" / "Meter"
+    folder.mkdir(parents=True)
+    live = folder / ".samples.csv.live"
+    live.write_text("time_s,power_W\n0.5,7.5\n1.0,8.")
+    curves = RunCurves(ExperimentFolder(root), "r_1")
+    curves.look()
+    (told,) = [each for each in curves.told() if each["plugin"] == "Meter"]
+    assert (told["is_live"], told["times"], told["columns"][0]["high"]) == (True, [0.5], [7.5])
+    with live.open("a") as file:
+        file.write("5\n")
+    version = curves.version
+    curves.look()
+    assert curves.version > version
+    assert curves.told()[0]["columns"][0]["high"][-1] == 8.5
+    live.unlink()
+    (folder / "samples.csv").write_text("time_s,x_m,y_m,heading_rad\n0,0,0,0\n1,1,0,0.5\n2,nan,1,0\n")
+    (folder / "secret.csv").symlink_to("/etc/passwd")
+    curves.look()
+    (told,) = [each for each in curves.told() if each["plugin"] == "Meter"]
+    assert (told["is_live"], told["way"], told["pose"]) == (False, [(0.0, 0.0), (1.0, 0.0)], (1.0, 0.0, 0.5))

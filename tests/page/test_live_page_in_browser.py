@@ -1,0 +1,306 @@
+"""The live page in a real browser, beside experiments that are really executed."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.page.conftest import executed, wait_until
+
+from robot_runner.core.storage.journal import read_journal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from tests.headless_browser import Browser
+    from tests.page.conftest import ServedPage
+
+PHONE = {"width": 390, "height": 844, "is_phone": True}
+STEP = """\
+    operation_type = OperationType.SEMI
+    operator_steps = [
+        OperatorStep(
+            "swap the battery",
+            every=2,
+            ask=[Question("voltage", float, unit="V", low=9, high=13), Question("dock", choices=["A", "B"])],
+        )
+    ]
+"""
+
+
+@pytest.fixture(autouse=True)
+def _leave_the_page(browser: Browser) -> Iterator[None]:
+    """Leave the page after a test, as it would go on asking a server that has ended."""
+    yield
+    browser.open("about:blank")
+
+
+def text(browser: Browser, selector: str) -> str:
+    return browser.evaluate(f"document.querySelector({json.dumps(selector)}).innerText")
+
+
+def seen(selector: str, pattern: str) -> str:
+    """Return the condition that an element is seen whose text has a pattern."""
+    return (
+        f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+        f" return Boolean(e && e.offsetParent && /{pattern}/.test(e.innerText)); }})()"
+    )
+
+
+def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
+    browser: Browser, serve_page: Callable[..., ServedPage], executed_demo: Path, tmp_path: Path
+) -> None:
+    demo = next(executed_demo.rglob("demo.py")).read_text(encoding="utf-8")
+    demo = demo.replace("    operation_type = OperationType.AUTO\n", STEP)
+    demo = demo.replace("OperationType, RunTableModel", "OperationType, OperatorStep, Question, RunTableModel")
+    config = tmp_path / "demo.py"
+    config.write_text(demo, encoding="utf-8")
+    root = tmp_path / "basic_experiment"
+    with executed(config, "--only", "r_1,r_2,r_3") as experiment:
+        wait_until(lambda: any(read_journal(root / "journal.jsonl", kinds={"waiting"})))
+        page = serve_page(tmp_path)
+        browser.open(page.links["Here"], **PHONE)
+        browser.wait_for(seen(".experiment-item.waiting", "Waits for you: swap the battery"))
+        assert "key" not in browser.evaluate("location.href"), "the key stays in the address"
+        browser.press(".experiment-item a")
+        browser.wait_for(seen("#ask", "swap the battery"))
+        assert "Next is r_1: Task" in text(browser, "#ask-run")
+        # What is not taken is said beside its question, and the first of them has the focus.
+        browser.press("#answer-0")
+        browser.write("118")
+        browser.press("#ask-form [type=submit]")
+        browser.wait_for(seen("#error-0", "118 is above 13 V"))
+        assert "There is no answer to this" in text(browser, "#error-1")
+        browser.evaluate("document.getElementById('answer-0').select()")
+        browser.write("11.8")
+        browser.press("#answer-1-0")
+        # A pause that is asked for meanwhile comes after this run.
+        browser.press("[data-action=pause]")
+        browser.wait_for(seen("#said", "It pauses after r_1"))
+        browser.press("#ask-form [type=submit]")
+        browser.wait_for(seen("#word", "is paused"))
+        browser.wait_for(seen("#counts", "1 of 15 runs done"))
+        browser.wait_for("[...document.querySelectorAll('#rows tr.done')].length === 1")
+        assert browser.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        browser.press("[data-action=end-pause]")
+        for run in ("r_2", "r_3"):
+            title = "swap the battery" if run == "r_3" else f"May {run} start"
+            browser.wait_for(seen("#ask", f"{title}[^]*{run}"))
+            if run == "r_3":
+                browser.press("#answer-0")
+                browser.write("11.2")
+                browser.press("#answer-1-1")
+            browser.press("#ask-form [type=submit]")
+        assert experiment.wait(timeout=60) == 0
+        browser.wait_for(seen("#word", "nobody executes it"))
+        browser.wait_for(seen("#means-table", "Computation"))
+        # A run that is chosen shows its samples, and its way.
+        browser.press("button.run[data-run=r_1]")
+        browser.wait_for(seen("#curves", "Samples of r_1"))
+        browser.wait_for(
+            "document.querySelectorAll('#plots canvas').length >= 2 && document.querySelector('#map .way')"
+        )
+    steps = list(read_journal(root / "journal.jsonl", kinds={"operator_step"}))
+    assert [each["answers"] for each in steps] == [{"voltage": 11.8, "dock": "A"}, {"voltage": 11.2, "dock": "B"}]
+    assert {"paused", "continued"} <= {each["kind"] for each in read_journal(root / "journal.jsonl")}
+    refused = [event for event in browser.complaints if "422" not in str(event)]
+    assert refused == []
+    assert all(url.startswith(f"http://127.0.0.1:{page.port}/") for url in browser.requests if "blob:" not in url)
+
+
+def test_who_may_only_look_has_no_buttons(
+    browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = write_config("def launch_mission(self, context): context.clock.sleep(20)")
+    with executed(config):
+        root = tmp_path / "results" / "trial"
+        wait_until(lambda: any(read_journal(root / "journal.jsonl", kinds={"attempt_started"})))
+        page = serve_page(root)
+        browser.open(page.links["To look"])
+        browser.wait_for(seen("#flights", "on its mission"))
+        assert browser.evaluate("document.querySelectorAll('#actions button').length") == 0
+        # Somebody else logs in, in the same browser, and stops it.
+        browser.open("about:blank")
+        browser.open(page.links["Here"])
+        browser.wait_for("document.querySelector('[data-action=stop]')")
+        browser.press("[data-action=stop]")
+        browser.wait_for("document.getElementById('dialog').open")
+        assert "r_1 is closed, the robot is made safe" in text(browser, "#dialog-text")
+        browser.press("#dialog-yes")
+        browser.wait_for(seen("#word", "nobody executes it"))
+    kinds = [each["kind"] for each in read_journal(root / "journal.jsonl")]
+    assert kinds.count("stop_requested") == 1
+    assert kinds[-1] == "experiment_finished"
+
+
+def test_a_page_goes_on_after_its_server_was_started_anew(
+    browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = write_config(
+        "def launch_mission(self, context):\n    while not Path('go').exists(): context.clock.sleep(0.02)\n"
+        "def populate_run_data(self, context): return {'Energy': 1.5}"
+    )
+    root = tmp_path / "results" / "trial"
+    with executed(config) as experiment:
+        wait_until(lambda: any(read_journal(root / "journal.jsonl", kinds={"attempt_started"})))
+        page = serve_page(root)
+        browser.open(page.links["Here"])
+        browser.wait_for(seen("#word", "is running"))
+        page.stop()
+        browser.wait_for(seen("#link", "connection lost"))
+        (tmp_path / "go").touch()
+        assert experiment.wait(timeout=60) == 0  # it did not notice
+        page.start()
+        browser.wait_for(seen("#word", "all runs are done"))
+        browser.wait_for("document.querySelectorAll('#rows tr.done').length === 4")
+        assert text(browser, "#link") == "live"
+
+
+def make_large(root: Path, runs: int) -> None:
+    """Write the experiment of many runs that are done, as it is on disk."""
+    root.mkdir(parents=True)
+    (root / "manifest.json").write_text(json.dumps({"format": 1, "experiment_name": "large", "design": {}, "seed": 1}))
+    fields = [("run_id", "progress", "string"), ("status", "progress", "string"), ("Task", "factor", "string")]
+    fields += [("Energy", "measure", "number")]
+    schema = {
+        "fields": [{"name": n, "type": t, "robot_runner:role": r, "robot_runner:owner": ""} for n, r, t in fields]
+    }
+    (root / "run_table.schema.json").write_text(json.dumps(schema))
+    lines = [f"r_{place + 1},Done,{'ABC'[place % 3]},{700 + place % 7}" for place in range(runs)]
+    (root / "run_table.csv").write_text("\n".join(["run_id,status,Task,Energy", *lines]) + "\n")
+    records = [{"kind": "experiment_started", "at": "2026-01-31T12:00:00.000Z", "runs": runs}]
+    (root / "journal.jsonl").write_text("".join(f"{json.dumps(each, separators=(',', ':'))}\n" for each in records))
+
+
+def test_10000_runs_are_shown_soon_and_scrolled_smoothly(
+    browser: Browser,
+    serve_page: Callable[..., ServedPage],
+    tmp_path: Path,
+    record_property: Callable[[str, object], None],
+) -> None:
+    make_large(tmp_path / "large", 10_000)
+    page = serve_page(tmp_path / "large")
+    browser.open(page.links["Here"])
+    browser.wait_for("document.querySelectorAll('#rows tr.done').length > 5")
+    spent = browser.evaluate("performance.now()")
+    record_property("figure", f"10,000 runs are shown {spent / 1000:.2f} s after the page was asked for")
+    assert int(browser.evaluate("document.getElementById('rows').getAttribute('aria-rowcount')")) == 10_001
+    browser.evaluate("document.getElementById('scroller').scrollTop = 5000 * 34")
+    browser.wait_for("document.querySelector('button.run[data-run=r_5001]')")
+    assert browser.evaluate("document.querySelectorAll('#rows tbody tr').length") < 80, "rows that nobody sees"
+    browser.evaluate("document.getElementById('search').value = 'r_999'")
+    browser.evaluate("document.getElementById('search').dispatchEvent(new Event('input'))")
+    browser.wait_for(seen("#found", "^11 runs"))
+    browser.wait_for("document.querySelectorAll('#rows tr.done').length === 11")
+    assert browser.complaints == []
+
+
+HOSTILE = "<img src=x onerror=alert(1)>\"'</script>"
+
+
+def test_hostile_names_are_text(browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
+    root = tmp_path / "<b onclick=alert(1)>x"
+    make_large(root, 3)
+    manifest = json.loads((root / "manifest.json").read_text()) | {"experiment_name": HOSTILE + "\x1b[2J\u202egnp"}
+    (root / "manifest.json").write_text(json.dumps(manifest))
+    table = (root / "run_table.csv").read_text().replace(",A,", ',"' + HOSTILE.replace('"', '""') + '",')
+    (root / "run_table.csv").write_text(table)
+    finding = {"kind": "finding", "run": HOSTILE, "owner": HOSTILE, "problem": HOSTILE, "fix": HOSTILE}
+    with (root / "journal.jsonl").open("a") as file:
+        file.write(json.dumps(finding, separators=(",", ":")) + '\n{"kind":"event","at":5}\nnot json\n')
+    (root / "report").mkdir()
+    (root / "report" / "report.html").write_text(
+        "<title>r</title><script>try { document.title = document.cookie || 'none' }"
+        "catch (e) { document.title = 'shut' }"
+        "fetch('/api/about').then(() => { document.title = 'asked' }, () => {})</script>"
+    )
+    page = serve_page(tmp_path)
+    browser.open(page.links["Here"])
+    browser.wait_for("document.querySelector('.experiment-item a')")
+    browser.press(".experiment-item a")
+    browser.wait_for(seen("#findings", "onerror"))
+    browser.wait_for(seen("#rows", "onerror"))
+    browser.wait_for(seen("#told", "2 lines of the journal are damaged"))
+    assert browser.evaluate("document.querySelectorAll('main img[src=x], main b, [onclick]').length") == 0
+    assert text(browser, "#title").startswith("<img src=x")
+    assert browser.complaints == []
+    # Its report has no origin: it reads no cookie and asks the server for nothing.
+    browser.open(browser.evaluate("document.querySelector('#actions a').href"))
+    browser.wait_for("document.title === 'shut'")
+    assert browser.evaluate("self.origin") == "null"
+
+
+CONTRAST = """(() => {
+  const shade = (colour) => {
+    const c = document.createElement('canvas').getContext('2d');
+    c.fillStyle = colour;
+    c.fillRect(0, 0, 1, 1);
+    return [...c.getImageData(0, 0, 1, 1).data];
+  };
+  const linear = (v) => v <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const light = (rgb) => [0.2126, 0.7152, 0.0722].reduce((sum, share, i) => sum + share * linear(rgb[i] / 255), 0);
+  const behind = (e) => {
+    for (; e; e = e.parentElement) {
+      const c = shade(getComputedStyle(e).backgroundColor);
+      if (c[3] > 250) { return c; }
+    }
+    return [255, 255, 255];
+  };
+  const hasText = (e) => [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
+  return [...document.querySelectorAll('body *')].filter((e) => e.offsetParent && hasText(e)).filter((e) => {
+    const [one, other] = [light(shade(getComputedStyle(e).color)), light(behind(e))].sort((a, b) => b - a);
+    return (one + 0.05) / (other + 0.05) < 4.5;
+  }).map((e) => e.tagName + ' ' + e.textContent.slice(0, 30));
+})()"""
+#: What has no name for a screen reader, ids that are there twice, and tables whose headings have no scope.
+NAMELESS = """(() => {
+  const all = (selector) => [...document.querySelectorAll(selector)];
+  const named = (e) => e.textContent.trim() || e.getAttribute('aria-label') || (e.labels && e.labels.length)
+    || e.getAttribute('aria-labelledby');
+  const said = (e) => (e.getAttribute('aria-labelledby') || e.getAttribute('aria-describedby')).split(' ');
+  return [
+    ...all("button, a, input, select, [role=img], [role=region]").filter((e) => e.offsetParent && !named(e)),
+    ...all('th').filter((e) => !e.scope),
+    ...all('[id]').filter((e) => all('#' + CSS.escape(e.id)).length > 1),
+    ...all('[aria-labelledby], [aria-describedby]').filter((e) => said(e).some((id) => !document.getElementById(id))),
+  ].map((e) => e.outerHTML.slice(0, 80));
+})()"""
+
+
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+def test_it_is_legible_and_can_be_used_by_keyboard(
+    browser: Browser, serve_page: Callable[..., ServedPage], executed_demo: Path, *, is_dark: bool
+) -> None:
+    root = next(executed_demo.rglob("journal.jsonl")).parent
+    page = serve_page(root)
+    browser.is_dark(is_dark)
+    try:
+        browser.open(page.links["Here"])
+        browser.wait_for("document.querySelectorAll('#rows tr.done').length > 5")
+        assert (browser.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 27)") is is_dark
+        reached: list[str] = []
+        for _ in range(40):
+            browser.key("Tab", 9)
+            reached.append(browser.evaluate("document.activeElement.id || document.activeElement.dataset.run || ''"))
+            if reached[-1] == "r_2":
+                break
+        assert [each for each in reached if re.fullmatch("share|scheme|status|search|follow|r_1", each)] == [
+            "share",
+            "scheme",
+            "status",
+            "search",
+            "follow",
+            "r_1",
+        ]
+        browser.key("Enter", 13)
+        browser.wait_for(seen("#curves", "Samples of r_2"))
+        assert browser.evaluate("document.activeElement.dataset.run") == "r_2", "the focus is lost when rows are drawn"
+        assert browser.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+        assert browser.evaluate(CONTRAST) == []
+        assert browser.evaluate(NAMELESS) == []
+        assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    finally:
+        browser.is_dark(False)

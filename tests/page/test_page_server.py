@@ -1,0 +1,236 @@
+"""Who gets what from the page's server: keys, roles, hosts, origins, limits, figures for Prometheus."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import socket
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.command_line import PROGRAM
+from tests.page.conftest import ServedPage, executed, processor_seconds, wait_until
+
+from robot_runner.core.storage.journal import read_journal
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+@pytest.fixture(scope="module")
+def page(executed_demo: Path, tmp_path_factory: pytest.TempPathFactory) -> ServedPage:
+    """Return a page of the demo that all tests of this file ask."""
+    from tests.loopback_port import claim_port
+
+    folder = tmp_path_factory.mktemp("shown") / "lab"
+    shutil.copytree(next(executed_demo.rglob("journal.jsonl")).parent, folder / "basic_experiment")
+    served = ServedPage(folder, claim_port())
+    served.start()
+    yield served
+    served.stop()
+
+
+@pytest.fixture(scope="module")
+def one(page: ServedPage) -> str:
+    """Return the address of the experiment."""
+    return f"/api/experiments/{page.experiments['basic_experiment']}"
+
+
+def test_without_a_key_nothing_of_an_experiment_is_told(page: ServedPage, one: str) -> None:
+    paths = [
+        "/api/about",
+        "/api/events",
+        "/metrics",
+        f"{one}/events",
+        f"{one}/rows",
+        f"{one}/curves/r_1",
+        f"{one}/report",
+    ]
+    for key in (None, "Guessed"):
+        page.links["Guessed"] = "#key=0123456789abcdef0123456789abcdef"
+        assert {path: page.ask(path, key=key).status for path in paths} == dict.fromkeys(paths, 401)
+    assert "basic_experiment" not in page.ask("/", key=None).body.decode()
+    assert page.act(f"{one}/stop", {}, Authorization="Bearer x").status == 401
+
+
+def test_who_may_look_cannot_act(page: ServedPage, one: str) -> None:
+    bearer = {"Authorization": f"Bearer {page.key('To look')}"}
+    assert page.ask(f"{one}/rows", key="To look").status == 200
+    refused = page.act(f"{one}/pause", {}, **bearer)
+    assert (refused.status, refused.json["problem"]) == (403, "This link is for looking only.")
+    assert page.act(f"{one}/pause", {}).status == 409  # who may act is told that nobody executes it
+
+
+def test_a_key_is_exchanged_for_a_cookie_that_scripts_and_other_sites_do_not_get(page: ServedPage, one: str) -> None:
+    answer = page.act("/api/login", {"key": page.key("To look")}, Authorization="")
+    cookie = answer.headers["set-cookie"]
+    assert answer.json == {"role": "LOOKS"}
+    assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
+    assert page.key("To look") not in cookie
+    given = cookie.partition(";")[0]
+    assert page.ask(f"{one}/rows", key=None, Cookie=given).status == 200
+    # Neither more rights nor more time can be written into it.
+    forged = given.replace("LOOKS", "ACTS"), re.sub(r"\.(\d+)\.", ".99999999999.", given), given[:-1]
+    assert [page.ask(f"{one}/rows", key=None, Cookie=each).status for each in forged] == [401, 401, 401]
+
+
+def test_other_sites_and_names_are_refused(page: ServedPage, one: str) -> None:
+    own = f"127.0.0.1:{page.port}"
+    rebound = page.ask("/", Host=f"evil.example:{page.port}")
+    assert (rebound.status, "not served under that name" in rebound.json["problem"]) == (421, True)
+    assert page.ask("/", Host="127.0.0.1:1").status == 421
+    assert page.ask("/", Host=f"localhost:{page.port}").status == 200
+    assert page.ask(f"{one}/rows", Sec_Fetch_Site="cross-site").status == 403
+    assert page.ask(f"{one}/rows", Origin="http://evil.example").status == 403
+    assert page.act(f"{one}/pause", {}, Origin="http://evil.example").status == 403
+    assert page.act(f"{one}/pause", {}, Origin="null").status == 403
+    assert (
+        page.ask(f"{one}/pause", method="POST", body={}, X_Robot_Runner="1").status == 403
+    )  # says not where it is from
+    assert page.ask(f"{one}/pause", method="POST", body={}, Origin=f"http://{own}").status == 403  # as a form would
+    assert page.act(f"{one}/pause", {"a": "x" * 70_000}).status == 413
+    assert page.act(f"{one}/pause", ["no object"]).status == 400
+
+
+def test_every_answer_forbids_what_the_page_does_not_need(page: ServedPage, one: str) -> None:
+    for path in ("/", "/assets/app.js", f"{one}/rows", "/no/such/page"):
+        headers = page.ask(path).headers
+        policy = headers["content-security-policy"]
+        assert "default-src 'none'" in policy
+        assert "unsafe" not in policy
+        assert (headers["x-content-type-options"], headers["referrer-policy"]) == ("nosniff", "no-referrer")
+    assert [page.ask(f"/assets/{name}").status for name in ("..%2fpage_server.py", "page_server.py", "page.html")] == [
+        404
+    ] * 3
+    assert page.ask("/api/experiments/..%2f..%2fetc/rows").status == 404
+    assert page.ask(f"{one}/curves/..%2f..%2f..%2fetc").status == 404
+    assert page.ask(f"{one}/curves/..").json in ([], {"problem": "Not Found"})
+
+
+def test_keys_cannot_be_tried_without_end(serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
+    page = serve_page(tmp_path)
+    tried = [page.act("/api/login", {"key": f"{number:032x}"}, Authorization="").status for number in range(13)]
+    assert tried[:10] == [403] * 10
+    assert tried[-1] == 429
+
+
+def test_rows_come_in_pages_and_can_be_found(page: ServedPage, one: str) -> None:
+    some = page.ask(f"{one}/rows?start=13&count=5").json
+    assert (some["total"], [row[1] for row in some["rows"]]) == (15, ["r_14", "r_15"])
+    found = page.ask(f"{one}/rows?status=done&text=video").json
+    assert (found["total"], {row[3][0] for row in found["rows"]}) == (5, {"Video"})
+    assert page.ask(f"{one}/rows?start=-1&count=zzz").json["total"] == 15
+
+
+def test_prometheus_gets_figures(page: ServedPage) -> None:
+    told = page.ask("/metrics", key="To look").body.decode()
+    labels = 'experiment="basic_experiment",folder="lab/basic_experiment"'
+    assert f'robot_runner_runs{{{labels},status="done"}} 15\n' in told
+    assert f'robot_runner_state{{{labels},state="done"}} 1\n' in told
+    assert all(re.fullmatch(r"#.*|\w+(\{.*\})? -?[\d.e+]+", line) for line in told.splitlines())
+
+
+def test_it_sees_what_is_recorded_within_a_second_and_ends_without_a_trace(
+    serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = write_config(
+        "def launch_mission(self, context):\n    while not Path('go').exists(): context.clock.sleep(0.02)\n"
+        "def populate_run_data(self, context): return {'Energy': 1.5}"
+    )
+    root = tmp_path / "results" / "trial"
+    with executed(config) as experiment:
+        wait_until(lambda: any(read_journal(root / "journal.jsonl", kinds={"attempt_started"})))
+        page = serve_page(tmp_path)
+        assert page.process is not None
+        one = f"/api/experiments/{page.experiments['trial']}"
+        wait_until(lambda: page.ask(f"{one}/rows?status=running").json["total"] == 1)
+        assert page.act(f"{one}/pause", {}).json == {"said": "It pauses after r_1."}
+        assert (root / ".pause").exists()
+        assert page.act(f"{one}/end-pause", {}).json == {"said": "It goes on."}
+        refused = page.act(f"{one}/continue", {"run": "r_1", "step": ""})
+        assert (refused.status, refused.json["problem"]) == (409, refused.json["problem"])
+        assert "does not wait" in refused.json["problem"]
+        before = {path: path.stat().st_mtime_ns for path in root.rglob("*") if path.name != ".pause"}
+        spent = processor_seconds(page.process.pid)
+        with pytest.raises(subprocess.TimeoutExpired):
+            page.process.wait(1.0)
+        assert processor_seconds(page.process.pid) - spent <= 0.1
+        assert {path: path.stat().st_mtime_ns for path in before} == before, "the page wrote something"
+        page.process.kill()  # nobody notices
+        page.process.communicate()
+        (tmp_path / "go").touch()
+        assert experiment.wait(timeout=60) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["no-such"], "there is no such folder"),
+        (["--port", "99999"], "'99999' is no port"),
+        (["--host", "robot"], "'robot' is no address"),
+        (["--host", "192.0.2.7"], "this machine has no such address"),
+    ],
+)
+def test_what_is_wrong_is_said(words: list[str], problem: str, tmp_path: Path) -> None:
+    answer = subprocess.run(
+        [PROGRAM, "watch", *words], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (answer.returncode, problem in answer.stderr, "fix:" in answer.stderr) == (2, True, True)
+
+
+def test_a_port_in_use_and_a_missing_extra_are_said(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        answer = subprocess.run(
+            [PROGRAM, "watch", "--port", port], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+        )
+    assert (answer.returncode, f"port {port} is in use" in answer.stderr) == (2, True)
+    (tmp_path / "uvicorn.py").write_text("raise ImportError('gone', name='uvicorn')")
+    lacking = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    answer = subprocess.run(
+        [PROGRAM, "watch"], cwd=tmp_path, env=lacking, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (answer.returncode, "robot-runner[page]" in answer.stderr) == (2, True)
+
+
+def test_a_page_beside_an_execution_ends_with_it(write_config: Callable[..., Path], tmp_path: Path) -> None:
+    from tests.loopback_port import claim_port
+
+    config = write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
+    port = claim_port()
+    command = [PROGRAM, "run", str(config), "--page-at", f"127.0.0.1:{port}"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout.startswith("Live page of results/trial\n")) == (0, True)
+    assert f"http://127.0.0.1:{port}/#key=" in done.stdout
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0, "it still listens"
+        probe.close()
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", port))
+        taken.listen()
+        refused = subprocess.run(
+            [*command, "--redo", "r_1"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+        )
+    assert (refused.returncode, f"port {port} is in use" in refused.stderr) == (2, True)
+    kinds = [each["kind"] for each in read_journal(tmp_path / "results" / "trial" / "journal.jsonl")]
+    assert kinds.count("experiment_started") == 1, "it was executed without its page"
+
+
+def test_new_links_make_the_old_ones_void(serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(state))
+        first = serve_page(tmp_path)
+        second = serve_page(tmp_path, "--new-links")
+        third = serve_page(tmp_path, "--read-only")
+    assert oct((state / "robot-runner" / "page-secret").stat().st_mode & 0o777) == "0o600"
+    assert len({first.key(), second.key()}) == 2
+    assert second.ask("/api/about", Authorization=f"Bearer {first.key()}").status == 401
+    assert json.loads(second.ask("/api/about").body)["may_act"] is True
+    assert third.ask("/api/about", Authorization=f"Bearer {second.key()}").json["may_act"] is False
