@@ -11,12 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from tests.analysis.statistics import designed_data as data
 from tests.analysis.statistics.designed_data import designed
 
 from robot_runner.analysis import analyse
+from robot_runner.analysis.statistics.analysed_design import design_of
+from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.lenth_test import LenthContrast, pseudo_error
 from robot_runner.analysis.statistics.tested import TestMethod
+from robot_runner.core.design.analysis_plan import Estimand, Statistic
 
 
 def effects_of(results, measure="y"):
@@ -233,3 +237,31 @@ def test_all_designs_are_analysed_as_r_does(tmp_path):
     assert len(theirs) == 15
     for which, expected in theirs.items():
         assert ours[which] == pytest.approx(expected, rel=1e-6), which
+
+
+def test_effects_that_are_there_are_found_as_often_as_theory_says():
+    # Power of F by the noncentral distribution: shifts of whole plots beside their error, of treatments in squares.
+    random = np.random.default_rng(4)
+    square = made_tables()["latin_squares"]
+    shifts = {f"t{place}": shift for place, shift in enumerate((-1.0, -0.5, 0.0, 0.5, 1.0))}
+    found, expected = [], []
+    names, facts, rows, _ = square
+    values = random.normal(size=(4000, 25)) + [shifts[treatment] for _, _, treatment in rows]
+    found.append(share_found(designed([[*row, 0.5 * place] for place, row in enumerate(rows)], names, facts), values))
+    expected.append(stats.ncf.sf(stats.f.isf(0.05, 4, 12), 4, 12, 5 * 2.5))
+    names, facts, rows, _ = made_tables()["split_plot"]
+    plots = {row[0]: place for place, row in enumerate(dict.fromkeys((row[0],) for row in rows))}
+    of_plots = 1.5 * random.normal(size=(4000, len(plots)))[:, [plots[row[0]] for row in rows]]
+    values = random.normal(size=(4000, 36)) + of_plots + [2.0 * (row[1] == "h2") for row in rows]
+    found.append(share_found(designed([[*row, 0.5 * place] for place, row in enumerate(rows)], names, facts), values))
+    # 12 runs a treatment, the mean square of whole plots being 1 + 3 x 1.5^2.
+    shift = np.array([0.0, 0.0, 2.0]) - 2 / 3
+    expected.append(stats.ncf.sf(stats.f.isf(0.05, 2, 9), 2, 9, 12 * float(shift @ shift) / (1 + 3 * 1.5**2)))
+    assert found == pytest.approx(expected, abs=0.025)
+
+
+def share_found(results, values):
+    """How often the first effect is found among experiments with these values."""
+    measure = design_of(results).data("y")
+    model = designed_model_of(measure, Estimand.MEAN, Statistic.COMBINED, values)
+    return float(np.mean(next(model.effects()).p_value < 0.05))

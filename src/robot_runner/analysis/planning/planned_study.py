@@ -175,7 +175,8 @@ class Study:
         }
         manifest = {
             "experiment_name": self.name,
-            "design": {"blocks": self.blocks, "repetitions": repetitions, "facts": self.facts or None},
+            "design": {"blocks": self.blocks, "repetitions": repetitions}
+            | ({"facts": self.facts} if self.facts else {}),
             "analysis": self.plan.as_mapping() if self.plan is not None else None,
         }
         return PlannedResults(Path(), manifest, columns, table=pd.DataFrame({**frame, **values}))

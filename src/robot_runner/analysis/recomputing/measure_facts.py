@@ -131,21 +131,22 @@ def _with_comparisons(
     hypotheses: Sequence[Hypothesis],
 ) -> MeasureFacts:
     """Return facts with what is compared; without all that is adjusted for covariates, or compared in unknown ways."""
-    if measure.test is None and not data.covariates:
+    has_own_residuals = bool(data.covariates) or not data.known.is_plain  # which scripts do not know
+    if measure.test is None and not has_own_residuals:
         return facts
     p_values = {facts.effect_keys[each.factors]: each.p_value for each in measure.test.effects} if measure.test else {}
     p_values |= {facts.contrast_keys[each.statement]: each.p_value for each in measure.contrasts}
-    compared = None if data.covariates else _compared(facts, data, measure, choices, hypotheses)
+    compared = None if has_own_residuals else _compared(facts, data, measure, choices, hypotheses)
     if compared is not None:
         return replace(facts, compared=compared)
     left = [_tested(measure, "ranks"), _contrasts(measure)]
     left += [_paired(each, "", "ranks").reported for each in measure.post_hoc]
     left += [
-        each for each in (facts.distribution, facts.quantiles, facts.drift, facts.power) if data.covariates and each
+        each for each in (facts.distribution, facts.quantiles, facts.drift, facts.power) if has_own_residuals and each
     ]
     skipped = sum(len(each.numbers) for each in left)
     taken = {key: value for key, value in p_values.items() if value is not None}
-    if not data.covariates:
+    if not has_own_residuals:
         return replace(facts, taken=taken, skipped=skipped)
     nothing = Reported.of([])
     return replace(
@@ -220,8 +221,6 @@ def _compared(
     model = model_of(used, choices.estimand, choices.statistic)
     beside = model_of(used, check_estimand(choices.estimand), choices.statistic)
     if measure.test is None or not isinstance(model, _KNOWN) or not isinstance(beside, (*_KNOWN, NotComputed)):
-        return None
-    if isinstance(model, CellMeans) and model.layout.inverse is not None:  # of combinations that are listed
         return None
     tested, checked = (_procedures(each) for each in (model, beside))
     effects = [_effect(each, facts, model, tested, checked) for each in measure.test.effects]

@@ -90,7 +90,11 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
 def _groups(material: Material) -> Threats:
     design = material.statistics.design
     if design.used and design.factors and not design.is_balanced:
-        none = f"; {counted(design.empty_combinations, 'combination')} without any" if design.empty_combinations else ""
+        none = (
+            f"; {counted(design.lacking_combinations, 'combination')} without any"
+            if design.lacking_combinations
+            else ""
+        )
         text = f"Combinations have {design.smallest_group:,} to {design.largest_group:,} runs{none}."
         yield "Groups are not equally large", text, Tone.NOTE
     if design.used and design.smallest_group < _FEW:

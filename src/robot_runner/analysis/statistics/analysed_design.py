@@ -272,8 +272,7 @@ class Design:
         """Return the design in figures and in a sentence."""
         counts = self.frame.groupby(list(self.factors), observed=True).size() if self.factors else None
         found = [len(self.frame)] if counts is None else [int(count) for count in counts]
-        # Of a design of its own, the combinations that it left out are none that lack runs.
-        possible = self._planned if self.known.is_plain else len(found)
+        possible = math.prod(_distinct(self.frame[name]) for name in self.factors)
         return DesignSummary(
             factors=self.factors,
             constant_factors=self.constant,
@@ -287,10 +286,6 @@ class Design:
             sentence=self._sentence(found),
             kind=self.known.kind,
         )
-
-    @property
-    def _planned(self) -> int:
-        return math.prod(_distinct(self.frame[name]) for name in self.factors)
 
     def _sentence(self, counts: Sequence[int]) -> str:
         if not len(self.frame):

@@ -216,7 +216,7 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
     if summary.factors and not summary.is_balanced:
         yield (
             f"The combinations have {summary.smallest_group} to {summary.largest_group} runs"
-            f"{f', and {summary.empty_combinations} have none' if summary.empty_combinations else ''}."
+            f"{f', and {summary.lacking_combinations} have none' if summary.lacking_combinations else ''}."
         )
     if design.results.manifest.get("design", {}).get("shuffle") is False and summary.factors:
         yield "The order of the runs was not randomised: whatever changes with time may pass for an effect."

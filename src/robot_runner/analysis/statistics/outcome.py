@@ -252,8 +252,13 @@ class DesignSummary:
 
     @property
     def is_balanced(self) -> bool:
-        """Whether each combination has the same number of runs."""
-        return self.smallest_group == self.largest_group and not self.empty_combinations
+        """Whether each combination has the same number of runs, of those that the design chose."""
+        return self.smallest_group == self.largest_group and not self.lacking_combinations
+
+    @property
+    def lacking_combinations(self) -> int:
+        """How many combinations have no run though the design is to have them all."""
+        return self.empty_combinations if self.kind == "full_factorial" else 0
 
 
 @dataclass(frozen=True, slots=True)
