@@ -46,4 +46,3 @@ def _print_table(console: UserConsole, rows: Sequence[Sequence[str]], *, shows_a
         console.print(aligned(columns, row), style="dim" if not place else None, soft_wrap=True, markup=False)
     if len(shown) < len(rows):
         console.print(f"… {counted(len(rows) - len(shown), 'row')} more: --all shows them …", style="dim")
-
