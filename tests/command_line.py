@@ -107,6 +107,11 @@ class Terminal:
     def wait_for(self, pattern: str) -> None:
         self.child.expect(pattern)
 
+    def wait_until_shown(self, *parts: str) -> None:
+        """Wait until all of this is on the screen at the same time: it may be drawn anew at any moment."""
+        while not all(part in self.text for part in parts):
+            self.child.expect(r"[\s\S]")
+
     def finish(self) -> int:
         self.child.expect(pexpect.EOF)
         self.child.close()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 CORE = [
     *("demo", "new", "check", "plan", "smoke", "run", "status", "queue"),
-    *("pause", "continue", "extend", "exclude", "include", "plugins", "try"),
+    *("pause", "continue", "extend", "exclude", "include", "plugins", "try", "doctor", "completion"),
 ]
 LIBRARIES = {
     "analysis": ["pandas", "scipy", "numpy", "matplotlib"],

@@ -125,9 +125,8 @@ def test_the_live_screen_shows_run_event_and_phase_and_ctrl_c_ends_it_cleanly(
     write_config(ENDLESS)
     shown = terminal("run", "config.py")
     shown.wait_for(r"waiting for Godot.*[12]\.\d s")
-    assert "0 of 4 done" in shown.text
-    assert "▶ r_1 (run 1 of 4): Task=Video, Repetition=1" in shown.text
-    assert "launch_mission: waiting for Godot (1 of 2)" in shown.text
+    run = "▶ r_1 (run 1 of 4): Task=Video, Repetition=1"
+    shown.wait_until_shown("0 of 4 done", run, "launch_mission: waiting for Godot (1 of 2)")
     now = call(program, tmp_path, "status", "config.py").stdout
     assert "r_1, launch_mission" in now
     shown.child.sendintr()

@@ -12,7 +12,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "simulator.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "simulator-parameters.md"
 
 
 def documented():
