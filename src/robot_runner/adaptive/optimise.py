@@ -119,7 +119,7 @@ class Optimise:
         return tuple(self.directions)
 
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-        """Say why the search cannot be: nothing to vary, too few runs, no Optuna, a baseline that is none."""
+        """Say why the search cannot be: nothing to vary, too few runs, no Optuna, a baseline that does not fit."""
         where = f"Optimise({', '.join(self.measures)})"
         if find_spec("optuna") is None:
             problem = "the library Optuna is not installed, which decides where to search"

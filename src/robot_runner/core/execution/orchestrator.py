@@ -280,9 +280,9 @@ class _Orchestrator:
         """Do what is due while something is awaited; returns in how many seconds it is again."""
         stop = self._experiment.folder.stop
         if stop_is_requested(stop) and not self._interruption.is_requested:
+            self._interruption.request()  # first: whatever becomes of the record, the robot is to stop
             self._progress.note("stop_requested", flush=True)
             forget_stop(stop)
-            self._interruption.request()
         due = self._progress.tend_table()
         return _LISTEN if due is None else min(due, _LISTEN)
 

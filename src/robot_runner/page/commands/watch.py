@@ -1,6 +1,6 @@
 """Show experiments in a browser while they are executed, also on a phone: see how far they are, answer, pause, stop.
 
-The page follows the folder alone: if it ends, no experiment notices. Whoever opens it needs a link of those that are
+The page works from the folder alone: when it ends, experiments go on as before. Open it by one of the links that are
 printed.
 """
 
