@@ -18,6 +18,7 @@ from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from robot_runner.simulator.simulated_actions import SimulatedAction
 
 __all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
 
@@ -172,6 +173,7 @@ class Simulation:
         parameters: what its robots are made of.
         real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
         offers: the services that others than the robots offer, by full name: their types and what answers.
+        actions: the actions that are offered, by full name.
 
     Example:
         >>> simulation = Simulation(seed=1)
@@ -187,6 +189,7 @@ class Simulation:
         self.parameters = parameters or Turtlebot3Parameters()
         self._seed = seed
         self.offers: dict[str, tuple[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]] = {}
+        self.actions: dict[str, SimulatedAction] = {}
         self._robots: dict[str, SimulatedTurtlebot3] = {}
         self._is_closed = False
 
