@@ -217,6 +217,7 @@ class SimulatedPlace:
         real_time_factor: simulated seconds a real second.
         is_clock: whether its time is published on `/clock`.
         has_watchdog: whether it stops once the run that drives it has fallen silent.
+        room: a file that describes where it lives; None for the usual room.
 
     Example:
         >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
@@ -229,6 +230,7 @@ class SimulatedPlace:
     real_time_factor: float = 1.0
     is_clock: bool = False
     has_watchdog: bool = True
+    room: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,11 +278,14 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
     if name.link not in GRAPH_LINKS:
         fix = did_you_mean(name.link, GRAPH_LINKS)
         raise LinkError(f"no robot can be put on {name.link!r}", where="the simulated robot", fix=fix)
+    from robot_runner.simulator.room_file import read_room  # noqa: PLC0415
+    from robot_runner.simulator.rooms import DEFAULT_ROOM  # noqa: PLC0415
     from robot_runner.simulator.simulated_devices import MeterTerminal  # noqa: PLC0415
     from robot_runner.simulator.simulated_turtlebot3 import Simulation  # noqa: PLC0415
 
+    room = DEFAULT_ROOM if place.room is None else read_room(place.room)
     with ExitStack() as closing:
-        simulation = Simulation(place.seed)
+        simulation = Simulation(place.seed, room=room)
         closing.callback(simulation.close)
         meter = MeterTerminal(simulation, namespace=place.namespace)
         closing.callback(meter.close)
