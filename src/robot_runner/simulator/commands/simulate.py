@@ -87,14 +87,16 @@ def execute(arguments: Namespace) -> int:
     check_pace(place)
     console = output()
     with _ending() as is_over, on_graph(place) as simulation:
-        console.print(f"simulated {arguments.robot} on {arguments.link}, namespace {arguments.namespace or '/'}")
-        console.print(f"power meter: {simulation.meter_port}")
+        for namespace, robot in simulation.robots.items():
+            console.print(f"simulated {arguments.robot} on {arguments.link}, namespace {namespace or '/'}")
+            if robot.meter is not None:
+                console.print(f"power meter: {robot.meter.port}")
         console.print("ready")
         console.file.flush()
-        simulation.robot.live(is_over=lambda: bool(is_over))
-    console.print(f"ended after {shown_duration(simulation.robot.now)} of the robot's time")
-    if simulation.robot.lags:
-        lags = counted(simulation.robot.lags, "time")
+        simulation.live(is_over=lambda: bool(is_over))
+    console.print(f"ended after {shown_duration(simulation.now)} of the robot's time")
+    if simulation.lags:
+        lags = counted(simulation.lags, "time")
         console.print(f"the simulated robot could not keep its pace {lags}: this machine is too busy")
     return 0
 
