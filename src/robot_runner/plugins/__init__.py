@@ -63,5 +63,11 @@ if TYPE_CHECKING:
     from robot_runner.meters.electrical import ElectricalReading as ElectricalReading
     from robot_runner.meters.polled import Meter as Meter
     from robot_runner.meters.polled import PolledProfiler as PolledProfiler
+    from robot_runner.ros.lifecycle import LifecycleState as LifecycleState
+    from robot_runner.ros.lifecycle import bring_to as bring_to
+    from robot_runner.ros.lifecycle import change_state as change_state
+    from robot_runner.ros.lifecycle import state_of as state_of
+    from robot_runner.ros.parameter_access import ParameterAccess as ParameterAccess
+    from robot_runner.ros.parameter_access import parameters_of as parameters_of
 else:
     __getattr__, __dir__ = open_door(__name__)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.ros.sole_control import SoleControl
     from robot_runner.ros.turtlebot3.mission import Performance, Phase
 
 __all__ = ["BasicTurtlebot3"]
@@ -146,25 +144,13 @@ class BasicTurtlebot3(System):
         self._robot.check_commands_subscribed(where=self.name)
         self._robot.tasks.check(self._task_of(context), where=self.name)
         self._end_left_task(self._robot.tasks, context)
-        if not link.is_simulated:  # the embedded robot is alone in its world
-            self._take_control(self._robot.control, context)
+        self._robot.take_control(context, sole=self.sole_control)
 
     def _end_left_task(self, tasks: TaskServices, context: RobotRunnerContext) -> None:
         """Stop a task that an earlier run, or somebody else, left running: it would be measured, and refuse ours."""
         told = tasks.stop_all()
         if any(told.startswith(f"{task.value} ") for task in Task):  # else: "nothing was running"
             context.warn(f"a task was still running on the robot: {told}", fix="Look what left it running.")
-
-    def _take_control(self, control: SoleControl, context: RobotRunnerContext) -> None:
-        findings = control.check()
-        errors = [finding for finding in findings if finding.is_error]
-        if errors and self.sole_control:
-            raise LinkError.of_findings(errors)
-        for finding in findings:
-            tell = context.doubt if finding.is_error else context.warn
-            tell(finding.problem, fix=finding.fix)
-        fix = "End what else commands or is this robot, and execute the run again."
-        control.begin(context.fail if self.sole_control else partial(context.doubt, fix=fix))
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.
