@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message
     from robot_runner.core.sampling.live_samples import LiveSamples
 
-__all__ = ["POSE_TOPIC", "Odometer", "Pose", "Trajectory", "wrapped"]
+__all__ = ["ODOMETRY", "POSE_TOPIC", "Odometer", "Pose", "Trajectory", "wrapped"]
 
 
 #: The topic of the robot's odometry.
 POSE_TOPIC = "odom"
+ODOMETRY = "nav_msgs/Odometry"
 #: How often the first pose is looked for, s.
 _POLL = 0.02
 #: How fast a pose may change, m/s: what a TurtleBot3 can do, five times over; odometry comes in bursts where a network

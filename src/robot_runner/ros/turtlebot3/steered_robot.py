@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import Enum
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,18 +13,22 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.core.links.connect import is_simulation
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.ros.graph_links import full_name, missing
+from robot_runner.ros.graph_look import offer_findings
 from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, MAXIMUM_SPEED, MAXIMUM_TURN_RATE, Pilot, Wheels
 from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.ros.turtlebot3.odometry import Odometer
 
-__all__ = ["Heartbeat", "Robot", "Task", "TaskServices"]
+__all__ = ["Heartbeat", "Robot", "Task", "TaskServices", "required_services"]
 
 
 #: The watchdog is patient for 0.4 s: three beats may be lost on the air.
@@ -110,6 +115,13 @@ class Task(Enum):
 
 
 _TRIGGER = "std_srvs/Trigger"
+_TASK_NODE = "Start the robot's task node, which is in the repository's robot/ folder."
+
+
+def required_services(task: Task) -> Iterator[GraphNeed]:
+    """Yield the services that a robot must offer for a task."""
+    for name in (f"task/{task.value}/start", f"task/{task.value}/stop", "task/stop"):
+        yield GraphNeed.service(name, _TRIGGER, fix=_TASK_NODE)
 
 
 class TaskServices:
@@ -123,14 +135,13 @@ class TaskServices:
         """See that the robot offers the services of a task, before it has driven to where the task begins.
 
         Raises:
-            LinkError: it does not; nothing is raised where the graph does not tell its services.
+            LinkError: it does not, or they are of another type.
         """
         offered = self._link.services()
-        for name in (f"task/{task.value}/start", f"task/{task.value}/stop", "task/stop"):
-            service = full_name(self._namespace, name)
-            if offered and service not in offered:
-                fix = "Start the robot's task node, which is in the repository's robot/ folder."
-                raise missing("service", service, offered, where=where, fix=fix)
+        needs = [replace(need, name=full_name(self._namespace, need.name)) for need in required_services(task)]
+        found = [finding for need in needs for finding in offer_findings("service", offered, need, where)]
+        if found:
+            raise LinkError.of_findings(found)
 
     def start(self, task: Task) -> None:
         """Start a task.
@@ -148,13 +159,13 @@ class TaskServices:
         """
         self._call(f"task/{task.value}/stop")
 
-    def stop_all(self) -> None:
-        """Stop whatever is going on; that nothing is, is no fault.
+    def stop_all(self) -> str:
+        """Stop whatever is going on, and return what the robot says of it; that nothing is, is no fault.
 
         Raises:
             LinkError: the robot cannot be reached or has no such service.
         """
-        self._link.call("task/stop", _TRIGGER)
+        return str(self._link.call("task/stop", _TRIGGER).get("message", ""))
 
     def _call(self, service: str) -> None:
         response = self._link.call(service, _TRIGGER)
