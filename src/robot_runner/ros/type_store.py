@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.ros.action_types import action_parts, bundled_definitions, is_action_part
 from robot_runner.ros.message_codec import NodeKind
+from robot_runner.ros.node_services import NODE_TYPES
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
         definitions.setdefault(f"{name}.srv", ("the standard services", text))
     for name, text in bundled_definitions(generation, distro or _LATEST).items():
         definitions.setdefault(name, ("the standard actions", text))
+    for name, text in NODE_TYPES[generation].items():
+        definitions.setdefault(name, ("the services of every node", text))
     found: dict[str, Any] = {}
     for name, (where, text) in definitions.items():
         found |= _parsed(rosbags, name, text, where, generation)
