@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.connect import connect_host as connect_host
     from robot_runner.core.links.connect import connect_robot as connect_robot
     from robot_runner.core.links.connect import open_serial_line as open_serial_line
+    from robot_runner.core.links.graph_needs import GraphNeed as GraphNeed
     from robot_runner.core.links.measured_machine import Computer as Computer
     from robot_runner.core.plugin import Circumstances as Circumstances
     from robot_runner.core.plugin import Plugin as Plugin

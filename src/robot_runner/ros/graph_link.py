@@ -176,6 +176,11 @@ class GraphLink:
             note_velocity(name, planar(velocity_of(advertised.message_type, complete)))
         advertised.publisher.publish(complete)
 
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
+        """Return once the subscribers of a topic that are there already would receive what is published."""
+        name = self._name(topic)
+        check_type(name, message_type, [self._advertise(name, message_type, {}, qos).message_type])
+
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> Subscription:
