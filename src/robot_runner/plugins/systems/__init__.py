@@ -8,6 +8,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from robot_runner.meters.machine.tuned_machine import Tune as Tune
     from robot_runner.ros.lifecycle_states import Lifecycle as Lifecycle
+    from robot_runner.ros.missions.action_mission import ActionMission as ActionMission
     from robot_runner.ros.missions.together import Together as Together
     from robot_runner.ros.missions.topic_mission import TopicMission as TopicMission
     from robot_runner.ros.missions.waypoints import Waypoints as Waypoints
