@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ __all__ = ["DIALECTS", "Demand", "Dialect", "Spot", "dialect_of"]
 Spot = tuple[float, float, float]
 
 _EMPTY = "std_srvs/Empty"
+_LOOK = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +48,22 @@ class Demand:
         Raises:
             LinkError: there is no such service, it does not answer in time, or it says that it did nothing.
         """
-        name = self._found(link, namespace)
+        name = self._awaited(link, namespace, time.monotonic() + timeout)
         refused = self.refusal(link.call(name, self.service_type, self.request, timeout=timeout))
         if refused:
             raise LinkError(
                 f"the simulator did not do it: {refused}", where=name, fix="Look at the simulator's output."
             )
+
+    def _awaited(self, link: RobotLink, namespace: str, deadline: float) -> str:
+        """Return the name of the service; a graph that was just joined takes a moment to be discovered."""
+        while True:
+            try:
+                return self._found(link, namespace)
+            except LinkError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(_LOOK)
 
     def _found(self, link: RobotLink, namespace: str) -> str:
         names = [full_name(namespace, each) for each in self.services]
