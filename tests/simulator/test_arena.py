@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.simulator.model import ARENA, Wall, burger_model, ray_distances
+from robot_runner.simulator.model import burger_model
+from robot_runner.simulator.rooms import ARENA, Wall, ray_distances
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 BOX = (Wall(3.0, 0.0, 1.0, 0.5),)

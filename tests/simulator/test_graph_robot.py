@@ -9,8 +9,9 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Qos
-from robot_runner.simulator import graph_simulation
-from robot_runner.simulator.graph_simulation import GraphRobot, SimulatedPlace, check_pace, on_graph
+from robot_runner.simulator import graph_robot, graph_simulation
+from robot_runner.simulator.graph_simulation import GraphSimulation, SimulatedPlace, check_pace, on_graph
+from robot_runner.simulator.rooms import Pose, Room
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
 
@@ -72,6 +73,7 @@ class TimeByHand:
 def by_hand(monkeypatch):
     made = TimeByHand()
     monkeypatch.setattr(graph_simulation, "time", made)
+    monkeypatch.setattr(graph_robot, "time", made)
     return made
 
 
@@ -92,7 +94,7 @@ def make(link, simulation):
     made = []
 
     def make_robot(**options):
-        made.append(GraphRobot(link, simulation, **{"real_time_factor": 100.0, **options}))
+        made.append(GraphSimulation({"": link}, lambda seed: simulation, **{"real_time_factor": 100.0, **options}))
         return made[-1]
 
     yield make_robot
@@ -216,7 +218,7 @@ def test_a_robot_that_is_closed_hears_and_offers_nothing(link, make):
 def test_two_robots_of_one_name_are_refused_and_nothing_is_left_behind(simulation):
     link = GraphOfOne(taken=("robot_runner/watchdog/release",))
     with pytest.raises(LinkError, match="somebody offers it already"):
-        GraphRobot(link, simulation)
+        GraphSimulation({"": link}, lambda seed: simulation)
     assert link.heard_by == link.offers == {}
 
 
@@ -247,3 +249,77 @@ def test_it_lives_without_its_transform_where_tf2_is_not_installed(link, make, m
     assert link.messages("odom")
     assert not link.messages("tf")
     assert "tf2_msgs/TFMessage" in caplog.text
+
+
+def test_a_reset_is_another_run_of_the_same_robot_from_the_beginning(link):
+    graph = GraphSimulation({"": link}, Simulation, seed=4, is_clock=True, real_time_factor=100.0, has_meter=True)
+    try:
+        link.heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
+        graph.live(seconds=2.0)
+        before, noise = link.messages("odom")[-1], link.messages("imu")[0]["linear_acceleration"]
+        assert before["pose"]["pose"]["position"]["x"] > 0.3
+        link.said.clear()
+        assert link.offers["reset_simulation"]({}) == {}
+        assert graph.now == 0.0
+        graph.live(seconds=0.5)
+        after = link.messages("odom")[-1]
+        assert after["pose"]["pose"]["position"]["x"] == pytest.approx(0.0, abs=1e-3)
+        assert seconds(link.messages("/clock")[0]["clock"]) == pytest.approx(0.01)
+        assert link.messages("battery_state")[-1]["percentage"] > 0.999
+        assert link.messages("imu")[0]["linear_acceleration"] != noise, "each run after a reset would have one noise"
+        link.heard_by["cmd_vel"]({"linear": {"x": 0.1}, "angular": {"z": 0.0}})
+        graph.live(seconds=1.0)
+        assert link.speed == pytest.approx(0.1, abs=0.01)
+    finally:
+        graph.close()
+
+
+def test_a_robot_that_is_put_back_stands_where_it_began_and_time_goes_on(link, make):
+    graph = make(is_clock=True)
+    link.heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 1.0}})
+    graph.live(seconds=2.0)
+    true = graph.robots[""]._robot
+    assert abs(true.pose.yaw) > 1.0
+    link.offers["reset_world"]({})
+    graph.live(seconds=0.5)
+    pose = link.messages("odom")[-1]["pose"]["pose"]
+    assert pose["position"]["x"] == pytest.approx(0.0, abs=2e-3)
+    assert true.pose.x == pytest.approx(0.0, abs=2e-3)
+    assert true.pose.yaw == pytest.approx(0.0, abs=0.01)
+    assert link.speed == pytest.approx(0.0, abs=1e-3)
+    assert graph.now == pytest.approx(2.5)
+
+
+def test_while_it_is_paused_its_time_stands_still_and_nothing_is_said(link, make, by_hand):
+    graph = make(is_clock=True, real_time_factor=1.0)
+    graph.live(seconds=0.1)
+    link.offers["pause_physics"]({})
+    link.said.clear()
+    begun = by_hand.now
+    graph.live(is_over=lambda: by_hand.now > begun + 1.0)
+    assert link.said == []
+    assert graph.now == pytest.approx(0.1)
+    link.offers["unpause_physics"]({})
+    graph.live(seconds=0.2)
+    assert graph.now == pytest.approx(0.3, abs=0.011)
+    assert graph.lags == 0
+    assert by_hand.now - begun == pytest.approx(1.2, abs=0.05), "time that was paused is not made up for"
+
+
+def test_robots_of_one_room_live_on_one_graph_in_one_world():
+    links = {"/alice": GraphOfOne(), "/bob": GraphOfOne()}
+    room = Room((), {"/alice": Pose(0, 0, 0), "/bob": Pose(0.4, 0, 0)})
+    graph = GraphSimulation(links, lambda seed: Simulation(seed, room=room), real_time_factor=100.0)
+    links["/alice"].heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
+    graph.live(seconds=4.0)
+    assert min(links["/bob"].messages("scan")[0]["ranges"]) < 0.5
+    assert graph.robots["/bob"]._robot.pose.x > 0.45, "bob was not pushed"
+    graph.close()
+
+
+def test_a_room_that_names_its_robots_takes_no_namespace(tmp_path):
+    path = tmp_path / "room.toml"
+    path.write_text("[[robot]]\nat = [0, 0]\nnamespace = 'alice'", "utf-8")
+    place = SimulatedPlace(link="dds", namespace="/bob", room=path)
+    with pytest.raises(LinkError, match="the room names its robots: /alice"), on_graph(place):
+        pass

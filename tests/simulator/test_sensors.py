@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from robot_runner.simulator.model import ARENA, ray_distances
+from robot_runner.simulator.rooms import ARENA, ray_distances
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 

@@ -39,7 +39,16 @@ class ProtectedDrive:
     """Brings the body and its supply up to a step, and switches the motors off once the battery is too low.
 
     The voltage is looked at once a second, at whole seconds of the simulation's clock, so that it makes no difference
-    when somebody asks for the robot's state.
+    when somebody asks for the robot's state. Robots of one world move on together, so each is looked at whenever one of
+    them is asked for.
+
+    Args:
+        parameters: the robot's figures.
+        drive: its body.
+        model: what it draws.
+        battery: what it has.
+        supply: its battery over time.
+        together: all the protected drives of its world, which this one joins.
 
     Attributes:
         cut_off: when and at which voltage the motors were switched off; None while they are on.
@@ -52,7 +61,10 @@ class ProtectedDrive:
         model: PowerModel,
         battery: Battery,
         supply: PowerSupply,
+        together: list[ProtectedDrive] | None = None,
     ) -> None:
+        self._together = [] if together is None else together
+        self._together.append(self)
         self._drive = drive
         self._model = model
         self._supply = supply
@@ -69,18 +81,24 @@ class ProtectedDrive:
 
     def reach(self, step: int) -> None:
         """Bring the body up to a step."""
-        if step > self._safe_until and self.cut_off is None and not self._is_above_threshold(step):
+        if any(each.is_in_doubt(step) for each in self._together):
             for second in range(self._drive.steps // STEPS_PER_SECOND + 1, step // STEPS_PER_SECOND + 1):
-                if self._check(second):
+                checked = [each.is_low(second) for each in self._together if each.cut_off is None]
+                if all(checked):
                     break
         self._drive.advance(step)
+
+    def is_in_doubt(self, step: int) -> bool:
+        """Return whether the voltage could be too low by this step while the motors are on."""
+        return step > self._safe_until and self.cut_off is None and not self._is_above_threshold(step)
 
     def extend(self, step: int) -> None:
         """Bring the body and its supply up to a step."""
         self.reach(step)
         self._supply.extend(step)
 
-    def _check(self, second: int) -> bool:
+    def is_low(self, second: int) -> bool:
+        """Look at the voltage at this second, and switch the motors off where it is too low."""
         step = second * STEPS_PER_SECOND
         self._drive.advance(step)
         self._supply.extend(step)

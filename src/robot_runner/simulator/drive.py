@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from robot_runner.simulator.model import burger_model, holding_torque, rolling_torque, slope_angle
+from robot_runner.simulator.model import Body, holding_torque, rolling_torque, slope_angle
+from robot_runner.simulator.physics import Physics
+from robot_runner.simulator.rooms import Pose
 from robot_runner.simulator.simulated_clock import STEP_NS, STEPS_PER_SECOND, tick_time
 
 if TYPE_CHECKING:
@@ -25,7 +27,6 @@ __all__ = ["MOVING_WHEEL_SPEED", "DifferentialDrive", "OdometryState", "Pose", "
 #: A wheel that turns faster than this (rad/s; 1.7 mm/s on the ground) moves.
 MOVING_WHEEL_SPEED = 0.05
 
-_SETTLING_STEPS = 200
 #: How many steps are between two corrections of the motors' set points (100 ms).
 _CORRECTION_STEPS = 20
 #: A motor whose set point is nearer than this (rad/s) to where it goes has gathered its speed.
@@ -33,26 +34,31 @@ _SETTLED = 0.05
 _INITIAL_ROWS = 4096
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Where the robot truly is: metres and radians (-pi..pi) in the arena."""
-
-    x: float
-    y: float
-    yaw: float
-
-
 class DifferentialDrive:
     """Two driven wheels and a body, advanced in steps of the simulation's grid.
 
     Row i of each trace is the state after i steps: `wheel_angles` (rad), `wheel_speeds` (rad/s) and
     `motor_torques` (N m), each with a column for the left and one for the right wheel.
+
+    Args:
+        parameters: the robot's figures.
+        wheel_radii: the true radii of the left and the right wheel in metres, of a robot in an arena of its own.
+        physics: the world that it shares with others instead.
+        number: which of that world's bodies it is.
     """
 
-    def __init__(self, parameters: Turtlebot3Parameters, wheel_radii: tuple[float, float]) -> None:
+    def __init__(
+        self,
+        parameters: Turtlebot3Parameters,
+        wheel_radii: tuple[float, float],
+        *,
+        physics: Physics | None = None,
+        number: int = 0,
+    ) -> None:
         self._parameters = parameters
-        self._model = mujoco.MjModel.from_xml_string(burger_model(parameters, wheel_radii))
-        self._data = mujoco.MjData(self._model)
+        self._physics = physics or Physics(parameters, [Body(wheel_radii)])
+        self._number = number
+        self._body = self._physics.body(number)
         self._trace = np.empty((_INITIAL_ROWS, 6))
         self._target = np.zeros(2)
         # What the set points are ahead of the speeds by, so that the motors bear their load at the commanded speed;
@@ -60,12 +66,16 @@ class DifferentialDrive:
         self._lead = np.full(2, holding_torque(parameters) / parameters.servo_gain)
         self._rolling_lead = rolling_torque(parameters) / parameters.servo_gain
         self._correction = _CORRECTION_STEPS / STEPS_PER_SECOND / parameters.servo_settling_time
-        self._data.act[:] = self._data.ctrl[:] = self._lead
-        self.steps = 0
-        mujoco.mj_step(self._model, self._data, nstep=_SETTLING_STEPS)
-        self._wheel_angles: Floats = self._data.qpos[7:9]
-        self._wheel_speeds: Floats = self._data.qvel[6:8]
-        self._record(0)
+        # Looked up at each step: views of MuJoCo's arrays.
+        self._wheel_angles, self._wheel_speeds = self._body.wheel_angles, self._body.wheel_speeds
+        self._torques = self._body.torques
+        self.note(0)
+        self._physics.ride(self)
+
+    @property
+    def steps(self) -> int:
+        """How many steps were made since the beginning."""
+        return self._physics.steps
 
     @property
     def wheel_angles(self) -> Floats:
@@ -85,7 +95,7 @@ class DifferentialDrive:
     @property
     def pose(self) -> Pose:
         """The true pose after the last step."""
-        x, y, _, w, qx, qy, qz = map(float, self._data.qpos[:7])
+        x, y, _, w, qx, qy, qz = map(float, self._body.pose)
         return Pose(x, y, math.atan2(2 * (w * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz)))
 
     @property
@@ -93,19 +103,19 @@ class DifferentialDrive:
         """The true orientation as a quaternion: x, y, z, w (ROS' order), with z upwards and not across the slope."""
         half = -slope_angle(self._parameters) / 2
         turned = np.empty(4)
-        mujoco.mju_mulQuat(turned, np.array([math.cos(half), 0.0, math.sin(half), 0.0]), self._data.qpos[3:7])
+        mujoco.mju_mulQuat(turned, np.array([math.cos(half), 0.0, math.sin(half), 0.0]), self._body.pose[3:7])
         w, x, y, z = turned.tolist()
         return x, y, z, w
 
     @property
     def angular_velocity(self) -> Floats:
         """What an ideal gyroscope reads: rad/s in the robot's frame."""
-        return np.array(self._data.sensordata[0:3])
+        return np.array(self._body.sensed[0:3])
 
     @property
     def acceleration(self) -> Floats:
         """What an ideal accelerometer reads: m/s² in the robot's frame, gravity included."""
-        return np.array(self._data.sensordata[3:6])
+        return np.array(self._body.sensed[3:6])
 
     @property
     def is_moving(self) -> bool:
@@ -121,37 +131,37 @@ class DifferentialDrive:
         target = np.array([_limited(speed, limits.max_wheel_speed) for speed in speeds])
         self._lead += (np.sign(target) - np.sign(self._target)) * self._rolling_lead
         self._target = target
-        self._data.ctrl[:] = self._target + self._lead
+        self._body.set_points[:] = self._target + self._lead
 
     def advance(self, steps: int) -> None:
         """Go on until this many steps were made since the beginning; those already made are not repeated."""
-        self._make_room(steps + 1)
-        model, data, trace = self._model, self._data, self._trace
-        for row in range(self.steps + 1, steps + 1):
-            mujoco.mj_step(model, data)
-            trace[row, 0:2] = self._wheel_angles
-            trace[row, 2:4] = self._wheel_speeds
-            trace[row, 4:6] = data.actuator_force
-            if not row % _CORRECTION_STEPS:
-                self._correct()
-        self.steps = max(self.steps, steps)
+        self._physics.advance(steps)
+
+    def note(self, row: int) -> None:
+        """Note the state after so many steps, and correct the motors' set points."""
+        if row >= len(self._trace):
+            self._trace = np.concatenate([self._trace, np.empty_like(self._trace)])
+        trace = self._trace
+        trace[row, 0:2] = self._wheel_angles
+        trace[row, 2:4] = self._wheel_speeds
+        trace[row, 4:6] = self._torques
+        if row and not row % _CORRECTION_STEPS:
+            self._correct()
+
+    def put_back(self) -> None:
+        """Stand still where the robot stood at the beginning."""
+        self.command(0.0, 0.0)
+        self._physics.put_back(self._number)
 
     def _correct(self) -> None:
         """Follow the load with the set points: the integral part of the servo's speed control.
 
         While the robot gathers speed or loses it, its inertia is the greater part of the load, and is not followed.
         """
-        if np.abs(self._data.ctrl - self._data.act).max() > _SETTLED:
+        if np.abs(self._body.set_points - self._body.lagging).max() > _SETTLED:
             return
-        self._lead += self._correction * (self._data.act - self._wheel_speeds - self._lead)
-        self._data.ctrl[:] = self._target + self._lead
-
-    def _record(self, row: int) -> None:
-        self._trace[row] = [*self._wheel_angles, *self._wheel_speeds, *self._data.actuator_force]
-
-    def _make_room(self, rows: int) -> None:
-        while rows > len(self._trace):
-            self._trace = np.concatenate([self._trace, np.empty_like(self._trace)])
+        self._lead += self._correction * (self._body.lagging - self._wheel_speeds - self._lead)
+        self._body.set_points[:] = self._target + self._lead
 
 
 def _limited(value: float, limit: float) -> float:
@@ -199,6 +209,11 @@ class WheelOdometry:
             self._number += 1
             self._add(step)
         return self._state
+
+    def restart(self) -> None:
+        """Count from zero: the robot was put back."""
+        self.latest()
+        self._state = OdometryState()
 
     def _add(self, step: int) -> None:
         left, right = self._read(step)

@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 from dataclasses import dataclass, fields
 from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.robot import RobotLink, RobotName
     from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.simulator.rooms import Room
     from robot_runner.simulator.simulated_turtlebot3 import Simulation
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
@@ -28,7 +30,9 @@ _WHERE = "robot"
 _NAME = "simulated"
 _PACKAGES = ("mujoco", "numpy")
 _MODULES = ("robot_runner.simulator.simulated_link", "robot_runner.simulator.simulated_devices")
+_SIMULATION = "robot_runner.simulator.simulated_turtlebot3"  # imports MuJoCo
 _REAL_TIME_FACTOR = "real_time_factor"
+_ROOM = "room"
 
 
 class _EmbeddedRobot:
@@ -39,16 +43,14 @@ class _EmbeddedRobot:
     is_simulated = True
 
     def findings(self, name: RobotName) -> list[Finding]:
-        """Return which packages are missing.
-
-        Raises:
-            LinkError: an option cannot be.
-        """
+        """Return which packages are missing, or what is wrong with an option."""
         missing = [package for package in _PACKAGES if importlib.util.find_spec(package) is None]
         if missing:
             return [_not_installed(missing).as_finding()]
-        if name.options:
+        try:
             simulation_options(name.options)
+        except LinkError as error:
+            return list(error.findings) or [error.as_finding()]
         return []
 
     def preload(self, name: RobotName) -> None:
@@ -95,11 +97,10 @@ def _simulation(name: RobotName, resources: Resources, seed: int) -> Simulation:
 
     def opener() -> Simulation:
         try:
-            from robot_runner.simulator.simulated_turtlebot3 import Simulation  # noqa: PLC0415  # it imports MuJoCo
+            importlib.import_module(_SIMULATION)
         except ModuleNotFoundError as error:
             raise _not_installed([error.name or "mujoco"]) from error
-        options = simulation_options(name.options)
-        return Simulation(seed, parameters=options.parameters, real_time_factor=options.real_time_factor)
+        return simulation_options(name.options).simulation(seed)
 
     return resources.open("simulation", opener)
 
@@ -119,10 +120,18 @@ class SimulationOptions:
     Attributes:
         parameters: what its robots are made of.
         real_time_factor: simulated seconds a real second (1.0: real time); None for as fast as the physics goes.
+        room: where they live.
     """
 
     parameters: Turtlebot3Parameters
     real_time_factor: float | None
+    room: Room
+
+    def simulation(self, seed: int) -> Simulation:
+        """Return a simulation of this kind, at its beginning."""
+        from robot_runner.simulator.simulated_turtlebot3 import Simulation  # noqa: PLC0415  # it imports MuJoCo
+
+        return Simulation(seed, parameters=self.parameters, room=self.room, real_time_factor=self.real_time_factor)
 
 
 def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
@@ -133,12 +142,15 @@ def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
         1.0
 
     Raises:
-        LinkError: there is no such parameter, or it cannot have this value.
+        LinkError: there is no such parameter, it cannot have this value, or the room's file describes none.
     """
+    from robot_runner.simulator.room_file import read_room  # noqa: PLC0415  # it imports NumPy
+    from robot_runner.simulator.rooms import DEFAULT_ROOM  # noqa: PLC0415
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters  # noqa: PLC0415  # it imports NumPy
 
-    kinds = {each.name: int if each.type == "int" else float for each in fields(Turtlebot3Parameters)}
+    kinds: dict[str, type] = {each.name: int if each.type == "int" else float for each in fields(Turtlebot3Parameters)}
     kinds[_REAL_TIME_FACTOR] = float
+    kinds[_ROOM] = Path
     values: dict[str, Any] = {}
     for name, text in options.items():
         if name not in kinds:
@@ -154,4 +166,5 @@ def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
     if pace is not None and not 0 < pace < inf:
         problem = f"the simulated robot's {_REAL_TIME_FACTOR} is {pace:g}, which no clock can keep"
         raise LinkError(problem, where=_WHERE, fix="Give 1 for real time, 2 for twice as fast.")
-    return SimulationOptions(Turtlebot3Parameters(**values), pace)
+    room = read_room(values.pop(_ROOM).expanduser()) if _ROOM in values else DEFAULT_ROOM
+    return SimulationOptions(Turtlebot3Parameters(**values), pace, room)

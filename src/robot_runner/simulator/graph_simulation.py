@@ -1,106 +1,117 @@
-"""Opens a graph, puts the embedded robot on it, and takes it away again."""
+"""Opens a graph, puts the embedded robot on it, resets and pauses it, and takes it away again."""
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.connect import SIMULATION_TOPIC
-from robot_runner.core.links.robot import Qos, RobotName
+from robot_runner.core.links.robot import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
-from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, RELEASE_SERVICE, RELEASE_TYPE, Watchdog
-from robot_runner.simulator.simulated_turtlebot3 import COMMAND_TOPICS, SERVICES
+from robot_runner.simulator.graph_robot import GraphRobot, stamp
+from robot_runner.simulator.room_file import read_room
+from robot_runner.simulator.rooms import DEFAULT_ROOM
+from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.core.links.robot import Message, RobotLink
-    from robot_runner.simulator.simulated_devices import MeterTerminal
-    from robot_runner.simulator.simulated_turtlebot3 import Simulation
+    from robot_runner.simulator.rooms import Room
 
-__all__ = ["GraphRobot", "GraphSimulation", "SimulatedPlace", "check_pace", "on_graph"]
+__all__ = ["GraphSimulation", "SimulatedPlace", "check_pace", "on_graph"]
 
 
 #: How far the simulation moves on between two looks at the real world, simulated s.
 _TICK = 0.01
 #: How far, real s, it may be behind before it gives up to catch up.
 _LONGEST_LAG = 0.25
-_SECOND_NS = 1_000_000_000
-#: It comes with tf2, which the smallest installations of ROS 2 lack.
-_TRANSFORM_TYPE = "tf2_msgs/TFMessage"
-#: Best effort, as of the robot's own drivers; all else is reliable.
-_QOS = {"scan": Qos.SENSOR_DATA, "imu": Qos.SENSOR_DATA}
-
-_logger = logging.getLogger(__name__)
+_SERVICE_TYPE = "std_srvs/Empty"
 
 
-class GraphRobot:
-    """One robot of a simulation on a graph: its topics and services, its transform, its watchdog, and its clock.
+class GraphSimulation:
+    """A simulation on a graph: its robots, its time, and services that reset and pause it.
+
+    The services are those of Gazebo classic: `reset_simulation` (from the beginning: time, battery, odometry, and the
+    noise of another seed, so that a run after it is another run), `reset_world` (the robots stand where they stood at
+    the beginning, and time goes on), `pause_physics` and `unpause_physics`, all of std_srvs/Empty.
 
     Args:
-        link: to the graph, in the robot's namespace; it stays the caller's to close.
-        simulation: whose robot of this namespace it is.
-        namespace: of the robot.
-        is_clock: whether the simulation's time is published on `/clock` and is what stamps show; if not, they show this
-            machine's wall clock.
+        links: to the graph, one for each robot, by namespace; they stay the caller's to close. The services are offered
+            over the first.
+        make: makes a simulation of a seed.
+        seed: of the first simulation; each reset takes the next one.
+        is_clock: whether the simulation's time is published on `/clock` and is what stamps show.
         real_time_factor: simulated seconds a real second.
-        meter: its power meter on a terminal, if it has one.
-        has_watchdog: whether it stops once the run that drives it has fallen silent.
+        has_meter: whether each robot's power meter is opened on a terminal.
+        has_watchdog: whether a robot stops once the run that drives it has fallen silent.
 
     Attributes:
+        robots: its robots, by namespace.
         lags: how often it could not keep up with its pace.
+        is_paused: whether its time stands still.
 
     Raises:
-        LinkError: the graph cannot be reached, or such a robot is offered there already.
+        LinkError: a graph cannot be reached, or such a robot is offered there already.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
-        >>> robot = GraphRobot(link, Simulation(seed=1), namespace="/alice")  # doctest: +SKIP
-        >>> robot.live(seconds=10.0)  # doctest: +SKIP
-        >>> robot.close()  # doctest: +SKIP
+        >>> graph = GraphSimulation({"": link}, Simulation)  # doctest: +SKIP
+        >>> graph.live(seconds=10.0)  # doctest: +SKIP
+        >>> graph.close()  # doctest: +SKIP
     """
 
     def __init__(
         self,
-        link: RobotLink,
-        simulation: Simulation,
+        links: Mapping[str, RobotLink],
+        make: Callable[[int], Simulation],
         *,
-        namespace: str = "",
+        seed: int = 1,
         is_clock: bool = False,
         real_time_factor: float = 1.0,
-        meter: MeterTerminal | None = None,
+        has_meter: bool = False,
         has_watchdog: bool = True,
     ) -> None:
-        self._link = link
-        self._clock = simulation.clock
-        self._robot = simulation.turtlebot3(namespace)
+        self._make = make
+        self._seed = seed
+        self._simulation = make(seed)
+        self._link = next(iter(links.values()))
         self._is_clock = is_clock
         self._factor = real_time_factor
-        self._meter = meter
-        self._has_transform = _is_known(link, _TRANSFORM_TYPE)
-        self._watchdog = Watchdog() if has_watchdog else Watchdog(heartbeat_timeout=0.0)
-        self._lock = threading.Lock()  # callbacks come from threads of the link; the simulation has one at a time
+        self._lock = threading.RLock()  # callbacks come from threads of the links; the simulation has one at a time
+        self._is_reset = False
         self._closing = ExitStack()
+        self.robots: dict[str, GraphRobot] = {}
         self.lags = 0
+        self.is_paused = False
         with ExitStack() as undoing:
             undoing.callback(self.close)
+            self._closing.callback(self._close_simulation)
+            for namespace, link in links.items():
+                robot = GraphRobot(
+                    link,
+                    self._simulation,
+                    namespace=namespace,
+                    lock=self._lock,
+                    is_clock=is_clock,
+                    has_meter=has_meter,
+                    has_watchdog=has_watchdog,
+                )
+                self.robots[namespace] = robot
+                self._closing.callback(robot.close)
             self._offer()
-            self._subscribe()
-            self._publish_from_now_on()
             undoing.pop_all()
 
     @property
     def now(self) -> float:
-        """How long it has lived, simulated s."""
-        return self._clock.now()
+        """How long it has lived since the last reset, simulated s."""
+        return self._simulation.clock.now()
 
     def live(self, *, seconds: float | None = None, is_over: Callable[[], bool] = lambda: False) -> None:
         """Live for so many simulated seconds, or until `is_over`, at the pace that was asked for.
@@ -112,95 +123,74 @@ class GraphRobot:
         begun, begun_at = time.monotonic(), self.now
         while not is_over() and (end is None or self.now < end):
             with self._lock:
-                self._tick()
+                is_moving_on = not self.is_paused
+                if is_moving_on:
+                    self._tick()
+                is_moving_on, self._is_reset = is_moving_on and not self._is_reset, False
             ahead = (self.now - begun_at) / self._factor - (time.monotonic() - begun)
-            if ahead > 0:
+            if not is_moving_on:
+                time.sleep(_TICK)
+                begun, begun_at = time.monotonic(), self.now
+            elif ahead > 0:
                 time.sleep(ahead)
             elif ahead < -_LONGEST_LAG:  # a machine that is too slow, or was suspended
                 begun, begun_at = time.monotonic(), self.now
                 self.lags += 1
 
+    def reset(self) -> None:
+        """Begin again: at time 0, with a full battery, and with the noise of the next seed."""
+        with self._lock:
+            self._seed += 1
+            earlier, self._simulation = self._simulation, self._make(self._seed)
+            for robot in self.robots.values():
+                robot.enter(self._simulation)
+            earlier.close()
+            self._is_reset = True
+
+    def put_back(self) -> None:
+        """Let all robots stand still where they stood at the beginning; time and batteries go on."""
+        with self._lock:
+            for robot in self.robots.values():
+                robot.put_back()
+
+    def pause(self, *, is_paused: bool) -> None:
+        """Let its time stand still, or go on."""
+        with self._lock:
+            self.is_paused = is_paused
+
     def close(self) -> None:
         """End all offers and subscriptions; closing twice does nothing."""
         self._closing.close()
 
-    def _tick(self) -> None:
-        if self._watchdog.must_stop(time.monotonic()):
-            self._robot.drive(0.0, 0.0)
-        self._clock.sleep(_TICK)
-        if self._is_clock:
-            self._link.publish("/clock", "rosgraph_msgs/Clock", {"clock": self._stamp()})
-        if self._meter is not None:
-            self._meter.exchange()
+    def _close_simulation(self) -> None:
+        self._simulation.close()
 
     def _offer(self) -> None:
-        for name, service_type in SERVICES.items():
-            self._keep(self._link.offer(name, service_type, partial(self._call, name)))
-        self._keep(self._link.offer(RELEASE_SERVICE, RELEASE_TYPE, self._release))
+        services: dict[str, Callable[[], None]] = {
+            "reset_simulation": self.reset,
+            "reset_world": self.put_back,
+            "pause_physics": partial(self.pause, is_paused=True),
+            "unpause_physics": partial(self.pause, is_paused=False),
+        }
+        for name, act in services.items():
+            self._closing.callback(self._link.offer(name, _SERVICE_TYPE, partial(_answered, act)).close)
 
-    def _subscribe(self) -> None:
-        for topic, message_type in COMMAND_TOPICS.items():
-            self._keep(self._link.subscribe(topic, message_type, self._drive))
-        self._keep(self._link.subscribe(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, self._take_heartbeat))
-
-    def _publish_from_now_on(self) -> None:
-        self._link.publish(SIMULATION_TOPIC, "std_msgs/String", {"data": "turtlebot3"}, qos=Qos.TRANSIENT_LOCAL)
-        for name, topic in self._robot.topics.items():
-            publish = partial(self._publish, name, topic.message_type, _QOS.get(name, Qos.DEFAULT))
-            self._keep(topic.listen(publish))
-
-    def _keep(self, subscription: Any) -> None:
-        self._closing.callback(subscription.close)
-
-    def _publish(self, name: str, message_type: str, qos: Qos, message: dict[str, Any]) -> None:
-        stamped = {**message, "header": {**message["header"], "stamp": self._stamp()}}
-        self._link.publish(name, message_type, stamped, qos=qos)
-        if name == "odom" and self._has_transform:
-            self._link.publish("tf", _TRANSFORM_TYPE, {"transforms": [_transform(stamped)]})
-
-    def _stamp(self) -> dict[str, int]:
-        seconds, nanoseconds = divmod(self._clock.now_ns if self._is_clock else time.time_ns(), _SECOND_NS)
-        return {"sec": seconds, "nanosec": nanoseconds}
-
-    def _drive(self, message: Message) -> None:
-        speed, rate = float(message["linear"]["x"]), float(message["angular"]["z"])
-        with self._lock:
-            self._watchdog.hear_command(is_moving=bool(speed or rate), now=time.monotonic())
-            self._robot.drive(speed, rate)
-
-    def _take_heartbeat(self, message: Message) -> None:
-        with self._lock:
-            self._watchdog.hear_heartbeat(message["data"], time.monotonic())
-
-    def _call(self, name: str, request: Message) -> Message:
-        del request
-        with self._lock:
-            return self._robot.call(name)
-
-    def _release(self, request: Message) -> Message:
-        del request
-        with self._lock:
-            self._watchdog.release()
-        return {"success": True, "message": "the robot may be moved until the next heartbeat"}
+    def _tick(self) -> None:
+        for robot in self.robots.values():
+            robot.watch()
+        self._simulation.clock.sleep(_TICK)
+        if self._is_clock:
+            clock = {"clock": stamp(self._simulation.clock.now_ns)}
+            self._link.publish("/clock", "rosgraph_msgs/Clock", clock)
+        for robot in self.robots.values():
+            if robot.meter is not None:
+                robot.meter.exchange()
 
 
-def _is_known(link: RobotLink, message_type: str) -> bool:
-    try:
-        link.definition(message_type)
-    except LinkError as error:
-        _logger.warning("the robot says nothing on tf: %s", error)
-        return False
-    return True
-
-
-def _transform(odometry: Message) -> Message:
-    """Return the transform that an odometry message implies."""
-    pose = odometry["pose"]["pose"]
-    return {
-        "header": odometry["header"],
-        "child_frame_id": odometry["child_frame_id"],
-        "transform": {"translation": pose["position"], "rotation": pose["orientation"]},
-    }
+def _answered(act: Callable[[], None], request: Message) -> Message:
+    del request
+    act()
+    return {}
 
 
 _USE_SIM_TIME = "/use_sim_time"
@@ -217,6 +207,7 @@ class SimulatedPlace:
         real_time_factor: simulated seconds a real second.
         is_clock: whether its time is published on `/clock`.
         has_watchdog: whether it stops once the run that drives it has fallen silent.
+        room: a file that describes where it lives; None for the usual room.
 
     Example:
         >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
@@ -229,19 +220,7 @@ class SimulatedPlace:
     real_time_factor: float = 1.0
     is_clock: bool = False
     has_watchdog: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class GraphSimulation:
-    """The robot on the graph.
-
-    Attributes:
-        robot: which must be let live.
-        meter_port: where its power meter is opened.
-    """
-
-    robot: GraphRobot
-    meter_port: Path
+    room: Path | None = None
 
 
 def check_pace(place: SimulatedPlace) -> None:
@@ -266,7 +245,7 @@ def check_pace(place: SimulatedPlace) -> None:
 
 @contextmanager
 def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
-    """Put the embedded robot on a graph for as long as the context lasts.
+    """Put the embedded robot on a graph for as long as the context lasts; all robots of a room that names some.
 
     Raises:
         LinkError: the graph cannot be reached, such a robot is offered there already, or a package is missing.
@@ -276,29 +255,39 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
     if name.link not in GRAPH_LINKS:
         fix = did_you_mean(name.link, GRAPH_LINKS)
         raise LinkError(f"no robot can be put on {name.link!r}", where="the simulated robot", fix=fix)
-    from robot_runner.simulator.simulated_devices import MeterTerminal  # noqa: PLC0415
-    from robot_runner.simulator.simulated_turtlebot3 import Simulation  # noqa: PLC0415
-
+    room = DEFAULT_ROOM if place.room is None else read_room(place.room)
+    namespaces = _namespaces(place, room)
     with ExitStack() as closing:
-        simulation = Simulation(place.seed)
-        closing.callback(simulation.close)
-        meter = MeterTerminal(simulation, namespace=place.namespace)
-        closing.callback(meter.close)
-        link = GRAPH_LINKS[name.link].open(name, SystemClock(), place.namespace)
-        closing.callback(link.close)
-        robot = GraphRobot(
-            link,
-            simulation,
-            namespace=place.namespace,
+        links = []
+        for namespace in namespaces:
+            links.append(GRAPH_LINKS[name.link].open(name, SystemClock(), namespace))
+            closing.callback(links[-1].close)
+        graph = GraphSimulation(
+            dict(zip(namespaces, links, strict=True)),
+            lambda seed: Simulation(seed, room=room),
+            seed=place.seed,
             is_clock=place.is_clock,
             real_time_factor=place.real_time_factor,
-            meter=meter,
+            has_meter=True,
             has_watchdog=place.has_watchdog,
         )
-        closing.callback(robot.close)
+        closing.callback(graph.close)
         if place.is_clock:
             closing.enter_context(_announced_clock(name))
-        yield GraphSimulation(robot, meter.port)
+        yield graph
+
+
+def _namespaces(place: SimulatedPlace, room: Room) -> list[str]:
+    """Return the robots to put on the graph."""
+    if not room.robots:
+        return [place.namespace]
+    if place.namespace:
+        raise LinkError(
+            f"the namespace is {place.namespace!r}, and the room names its robots: {', '.join(room.robots)}",
+            where="the simulated robot",
+            fix="Leave --namespace out, or [[robot]] in the room.",
+        )
+    return list(room.robots)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""The TurtleBot3 Burger and its room as a MuJoCo model (MJCF)."""
+"""The TurtleBot3 Burger among obstacles as a MuJoCo model (MJCF)."""
 
 from __future__ import annotations
 
@@ -6,70 +6,31 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from robot_runner.simulator.rooms import ARENA, ORIGIN, Cylinder
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
+    from collections.abc import Sequence
 
+    from robot_runner.simulator.rooms import Obstacle, Pose
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
-__all__ = [
-    "ARENA",
-    "WALL_HEIGHT",
-    "Wall",
-    "burger_model",
-    "holding_torque",
-    "ray_distances",
-    "rolling_torque",
-    "slope_angle",
-]
-
-
-WALL_HEIGHT = 0.5
+__all__ = ["Body", "burger_model", "holding_torque", "rolling_torque", "slope_angle", "world_model"]
 
 
 @dataclass(frozen=True, slots=True)
-class Wall:
-    """An upright box whose sides are parallel to the axes: its centre and the halves of its sides, in metres."""
+class Body:
+    """One robot of a world.
 
-    x: float
-    y: float
-    half_x: float
-    half_y: float
-
-
-#: A room of 5.5 m x 4 m with a pillar; the robot starts at the origin and looks along x.
-ARENA = (
-    Wall(4.05, 0.0, 0.05, 2.1),
-    Wall(-1.55, 0.0, 0.05, 2.1),
-    Wall(1.25, 2.05, 2.85, 0.05),
-    Wall(1.25, -2.05, 2.85, 0.05),
-    Wall(1.0, -1.2, 0.15, 0.15),
-)
-
-
-def ray_distances(
-    walls: tuple[Wall, ...], x: float, y: float, angles: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """Return how far (m) each ray from a point goes to the first wall; infinite where it meets none.
-
-    Slab method: a ray is inside a box while it is between both pairs of parallel sides
-    (Kay and Kajiya, Ray Tracing Complex Scenes, SIGGRAPH 1986).
+    Attributes:
+        wheel_radii: the true radii of the left and the right wheel in metres.
+        start: where it stands at the beginning.
+        name: stands before the names of its parts; empty for a robot that is alone.
     """
-    centres = np.array([(wall.x - x, wall.y - y) for wall in walls])
-    halves = np.array([(wall.half_x, wall.half_y) for wall in walls])
-    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)[:, np.newaxis, :]
-    # A ray along an axis never enters or never leaves the sides along that axis: infinities are meant.
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        one_side = (centres - halves) / directions
-        other_side = (centres + halves) / directions
-    entry = np.minimum(one_side, other_side).max(axis=2)
-    leaving = np.maximum(one_side, other_side).min(axis=2)
-    hits = np.where((entry <= leaving) & (entry >= 0), entry, np.inf)
-    nearest: npt.NDArray[np.float64] = hits.min(axis=1)
-    return nearest
+
+    wheel_radii: tuple[float, float]
+    start: Pose = ORIGIN
+    name: str = ""
 
 
 # Contacts as stiff as the time step allows (MuJoCo: at least two steps), so that the wheels roll on
@@ -111,57 +72,90 @@ def holding_torque(parameters: Turtlebot3Parameters) -> float:
     return parameters.mass * _GRAVITY * math.sin(slope_angle(parameters)) * parameters.wheel_radius / 2
 
 
-def burger_model(parameters: Turtlebot3Parameters, wheel_radii: tuple[float, float]) -> str:
-    """Return the MJCF of the robot at the origin of the arena, looking along x.
+def burger_model(
+    parameters: Turtlebot3Parameters,
+    wheel_radii: tuple[float, float],
+    *,
+    obstacles: Sequence[Obstacle] = ARENA,
+    start: Pose = ORIGIN,
+) -> str:
+    """Return the MJCF of one robot among obstacles, looking along x from the origin unless it starts elsewhere.
 
     Args:
         parameters: the robot's figures.
         wheel_radii: the true radii of the left and the right wheel in metres.
+        obstacles: that stand around it.
+        start: where it stands.
     """
-    left, right = wheel_radii
+    return world_model(parameters, [Body(wheel_radii, start)], obstacles)
+
+
+def world_model(parameters: Turtlebot3Parameters, bodies: Sequence[Body], obstacles: Sequence[Obstacle]) -> str:
+    """Return the MJCF of a world with one or several robots of the same figures."""
     angle = slope_angle(parameters)  # the world's axes are those of the floor: it is gravity that is tilted
     # Friction ten times as stiff as contacts (impratio), so that a robot does not creep down a slope.
     gravity = f"{-_GRAVITY * math.sin(angle)} 0 {-_GRAVITY * math.cos(angle)}"
+    motors = "".join(_motor(_part(body, side), parameters) for body in bodies for side in ("left", "right"))
+    sensors = "".join(_sensors(_part(body, "imu")) for body in bodies)
     return f"""
 <mujoco model="turtlebot3_burger">
   <option timestep="{1 / STEPS_PER_SECOND}" integrator="implicitfast" impratio="10" gravity="{gravity}"/>
   <worldbody>
     <geom name="floor" type="plane" size="0 0 1" friction="{parameters.floor_friction} 0.005 0.0001"/>
-    {"".join(_wall(wall) for wall in ARENA)}
-    <body name="base" pos="0 0 {max(wheel_radii)}">
-      <freejoint/>
-      {_body(parameters)}
-      {_caster(parameters)}
-      {_wheel("left", left, parameters.wheel_separation / 2, parameters)}
-      {_wheel("right", right, -parameters.wheel_separation / 2, parameters)}
-    </body>
+    {"".join(_obstacle(each) for each in obstacles)}
+    {"".join(_robot(body, parameters) for body in bodies)}
   </worldbody>
-  <actuator>{_motor("left", parameters)}{_motor("right", parameters)}</actuator>
-  <sensor><gyro site="imu"/><accelerometer site="imu"/></sensor>
+  <actuator>{motors}</actuator>
+  <sensor>{sensors}</sensor>
 </mujoco>"""
 
 
-def _wall(wall: Wall) -> str:
-    size = f"{wall.half_x} {wall.half_y} {WALL_HEIGHT / 2}"
-    return f'<geom type="box" pos="{wall.x} {wall.y} {WALL_HEIGHT / 2}" size="{size}"/>'
+def _part(body: Body, name: str) -> str:
+    return f"{body.name} {name}" if body.name else name
 
 
-def _body(parameters: Turtlebot3Parameters) -> str:
+def _robot(body: Body, parameters: Turtlebot3Parameters) -> str:
+    (left, right), start = body.wheel_radii, body.start
+    half = parameters.wheel_separation / 2
+    turned = f' euler="0 0 {math.degrees(start.yaw)}"' if start.yaw else ""
+    return f"""
+    <body name="{_part(body, "base")}" pos="{start.x} {start.y} {max(left, right)}"{turned}>
+      <freejoint/>
+      {_body(body, parameters)}
+      {_caster(body, parameters)}
+      {_wheel(_part(body, "left"), left, half, parameters)}
+      {_wheel(_part(body, "right"), right, -half, parameters)}
+    </body>"""
+
+
+def _sensors(imu: str) -> str:
+    return f'<gyro site="{imu}"/><accelerometer site="{imu}"/>'
+
+
+def _obstacle(obstacle: Obstacle) -> str:
+    place, half_height = f"{obstacle.x} {obstacle.y} {obstacle.height / 2}", obstacle.height / 2
+    if isinstance(obstacle, Cylinder):
+        return f'<geom type="cylinder" pos="{place}" size="{obstacle.radius} {half_height}"/>'
+    turned = f' euler="0 0 {math.degrees(obstacle.yaw)}"' if obstacle.yaw else ""
+    return f'<geom type="box" pos="{place}" size="{obstacle.half_x} {obstacle.half_y} {half_height}"{turned}/>'
+
+
+def _body(body: Body, parameters: Turtlebot3Parameters) -> str:
     half_height = (parameters.body_height - _GROUND_CLEARANCE) / 2
     height = _GROUND_CLEARANCE + half_height - parameters.wheel_radius
     return f"""
       <inertial pos="{_BODY_X} 0 {_BODY_MASS_HEIGHT}" mass="{parameters.mass - 2 * parameters.wheel_mass}"
         diaginertia="{_BODY_INERTIA}"/>
-      <geom name="body" type="box" pos="{_BODY_X} 0 {height}"
+      <geom name="{_part(body, "body")}" type="box" pos="{_BODY_X} 0 {height}"
         size="{parameters.body_length / 2} {parameters.body_width / 2} {half_height}"/>
-      <site name="imu" pos="{_BODY_X} 0 {_IMU_HEIGHT}"/>"""
+      <site name="{_part(body, "imu")}" pos="{_BODY_X} 0 {_IMU_HEIGHT}"/>"""
 
 
-def _caster(parameters: Turtlebot3Parameters) -> str:
+def _caster(body: Body, parameters: Turtlebot3Parameters) -> str:
     # Of two touching geoms of the same priority the larger friction counts, so the caster would drag with
     # the floor's: with a higher priority its own counts, and condim 1 means none at all.
     return f"""
-      <geom name="caster" type="sphere" size="{_CASTER_RADIUS}" condim="1" {_STIFF}
+      <geom name="{_part(body, "caster")}" type="sphere" size="{_CASTER_RADIUS}" condim="1" {_STIFF}
         pos="{_CASTER_X} 0 {_CASTER_RADIUS - parameters.wheel_radius}"/>"""
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_runner.simulator.model import ARENA, ray_distances
+from robot_runner.simulator.rooms import Wall, ray_distances
 from robot_runner.simulator.supply import CELLS
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from robot_runner.simulator.cut_off import ProtectedDrive
     from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
+    from robot_runner.simulator.rooms import Obstacle, Pose
     from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
     from robot_runner.simulator.supply import PowerSupply
     from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
@@ -28,11 +29,13 @@ __all__ = [
     "PublishedTopic",
     "SensorBoard",
     "battery_state",
+    "body_outline",
     "imu",
     "joint_state",
     "laser_scan",
     "odometry",
     "published_topics",
+    "seen_by_scanner",
 ]
 
 
@@ -218,6 +221,18 @@ class Listening:
 RAYS = 360
 _RAY_ANGLES = np.arange(RAYS, dtype=np.float64) * (2 * math.pi / RAYS)
 _SCANNER_X = -0.032  # ROBOTIS' URDF: scan_joint
+_SCANNER_HEIGHT = 0.182  # above the floor (ROBOTIS' URDF: base_joint and scan_joint)
+
+
+def seen_by_scanner(obstacles: Sequence[Obstacle]) -> tuple[Obstacle, ...]:
+    """Return the obstacles that are high enough for the scanner's level."""
+    return tuple(each for each in obstacles if each.height >= _SCANNER_HEIGHT)
+
+
+def body_outline(parameters: Turtlebot3Parameters, pose: Pose) -> Wall:
+    """Return what another robot's scanner sees of a robot at a pose."""
+    x, y = pose.x + _SCANNER_X * math.cos(pose.yaw), pose.y + _SCANNER_X * math.sin(pose.yaw)
+    return Wall(x, y, parameters.body_length / 2, parameters.body_width / 2, pose.yaw, parameters.body_height)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,6 +245,7 @@ class SensorBoard:
     powered: ProtectedDrive
     wheels: WheelOdometry
     supply: PowerSupply
+    surroundings: Callable[[], Sequence[Obstacle]]
     imu_noise: NumberedNoise
     scan_noise: NumberedNoise
 
@@ -254,12 +270,12 @@ class SensorBoard:
         )
 
     def scan(self) -> dict[str, Any]:
-        """Return the distances to the walls all around; infinite where nothing is in range (REP 117)."""
+        """Return the distances to what stands all around; infinite where nothing is in range (REP 117)."""
         self.powered.reach(self.clock.step)
         pose, parameters = self.drive.pose, self.parameters
         x = pose.x + _SCANNER_X * math.cos(pose.yaw)
         y = pose.y + _SCANNER_X * math.sin(pose.yaw)
-        true = ray_distances(ARENA, x, y, pose.yaw + _RAY_ANGLES)
+        true = ray_distances(self.surroundings(), x, y, pose.yaw + _RAY_ANGLES)
         noise = self.scan_noise.at(self.clock.step)[0]
         read = true * (1 + parameters.scan_deviation / 100 * noise)
         is_in_range = (read >= parameters.scan_minimum) & (read <= parameters.scan_maximum)

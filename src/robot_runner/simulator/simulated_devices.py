@@ -210,6 +210,11 @@ class MeterTerminal:
             for chunk in self._line.drain():
                 os.write(self._device, chunk.data)
 
+    def enter(self, simulation: Simulation) -> None:
+        """Be the meter of this simulation from now on; it begins anew, as after a reset."""
+        self._simulation = simulation
+        self._line = None
+
     def close(self) -> None:
         """Take the port away; closing twice does nothing."""
         if self._device >= 0:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.simulator.cut_off import CutOff, ProtectedDrive
-from robot_runner.simulator.drive import DifferentialDrive, Pose, WheelOdometry
+from robot_runner.simulator.drive import DifferentialDrive, WheelOdometry
+from robot_runner.simulator.model import Body
 from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner, Utilisation
+from robot_runner.simulator.physics import Physics
 from robot_runner.simulator.power_meter import Ina219Meter
-from robot_runner.simulator.sensors import RAYS, SensorBoard, published_topics
+from robot_runner.simulator.rooms import DEFAULT_ROOM
+from robot_runner.simulator.sensors import RAYS, SensorBoard, body_outline, published_topics, seen_by_scanner
 from robot_runner.simulator.simulated_clock import SimulatedClock
 from robot_runner.simulator.supply import Battery, PowerModel, PowerSupply
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
@@ -18,6 +22,7 @@ from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from robot_runner.simulator.rooms import Obstacle, Pose, Room
 
 __all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
 
@@ -32,8 +37,37 @@ SERVICES = {
 }
 
 
+class _World:
+    """What robots share: the room, its physics and each other; a robot that is alone has one of its own."""
+
+    def __init__(self, room: Room, parameters: Turtlebot3Parameters, seed: int, namespaces: Sequence[str]) -> None:
+        radii = [_wheel_radii(parameters, NoiseStreams(seed, each)) for each in namespaces]
+        names = namespaces if len(namespaces) > 1 else [""]
+        starts = [room.start(each) for each in namespaces]
+        bodies = [Body(*each) for each in zip(radii, starts, names, strict=True)]
+        self.wheel_radii = dict(zip(namespaces, radii, strict=True))
+        self.physics = Physics(parameters, bodies, room.obstacles)
+        self.numbers = {namespace: number for number, namespace in enumerate(namespaces)}
+        self.protected: list[ProtectedDrive] = []
+        self._drives: dict[str, DifferentialDrive] = {}
+        self._walls = seen_by_scanner(room.obstacles)
+        self._parameters = parameters
+
+    def drive(self, namespace: str) -> DifferentialDrive:
+        """Return the body of the robot of this namespace."""
+        number, radii = self.numbers[namespace], self.wheel_radii[namespace]
+        made = DifferentialDrive(self._parameters, radii, physics=self.physics, number=number)
+        self._drives[namespace] = made
+        return made
+
+    def surroundings(self, namespace: str) -> Sequence[Obstacle]:
+        """Return what the scanner of the robot of this namespace can see: walls and other robots."""
+        others = [body_outline(self._parameters, each.pose) for own, each in self._drives.items() if own != namespace]
+        return (*self._walls, *others)
+
+
 class SimulatedTurtlebot3:
-    """A robot in its own copy of the arena; it shares nothing with other robots but the clock.
+    """A robot in its own copy of the room, or in one with others.
 
     Physics and power are computed on demand, up to the clock's time and each step once.
 
@@ -53,27 +87,31 @@ class SimulatedTurtlebot3:
         >>> simulation.close()
     """
 
-    def __init__(self, namespace: str, clock: SimulatedClock, seed: int, parameters: Turtlebot3Parameters) -> None:
+    def __init__(
+        self, namespace: str, clock: SimulatedClock, seed: int, parameters: Turtlebot3Parameters, world: _World
+    ) -> None:
         streams = NoiseStreams(seed, namespace)
         self.namespace = namespace
         self.parameters = parameters
         self._clock = clock
         self._tasks = TaskRunner(streams.named("tasks"), deviation=parameters.task_power_deviation)
-        self._drive = DifferentialDrive(parameters, _wheel_radii(parameters, streams))
+        self._drive = world.drive(namespace)
         model = PowerModel(parameters, self._drive, self._tasks, streams)
         battery = Battery(parameters)
         self._supply = PowerSupply(model, battery, shunt=parameters.meter_shunt)
-        self._powered = ProtectedDrive(parameters, self._drive, model, battery, self._supply)
+        self._powered = ProtectedDrive(parameters, self._drive, model, battery, self._supply, world.protected)
         self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams)
         self._meter_noise = streams.numbered("ina219", width=2)
         left, right = streams.named("encoders").random(2).tolist()
+        self._wheels = WheelOdometry(parameters, self._drive, (left, right))
         board = SensorBoard(
             parameters,
             clock,
             self._drive,
             self._powered,
-            WheelOdometry(parameters, self._drive, (left, right)),
+            self._wheels,
             self._supply,
+            partial(world.surroundings, namespace),
             streams.numbered("imu", width=6),
             streams.numbered("scan", width=RAYS),
         )
@@ -112,6 +150,12 @@ class SimulatedTurtlebot3:
         """Drive at these velocities (m/s, rad/s), limited to what the robot can do, until told otherwise."""
         self._powered.reach(self._clock.step)
         self._powered.command(linear, angular)
+
+    def put_back(self) -> None:
+        """Stand where it stood at the beginning, with its odometry at zero; its battery and its task go on."""
+        self._powered.reach(self._clock.step)
+        self._drive.put_back()
+        self._wheels.restart()
 
     def call(self, service: str) -> dict[str, bool | str]:
         """Call one of `SERVICES` and return its response: `success` and `message`."""
@@ -165,11 +209,13 @@ def _wheel_radii(parameters: Turtlebot3Parameters, streams: NoiseStreams) -> tup
 class Simulation:
     """Robots by namespace on one clock, deterministic for a seed.
 
-    Each robot drives in its own copy of the arena: robots do not see or touch each other.
+    Each robot drives in its own copy of the room and neither sees nor touches others, unless the room says where two or
+    more of them start: those are in one world.
 
     Attributes:
         clock: moves on only while it is slept on.
         parameters: what its robots are made of.
+        room: where they live.
         real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
         offers: the services that others than the robots offer, by full name: their types and what answers.
 
@@ -181,10 +227,16 @@ class Simulation:
     """
 
     def __init__(
-        self, seed: int, *, parameters: Turtlebot3Parameters | None = None, real_time_factor: float | None = None
+        self,
+        seed: int,
+        *,
+        parameters: Turtlebot3Parameters | None = None,
+        room: Room = DEFAULT_ROOM,
+        real_time_factor: float | None = None,
     ) -> None:
         self.clock = SimulatedClock(real_time_factor)
         self.parameters = parameters or Turtlebot3Parameters()
+        self.room = room
         self._seed = seed
         self.offers: dict[str, tuple[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]] = {}
         self._robots: dict[str, SimulatedTurtlebot3] = {}
@@ -199,7 +251,7 @@ class Simulation:
         """Return the robot of this namespace, which is made when it is first asked for.
 
         Raises:
-            LinkError: the simulation was closed.
+            LinkError: the simulation was closed, or its room says where robots start and this is none of them.
         """
         if self._is_closed:
             raise LinkError(
@@ -210,8 +262,24 @@ class Simulation:
         name = namespace.strip("/")
         full = f"/{name}" if name else ""
         if full not in self._robots:
-            self._robots[full] = SimulatedTurtlebot3(full, self.clock, self._seed, self.parameters)
+            self._check_room(full)
+            self._make(tuple(self.room.robots) if self.room.is_shared else (full,))
         return self._robots[full]
+
+    def _make(self, namespaces: Sequence[str]) -> None:
+        """Make the robots of one world."""
+        world = _World(self.room, self.parameters, self._seed, namespaces)
+        for each in namespaces:
+            self._robots[each] = SimulatedTurtlebot3(each, self.clock, self._seed, self.parameters, world)
+
+    def _check_room(self, namespace: str) -> None:
+        declared = self.room.robots
+        if declared and namespace not in declared:
+            raise LinkError(
+                f"no robot {namespace or '/'!r} starts in the room",
+                where="the simulation",
+                fix=did_you_mean(namespace, declared) + " Or say in the room's file where it starts: [[robot]].",
+            )
 
     def close(self) -> None:
         """Let go of all robots; closing twice does nothing. The clock can still be read and slept on."""

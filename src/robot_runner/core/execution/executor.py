@@ -283,6 +283,8 @@ class _Supervision:
         """Return why the run ended where it did not end by itself."""
         if self._because:
             return self._because
+        if self._keeper.has_failed and self._builder.has_failed:
+            return ""  # it has said itself why it could not go on
         if self._keeper.was_killed or not self._builder.is_finished:
             return self._keeper.death() or "the run's process exited with code 0 before the run had ended"
         return ""

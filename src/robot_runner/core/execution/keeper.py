@@ -23,7 +23,7 @@ import select
 import signal
 import sys
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.execution.interruption import STOP_SIGNALS
@@ -37,6 +37,7 @@ from robot_runner.core.execution.processes import (
     is_killed,
     kill_group,
     leave_after,
+    no_process,
     stop_with_parent,
     use_no_streams,
 )
@@ -114,10 +115,14 @@ class Keeper:
         sys.stderr.flush()
         # Made here and not by the keeper: each page that a forked process is the first to touch is copied.
         mark = None if self._folder is None else RunMark(self._folder)
-        requests, self._requests = os.pipe()
-        self.told, tell = os.pipe()
-        self.records, records = os.pipe()
-        self._pid = forked()
+        with ExitStack() as undone:  # where no process is to be had, nothing stays open
+            if mark is not None:
+                undone.callback(mark.close)
+            requests, self._requests = _pipe(undone)
+            self.told, tell = _pipe(undone)
+            self.records, records = _pipe(undone)
+            self._pid = forked()
+            undone.pop_all()
         if self._pid == 0:
             for descriptor in (self._requests, self.told, self.records):
                 os.close(descriptor)
@@ -186,6 +191,11 @@ class Keeper:
         """The id of the run's process; None where it had not begun."""
         return _number(self._numbers[:_NUMBER_BYTES]) if self._numbers else None
 
+    @property
+    def has_failed(self) -> bool:
+        """Whether the keeper ended by a fault, which it has reported like a failure of the run."""
+        return self.was_killed and os.waitstatus_to_exitcode(self._wait()) > 0
+
     def death(self) -> str:
         """Return how the run's process died, or its keeper's if that was killed; empty if it exited with 0."""
         whose, status = (
@@ -242,10 +252,10 @@ class _KeeperProcess:
         use_no_streams()
         adopt_orphans()
         self._fork_run()
-        self._report.close()  # the run's alone from here on
         if self._standby is not None:
             marks = [] if self._mark is None else [self._mark.descriptor]  # it may outlive us, and is not of the run
-            self._standby.begin(self._run, let_go=[self._requests, self._tell, *marks])
+            self._standby.begin(self._run, let_go=[self._requests, self._tell, self._report.descriptor, *marks])
+        self._report.close()  # the run's alone from here on
         status = self._watch()
         kill_group(self._run, self._spared())
         if self._standby is not None:
@@ -338,6 +348,17 @@ class _Spared:
 
     def __call__(self) -> frozenset[int]:
         return frozenset() if self._path is None else outliving(self._path)
+
+
+def _pipe(undone: ExitStack) -> tuple[int, int]:
+    """Make a pipe whose ends are closed with `undone`."""
+    try:
+        ends = os.pipe()
+    except OSError as error:
+        raise no_process(error) from error
+    for end in ends:
+        undone.callback(os.close, end)
+    return ends
 
 
 def _bytes(number: int) -> bytes:

@@ -13,6 +13,7 @@ from contextlib import suppress
 from io import TextIOWrapper
 from typing import TYPE_CHECKING, NoReturn, TextIO
 
+from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.run_ending import failure_fields
 from robot_runner.core.execution.task import FINISHED
 from robot_runner.core.storage.masked_log import MaskedText
@@ -32,6 +33,7 @@ __all__ = [
     "is_killed",
     "kill_group",
     "leave_after",
+    "no_process",
     "settle_streams",
     "stop_with_parent",
     "use_no_streams",
@@ -65,13 +67,28 @@ def stop_with_parent() -> None:
 
 
 def forked() -> int:
-    """Fork, as `os.fork`, without the warning of libraries that have threads of their own in C."""
-    if sys.version_info < (3, 12) or threading.active_count() > 1:
-        return os.fork()
-    # Python counts the threads of C libraries (OpenBLAS) as well and warns; these know how to be forked.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        return os.fork()
+    """Fork, as `os.fork`, without the warning of libraries that have threads of their own in C.
+
+    Raises:
+        ExecutionError: the system refuses another process.
+    """
+    try:
+        if sys.version_info < (3, 12) or threading.active_count() > 1:
+            return os.fork()
+        # Python counts the threads of C libraries (OpenBLAS) as well and warns; these know how to be forked.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)
+            return os.fork()
+    except OSError as error:
+        raise no_process(error) from error
+
+
+def no_process(error: OSError) -> ExecutionError:
+    """Return the error that the process of a run cannot be started, as the system allows no more of something."""
+    fix = (
+        "End other programs, use fewer workers, or raise the limits of processes and open files (ulimit -u, ulimit -n)."
+    )
+    return ExecutionError(f"no process can be started for the run: {error.strerror}", where="this machine", fix=fix)
 
 
 def leave_after(work: Callable[[], None], report: Report) -> NoReturn:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import signal
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import output
@@ -39,6 +40,12 @@ def add_arguments(parser: Parser) -> None:
     )
     parser.add_argument("--namespace", metavar="NAME", default="", help="the namespace of the robot, such as /alice")
     parser.add_argument("--seed", metavar="N", type=int, default=1, help="the seed of its noise; 1 if it is left out")
+    parser.add_argument(
+        "--room",
+        metavar="FILE",
+        type=Path,
+        help="the room it lives in: a TOML file with walls, boxes, cylinders; a room of 5.5 m x 4 m if it is left out",
+    )
     parser.add_argument(
         "--use-sim-time",
         action="store_true",
@@ -75,18 +82,21 @@ def execute(arguments: Namespace) -> int:
         real_time_factor=arguments.real_time_factor,
         is_clock=arguments.use_sim_time,
         has_watchdog=not arguments.no_watchdog,
+        room=arguments.room,
     )
     check_pace(place)
     console = output()
     with _ending() as is_over, on_graph(place) as simulation:
-        console.print(f"simulated {arguments.robot} on {arguments.link}, namespace {arguments.namespace or '/'}")
-        console.print(f"power meter: {simulation.meter_port}")
+        for namespace, robot in simulation.robots.items():
+            console.print(f"simulated {arguments.robot} on {arguments.link}, namespace {namespace or '/'}")
+            if robot.meter is not None:
+                console.print(f"power meter: {robot.meter.port}")
         console.print("ready")
         console.file.flush()
-        simulation.robot.live(is_over=lambda: bool(is_over))
-    console.print(f"ended after {shown_duration(simulation.robot.now)} of the robot's time")
-    if simulation.robot.lags:
-        lags = counted(simulation.robot.lags, "time")
+        simulation.live(is_over=lambda: bool(is_over))
+    console.print(f"ended after {shown_duration(simulation.now)} of the robot's time")
+    if simulation.lags:
+        lags = counted(simulation.lags, "time")
         console.print(f"the simulated robot could not keep its pace {lags}: this machine is too busy")
     return 0
 

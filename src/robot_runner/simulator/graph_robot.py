@@ -1,0 +1,175 @@
+"""One embedded robot on a graph: what it publishes, offers and is told."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from contextlib import ExitStack
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.connect import SIMULATION_TOPIC
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, RELEASE_SERVICE, RELEASE_TYPE, Watchdog
+from robot_runner.simulator.simulated_devices import MeterTerminal
+from robot_runner.simulator.simulated_turtlebot3 import COMMAND_TOPICS, SERVICES
+
+if TYPE_CHECKING:
+    from robot_runner.core.links.robot import Message, RobotLink
+    from robot_runner.simulator.simulated_turtlebot3 import Simulation
+
+__all__ = ["GraphRobot", "stamp"]
+
+_SECOND_NS = 1_000_000_000
+#: It comes with tf2, which the smallest installations of ROS 2 lack.
+_TRANSFORM_TYPE = "tf2_msgs/TFMessage"
+#: Best effort, as of the robot's own drivers; all else is reliable.
+_QOS = {"scan": Qos.SENSOR_DATA, "imu": Qos.SENSOR_DATA}
+
+_logger = logging.getLogger(__name__)
+
+
+def stamp(time_ns: int) -> dict[str, int]:
+    """Return a time of ROS."""
+    seconds, nanoseconds = divmod(time_ns, _SECOND_NS)
+    return {"sec": seconds, "nanosec": nanoseconds}
+
+
+class GraphRobot:
+    """One robot of a simulation on a graph: its topics and services, its transform and its watchdog.
+
+    Args:
+        link: to the graph, in the robot's namespace; it stays the caller's to close.
+        simulation: whose robot of this namespace it is.
+        namespace: of the robot.
+        lock: held while the simulation is used: callbacks come from threads of the link.
+        is_clock: whether stamps show the simulation's time; if not, they show this machine's wall clock.
+        has_meter: whether its power meter is opened on a terminal.
+        has_watchdog: whether it stops once the run that drives it has fallen silent.
+
+    Attributes:
+        meter: its power meter on a terminal, if it has one.
+
+    Raises:
+        LinkError: the graph cannot be reached, or such a robot is offered there already.
+    """
+
+    def __init__(
+        self,
+        link: RobotLink,
+        simulation: Simulation,
+        *,
+        namespace: str = "",
+        lock: threading.RLock | None = None,
+        is_clock: bool = False,
+        has_meter: bool = False,
+        has_watchdog: bool = True,
+    ) -> None:
+        self._link = link
+        self._namespace = namespace
+        self._is_clock = is_clock
+        self._has_transform = _is_known(link, _TRANSFORM_TYPE)
+        self._watchdog = Watchdog() if has_watchdog else Watchdog(heartbeat_timeout=0.0)
+        self._lock = lock or threading.RLock()
+        self._closing = ExitStack()
+        self._listening = ExitStack()
+        self.meter: MeterTerminal | None = None
+        with ExitStack() as undoing:
+            undoing.callback(self.close)
+            self.enter(simulation)
+            if has_meter:
+                self.meter = MeterTerminal(simulation, namespace=namespace)
+                self._closing.callback(self.meter.close)
+            self._offer()
+            self._subscribe()
+            self._link.publish(SIMULATION_TOPIC, "std_msgs/String", {"data": "turtlebot3"}, qos=Qos.TRANSIENT_LOCAL)
+            undoing.pop_all()
+
+    def enter(self, simulation: Simulation) -> None:
+        """Be the robot of this simulation from now on; its topics go on."""
+        self._listening.close()
+        self._clock = simulation.clock
+        self._robot = simulation.turtlebot3(self._namespace)
+        for name, topic in self._robot.topics.items():
+            publish = partial(self._publish, name, topic.message_type, _QOS.get(name, Qos.DEFAULT))
+            self._listening.callback(topic.listen(publish).close)
+        if self.meter is not None:
+            self.meter.enter(simulation)
+
+    def put_back(self) -> None:
+        """Stand still where it stood at the beginning."""
+        self._robot.put_back()
+
+    def watch(self) -> None:
+        """Stop where the run that drives it has fallen silent."""
+        if self._watchdog.must_stop(time.monotonic()):
+            self._robot.drive(0.0, 0.0)
+
+    def close(self) -> None:
+        """End all offers and subscriptions; closing twice does nothing."""
+        self._listening.close()
+        self._closing.close()
+
+    def _offer(self) -> None:
+        for name, service_type in SERVICES.items():
+            self._keep(self._link.offer(name, service_type, partial(self._call, name)))
+        self._keep(self._link.offer(RELEASE_SERVICE, RELEASE_TYPE, self._release))
+
+    def _subscribe(self) -> None:
+        for topic, message_type in COMMAND_TOPICS.items():
+            self._keep(self._link.subscribe(topic, message_type, self._drive))
+        self._keep(self._link.subscribe(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, self._take_heartbeat))
+
+    def _keep(self, subscription: Any) -> None:
+        self._closing.callback(subscription.close)
+
+    def _publish(self, name: str, message_type: str, qos: Qos, message: dict[str, Any]) -> None:
+        stamped = {**message, "header": {**message["header"], "stamp": self._stamp()}}
+        self._link.publish(name, message_type, stamped, qos=qos)
+        if name == "odom" and self._has_transform:
+            self._link.publish("tf", _TRANSFORM_TYPE, {"transforms": [_transform(stamped)]})
+
+    def _stamp(self) -> dict[str, int]:
+        return stamp(self._clock.now_ns if self._is_clock else time.time_ns())
+
+    def _drive(self, message: Message) -> None:
+        speed, rate = float(message["linear"]["x"]), float(message["angular"]["z"])
+        with self._lock:
+            self._watchdog.hear_command(is_moving=bool(speed or rate), now=time.monotonic())
+            self._robot.drive(speed, rate)
+
+    def _take_heartbeat(self, message: Message) -> None:
+        with self._lock:
+            self._watchdog.hear_heartbeat(message["data"], time.monotonic())
+
+    def _call(self, name: str, request: Message) -> Message:
+        del request
+        with self._lock:
+            return self._robot.call(name)
+
+    def _release(self, request: Message) -> Message:
+        del request
+        with self._lock:
+            self._watchdog.release()
+        return {"success": True, "message": "the robot may be moved until the next heartbeat"}
+
+
+def _is_known(link: RobotLink, message_type: str) -> bool:
+    try:
+        link.definition(message_type)
+    except LinkError as error:
+        _logger.warning("the robot says nothing on tf: %s", error)
+        return False
+    return True
+
+
+def _transform(odometry: Message) -> Message:
+    """Return the transform that an odometry message implies."""
+    pose = odometry["pose"]["pose"]
+    return {
+        "header": odometry["header"],
+        "child_frame_id": odometry["child_frame_id"],
+        "transform": {"translation": pose["position"], "rotation": pose["orientation"]},
+    }
