@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["SimulatedRobotLink", "SimulatedTransport"]
 
 _STEP = STEP_NS / 1e9
+_NANOSECOND = 1e-9
 _NODE = "turtlebot3_node"
 
 # The types that the embedded robot takes and answers with are known without any ROS package.
@@ -193,7 +194,7 @@ class SimulatedTransport:
         clock = self._simulation.clock
         deadline = clock.now() + seconds
         while not event.is_set() and clock.now() < deadline:
-            clock.sleep(min(_STEP, deadline - clock.now()))
+            clock.sleep(max(_NANOSECOND, min(_STEP, deadline - clock.now())))  # a rest of less would never go by
 
     def close(self) -> None:
         """Stop the robot's task, if one was started here.
