@@ -11,6 +11,7 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, RawMessage
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
 from robot_runner.ros.shapes import Field, Shape, plain_type
+from robot_runner.simulator.simulated_actions import SimulatedActions
 from robot_runner.simulator.simulated_clock import STEP_NS
 from robot_runner.simulator.simulated_turtlebot3 import COMMAND_TOPICS, SERVICES
 
@@ -102,6 +103,7 @@ class SimulatedTransport:
 
     def __init__(self, simulation: Simulation, namespace: str) -> None:
         self.types = SimulatedTypes()
+        self.actions = SimulatedActions(simulation.clock, simulation.actions, self.types)
         self._simulation = simulation
         self._robot: SimulatedTurtlebot3 = simulation.turtlebot3(namespace)
         self._has_started_task = False
