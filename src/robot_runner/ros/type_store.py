@@ -10,6 +10,7 @@ from robot_runner.ros.action_types import action_parts, bundled_definitions, is_
 from robot_runner.ros.message_codec import NodeKind
 from robot_runner.ros.node_services import NODE_TYPES
 from robot_runner.ros.shapes import plain_type
+from robot_runner.ros.simulators.simulator_types import simulator_types
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -62,6 +63,8 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
         definitions.setdefault(name, ("the services of every node", text))
     for name, text in bundled_definitions(generation, distro or _LATEST).items():
         definitions.setdefault(name, ("the standard actions", text))
+    for name, text in simulator_types(generation).items():
+        definitions.setdefault(name, ("the services of simulators", text))
     found: dict[str, Any] = {}
     for name, (where, text) in definitions.items():
         found |= _parsed(rosbags, name, text, where, generation)
