@@ -265,7 +265,8 @@ def test_what_stands_beside_the_main_file_of_a_clone_is_importable(
     head = RUNNER.replace("from pathlib", f"from fork_{len(tool)}_helpers import doubled\nfrom pathlib")
     methods = "def populate_run_data(self, context): return {'seconds': doubled(4)}"
     path = config(methods, head=head, name="clone/experiments/study/RunnerConfig.py")
-    assert {row["seconds"] for row in execute(path).table} == {"8"}
+    executed = execute(path)
+    assert {(row["__done"], row["seconds"]) for row in executed.table} == {("DONE", "8")}, executed.finished.failures
 
 
 def test_an_event_at_which_a_fork_validated_is_heard_before_the_experiment(

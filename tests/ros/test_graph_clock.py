@@ -8,8 +8,10 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
+from robot_runner.core.links.robot import RobotName
 from robot_runner.ros import graph_clock
 from robot_runner.ros.graph_clock import GraphClock
+from robot_runner.ros.graph_links import clock_fix
 from robot_runner.testing import FakeClock, FakeRobotLink
 
 
@@ -66,8 +68,11 @@ def test_a_sleep_lasts_until_the_graph_s_time_has_come(link):
 def test_a_clock_that_nobody_tells_is_an_error(link, monkeypatch):
     monkeypatch.setattr(graph_clock, "_PATIENCE", 0.05)
     with pytest.raises(LinkError, match="nothing came on it") as caught:
-        GraphClock(link).start()
+        GraphClock(link, fix=clock_fix(RobotName.parse("ros1"))).start()
     assert "/use_sim_time" in caught.value.fix
+    for name in ("ros2:clock=graph", "dds:clock=graph"):
+        assert "leave clock=graph out" in clock_fix(RobotName.parse(name))
+        assert "/use_sim_time" not in clock_fix(RobotName.parse(name))
 
 
 def test_a_clock_that_stands_still_ends_a_sleep(link, monkeypatch):

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.comparison.combined import MetaAnalysis as MetaAnalysis
     from robot_runner.analysis.comparison.compared import Comparison as Comparison
     from robot_runner.analysis.comparison.comparing import compare as compare
+    from robot_runner.analysis.declared_design import DeclaredDesign as DeclaredDesign
+    from robot_runner.analysis.declared_design import with_declared_design as with_declared_design
     from robot_runner.analysis.lazy_samples import LazySamples as LazySamples
     from robot_runner.analysis.report.writing import write_report as write_report
     from robot_runner.analysis.results import Results as Results

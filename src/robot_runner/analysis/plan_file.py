@@ -1,10 +1,14 @@
-"""A plan of the analysis in a file of its own, for results whose config fixed none; and its choices in words."""
+"""A plan of the analysis in a file of its own, for results whose config fixed none; and its choices in words.
+
+The file may declare the design, too, by which results were planned that were made elsewhere.
+"""
 
 from __future__ import annotations
 
 import tomllib
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from robot_runner.analysis.declared_design import DeclaredDesign
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.errors import AnalysisError
@@ -15,14 +19,28 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["choices_in_words", "read_plan"]
+__all__ = ["PlanFile", "choices_in_words", "read_plan"]
+
+_DESIGN = "design"
 
 
-def read_plan(path: Path) -> AnalysisPlan:
-    """Read a plan from a TOML file, whose entries are the choices of `AnalysisPlan`.
+class PlanFile(NamedTuple):
+    """What a file of a plan holds.
+
+    Attributes:
+        analysis: None where the file says nothing of it.
+        design: None where the file declares none.
+    """
+
+    analysis: AnalysisPlan | None
+    design: DeclaredDesign | None
+
+
+def read_plan(path: Path) -> PlanFile:
+    """Read a plan from a TOML file, whose entries are the choices of `AnalysisPlan`, and `[design]`.
 
     Raises:
-        AnalysisError: the file is no TOML.
+        AnalysisError: the file is no TOML, or what it declares is no design.
         DesignError: what it holds is no plan.
         StorageError: it cannot be read.
     """
@@ -32,7 +50,11 @@ def read_plan(path: Path) -> AnalysisPlan:
         raise storage_error(path, "read", error) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise AnalysisError(f"the file is not TOML: {error}", where=str(path), fix="Mend this line.") from error
-    return AnalysisPlan.of_mapping(plain)
+    declared = plain.pop(_DESIGN, None)
+    if declared is not None and not isinstance(declared, dict):
+        raise AnalysisError(f"design is {declared!r}", where=str(path), fix="Write [design] and its entries below it.")
+    design = None if declared is None else DeclaredDesign.of_mapping(declared, f"{path}, [design]")
+    return PlanFile(AnalysisPlan.of_mapping(plain) if plain or design is None else None, design)
 
 
 def choices_in_words(plan: AnalysisPlan, unit: Callable[[str], str]) -> Iterator[str]:

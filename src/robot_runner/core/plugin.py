@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.measure import Measure
+    from robot_runner.core.links.graph_needs import GraphNeed
 
 __all__ = [
     "GROUPS",
@@ -70,6 +71,7 @@ class Plugin(Bindable):
         bytes_per_run: about how much raw data it keeps of a run, so that a disk that is too small is found beforehand.
         smoke_parameters: what it may be made with for a smoke test, where that is less than what it is made with: a
             mission that is shorter, and otherwise the same.
+        starts_nodes: whether it starts nodes of the robot's graph, so that what others need there may come with it.
         name: tells instances of one kind apart; names the plugin's raw-data folder.
     """
 
@@ -77,6 +79,7 @@ class Plugin(Bindable):
     needs: ClassVar[str] = ""
     bytes_per_run: int = 0
     smoke_parameters: ClassVar[Mapping[str, float]] = MappingProxyType({})
+    starts_nodes: ClassVar[bool] = False
 
     def __init__(self, *, name: str | None = None) -> None:
         chosen = type(self).__name__ if name is None else name
@@ -90,6 +93,20 @@ class Plugin(Bindable):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way of using this plugin; nothing is changed by asking."""
+        del circumstances
+        return ()
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Return what must be on the robot's graph before a run: topics, services and actions, by name and type.
+
+        `robot-runner check`, and each execution before its first run, look whether it is there. Names are relative to
+        the robot's namespace: the plugin's attribute `namespace`, where it has one.
+
+        Example:
+            >>> class Gripper(System):
+            ...     def required_graph(self, circumstances):
+            ...         yield GraphNeed.service("gripper/close", "std_srvs/Trigger", fix="Start the gripper's driver.")
+        """
         del circumstances
         return ()
 

@@ -106,7 +106,8 @@ class _Binding:
 
     Attributes:
         factors: the factor of each bound parameter, by the parameter's name; of one inside a list, a tuple or a mapping
-            by its place there as well, such as `command[1]` or `arguments['speed']`.
+            by its place there as well, such as `command[1]` or `arguments['speed']`; of one of a plugin that it is made
+            of, such as `systems[0].speed`.
     """
 
     positional: tuple[Any, ...]
@@ -164,7 +165,7 @@ def _holds_treatment(value: object) -> bool:
         return any(map(_holds_treatment, (*value, *value.values())))
     if isinstance(value, list | tuple | set | frozenset):
         return any(map(_holds_treatment, value))
-    return isinstance(value, Treatment)
+    return isinstance(value, Treatment) or (isinstance(value, Bindable) and bool(factors_of(value)))
 
 
 def _places(kind: type, name: str, value: object) -> Iterator[tuple[str, Treatment]]:
@@ -175,6 +176,8 @@ def _places(kind: type, name: str, value: object) -> Iterator[tuple[str, Treatme
     """
     if isinstance(value, Treatment):
         yield name, value
+    elif isinstance(value, Bindable):  # a plugin that another one is made of
+        yield from ((f"{name}.{place}", Treatment(factor)) for place, factor in factors_of(value).items())
     elif isinstance(value, list | tuple):
         for place, each in enumerate(value):
             yield from _places(kind, f"{name}[{place}]", each)
@@ -192,6 +195,8 @@ def _resolved(value: Any, combination: Mapping[str, Any]) -> Any:
         return _treatment_of(value, combination)
     if not _holds_treatment(value):
         return value
+    if isinstance(value, Bindable):
+        return built_with(value, combination)
     if isinstance(value, Mapping):
         return {key: _resolved(each, combination) for key, each in value.items()}
     return type(value)(_resolved(each, combination) for each in value)

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.connect import connect_host as connect_host
     from robot_runner.core.links.connect import connect_robot as connect_robot
     from robot_runner.core.links.connect import open_serial_line as open_serial_line
+    from robot_runner.core.links.graph_needs import GraphNeed as GraphNeed
     from robot_runner.core.links.measured_machine import Computer as Computer
     from robot_runner.core.plugin import Circumstances as Circumstances
     from robot_runner.core.plugin import Plugin as Plugin
@@ -62,5 +63,11 @@ if TYPE_CHECKING:
     from robot_runner.meters.electrical import ElectricalReading as ElectricalReading
     from robot_runner.meters.polled import Meter as Meter
     from robot_runner.meters.polled import PolledProfiler as PolledProfiler
+    from robot_runner.ros.lifecycle import LifecycleState as LifecycleState
+    from robot_runner.ros.lifecycle import bring_to as bring_to
+    from robot_runner.ros.lifecycle import change_state as change_state
+    from robot_runner.ros.lifecycle import state_of as state_of
+    from robot_runner.ros.parameter_access import ParameterAccess as ParameterAccess
+    from robot_runner.ros.parameter_access import parameters_of as parameters_of
 else:
     __getattr__, __dir__ = open_door(__name__)

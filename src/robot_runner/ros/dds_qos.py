@@ -8,12 +8,12 @@ from cyclonedds.qos import Policy
 from cyclonedds.qos import Qos as DdsQos
 
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.graph_transport import shortfall
+from robot_runner.ros.graph_transport import nearest_profile, shortfall
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["adapted", "incompatibility", "reader_profile", "service_profile", "writer_profile"]
+__all__ = ["adapted", "incompatibility", "profile_of", "reader_profile", "service_profile", "writer_profile"]
 
 #: A writer waits this long in ns for readers that do not keep up before it gives up, where nothing may be lost.
 _MAX_BLOCKING_NS = 500_000_000
@@ -67,6 +67,11 @@ def adapted(offers: Sequence[DdsQos], user_data: str = "") -> DdsQos:
 def incompatibility(asked: DdsQos, offered: DdsQos) -> str | None:
     """Say which policy of an offer is less than what is asked for, or return None if none is."""
     return shortfall(asked=(_is_reliable(asked), _is_kept(asked)), offered=(_is_reliable(offered), _is_kept(offered)))
+
+
+def profile_of(policies: DdsQos) -> Qos:
+    """Return the profile of ROS that comes nearest to these policies."""
+    return nearest_profile(is_reliable=_is_reliable(policies), is_kept=_is_kept(policies))
 
 
 def _policies(reliability: Any, durability: Any, history: Any, user_data: str) -> DdsQos:

@@ -12,7 +12,7 @@ from cyclonedds.core import DDSException
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.ros.dds_graph import matched_subscriptions, ros_type, wire_topic
-from robot_runner.ros.dds_qos import adapted, incompatibility, reader_profile, writer_profile
+from robot_runner.ros.dds_qos import adapted, incompatibility, profile_of, reader_profile, writer_profile
 from robot_runner.ros.dds_reception import delete, topic_wire_type
 from robot_runner.ros.dds_services import OfferedService, ServiceClient
 from robot_runner.ros.dds_session import Session
@@ -122,7 +122,9 @@ class DdsTransport:
 
     def _endpoint(self, found: Endpoint) -> GraphEndpoint:
         is_own = found.participant == self._session.guid
-        return GraphEndpoint(self._session.nodes.name_of(found), ros_type(found.type_name), is_own)
+        return GraphEndpoint(
+            self._session.nodes.name_of(found), ros_type(found.type_name), is_own, profile_of(found.qos)
+        )
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; in a callback, what arrives meanwhile is received within it."""

@@ -26,6 +26,7 @@ class GraphClock:
 
     Args:
         link: to the graph.
+        fix: what to do where nothing comes.
 
     Attributes:
         is_simulated: always: a graph publishes its time because it is not that of the world.
@@ -41,7 +42,8 @@ class GraphClock:
 
     is_simulated = True
 
-    def __init__(self, link: RobotLink) -> None:
+    def __init__(self, link: RobotLink, *, fix: str = "Start the simulation.") -> None:
+        self._fix = fix
         self._changed = threading.Condition()
         self._now = 0.0
         self._shown = 0.0
@@ -60,7 +62,7 @@ class GraphClock:
                 raise LinkError(
                     f"the graph is to live by {_TOPIC}, and nothing came on it within {_PATIENCE:g} s",
                     where="the graph's clock",
-                    fix="Start the simulation; or, for a real robot, leave out clock=graph (ROS 1: /use_sim_time).",
+                    fix=self._fix,
                 )
 
     def now(self) -> float:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, RawMessage, Subscription
     from robot_runner.ros.graph_transport import Reception, TopicPublisher, TopicSubscription, Transport
+    from robot_runner.ros.parameter_access import ParameterServer
     from robot_runner.ros.shapes import Shape
 
 __all__ = ["FirstMessage", "GraphLink"]
@@ -124,6 +125,10 @@ class GraphLink:
         namespace: the robot's, such as `/alice`.
         is_simulated: whether there is a simulation behind it for certain.
 
+    Attributes:
+        namespace: what relative names are below: empty, or `/alice`.
+        parameter_server: that of ROS 1's master; None in ROS 2, whose nodes have their parameters themselves.
+
     Raises:
         LinkError: the namespace cannot be one, or the graph cannot be joined.
 
@@ -136,7 +141,7 @@ class GraphLink:
     """
 
     def __init__(self, connect: Callable[[], Transport], namespace: str = "", *, is_simulated: bool = False) -> None:
-        self._namespace = namespace_prefix(namespace)  # refused before anything is opened
+        self.namespace = namespace_prefix(namespace)  # refused before anything is opened
         self._is_simulated = is_simulated
         self._lock = threading.RLock()
         self._advertised: dict[tuple[str, Qos], _Advertised] = {}
@@ -144,6 +149,7 @@ class GraphLink:
         self._first_fault: tuple[str, Exception] | None = None
         self._is_closed = False
         self._transport = connect()
+        self.parameter_server: ParameterServer | None = getattr(self._transport, "parameter_server", None)
 
     @property
     def is_simulated(self) -> bool:
@@ -169,6 +175,11 @@ class GraphLink:
         if advertised.message_type in VELOCITY_COMMANDS:
             note_velocity(name, planar(velocity_of(advertised.message_type, complete)))
         advertised.publisher.publish(complete)
+
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
+        """Return once the subscribers of a topic that are there already would receive what is published."""
+        name = self._name(topic)
+        check_type(name, message_type, [self._advertise(name, message_type, {}, qos).message_type])
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
@@ -293,7 +304,7 @@ class GraphLink:
                     stack.callback(_stop, topic, advertised)
 
     def _name(self, given: str) -> str:
-        name = full_name(self._namespace, given)
+        name = full_name(self.namespace, given)
         self._check_open(name)
         return name
 

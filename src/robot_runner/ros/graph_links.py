@@ -18,10 +18,11 @@ from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_clock import GraphClock
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import Clock
     from robot_runner.core.events.resources import Resources
+    from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink
 
@@ -33,6 +34,7 @@ __all__ = [
     "ROS2",
     "ROSBRIDGE",
     "GraphLinkKind",
+    "clock_fix",
     "follows_graph_clock",
     "full_name",
     "missing",
@@ -107,6 +109,12 @@ class GraphLinkKind:
         findings: list[Finding] = self._opening(name).findings(_without_clock(name))
         return findings
 
+    def begin_look(self, name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]]:
+        """Begin to look whether the graph has what plugins need, and return what waits for the findings."""
+        begin: Callable[..., Callable[[], Sequence[Finding]]]
+        begin = import_module("robot_runner.ros.graph_look").begin_look
+        return begin(name, needs)
+
     def preload(self, name: RobotName) -> None:
         """Import the client library; nothing is opened."""
         self._opening(name)
@@ -145,7 +153,7 @@ class GraphLinkKind:
         if not self.follows_graph_clock(name):
             return SystemClock()
         link = resources.open(link_key("robot", ""), partial(self.open, name, SystemClock()))
-        return resources.open("graph clock", partial(_started, link))
+        return resources.open("graph clock", partial(_started, link, clock_fix(name)))
 
     def follows_graph_clock(self, name: RobotName) -> bool:
         """Whether a run lives by the time on `/clock`: as its option `clock` says, else as the graph of ROS 1 does.
@@ -216,8 +224,21 @@ def follows_graph_clock(robot: str | None) -> bool:
     return name is not None and kind is not None and kind.follows_graph_clock(name)
 
 
-def _started(link: RobotLink) -> GraphClock:
-    clock = GraphClock(link)
+def clock_fix(name: RobotName) -> str:
+    """Return what to do where a run is to live by `/clock` and nobody publishes it.
+
+    Example:
+        >>> from robot_runner.core.links.robot import RobotName
+        >>> clock_fix(RobotName.parse("ros2:clock=graph"))
+        "Start the simulation; or, for a real robot, leave clock=graph out of robot = 'ros2:…'."
+    """
+    if _CLOCK in name.options:
+        return f"Start the simulation; or, for a real robot, leave clock=graph out of robot = '{name.link}:…'."
+    return "Start the simulation; or, for a real robot, set the parameter /use_sim_time to false (rosparam set)."
+
+
+def _started(link: RobotLink, fix: str) -> GraphClock:
+    clock = GraphClock(link, fix=fix)
     clock.start()
     return clock
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import RawMessage
+from robot_runner.core.links.robot import Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, Subscription
+    from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Subscription
     from robot_runner.ros.shapes import Shape
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "Transport",
     "already_offered",
     "check_type",
+    "nearest_profile",
     "nobody_publishes",
     "receive_clock",
     "service_timeout",
@@ -231,6 +232,18 @@ def shortfall(*, asked: tuple[bool, bool], offered: tuple[bool, bool]) -> str | 
     if asked[1] and not offered[1]:
         return "durability: it is published volatile, and subscribed transient local"
     return None
+
+
+def nearest_profile(*, is_reliable: bool, is_kept: bool) -> Qos:
+    """Return the profile of ROS that comes nearest to a publisher's or subscriber's own.
+
+    Example:
+        >>> str(nearest_profile(is_reliable=False, is_kept=False))
+        'sensor_data'
+    """
+    if is_kept:
+        return Qos.TRANSIENT_LOCAL
+    return Qos.DEFAULT if is_reliable else Qos.SENSOR_DATA
 
 
 def silent_publishers(names: Iterable[str]) -> str:

@@ -111,13 +111,29 @@ class Master:
         code, _, value = self._answer("getParam", name)
         return value if code == _SUCCESS else None
 
-    def set_parameter(self, name: str, *, value: bool) -> None:
+    def set_parameter(self, name: str, *, value: Any) -> None:
         """Set a parameter of its parameter server.
 
         Raises:
             LinkError: the master does not answer, or refuses.
         """
         self._ask("setParam", name, value)
+
+    def delete_parameter(self, name: str) -> None:
+        """Take a parameter away.
+
+        Raises:
+            LinkError: the master does not answer, or there is no such parameter.
+        """
+        self._ask("deleteParam", name)
+
+    def parameter_names(self) -> list[str]:
+        """Return the full names of all parameters of its parameter server.
+
+        Raises:
+            LinkError: the master does not answer.
+        """
+        return list(self._ask("getParamNames"))
 
     def topic_types(self) -> dict[str, str]:
         """Return the type of each topic that was ever registered.
@@ -168,7 +184,7 @@ class Master:
         """
         return int(self._ask("getPid"))
 
-    def _ask(self, method: str, *arguments: str | bool) -> Any:
+    def _ask(self, method: str, *arguments: Any) -> Any:
         code, status, value = self._answer(method, *arguments)
         if code != _SUCCESS:
             raise LinkError(
@@ -176,7 +192,7 @@ class Master:
             )
         return value
 
-    def _answer(self, method: str, *arguments: str | bool) -> tuple[int, str, Any]:
+    def _answer(self, method: str, *arguments: Any) -> tuple[int, str, Any]:
         transport = _Transport(self._timeout)
         try:
             with xmlrpc.client.ServerProxy(self.uri, transport=transport, use_builtin_types=True) as server:

@@ -135,6 +135,11 @@ class Ros1Transport:
             if len(nodes) == 1 or node == own or self._master.is_alive(node)
         ]
 
+    @property
+    def parameter_server(self) -> Master:
+        """The master, which is one."""
+        return self._master
+
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event, for so long at most."""
         event.wait(seconds)

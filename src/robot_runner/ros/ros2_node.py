@@ -13,14 +13,18 @@ from rclpy.context import Context
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.ros.graph_transport import nearest_profile
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
+
+    from robot_runner.core.links.robot import Qos
 
 __all__ = ["Graph", "GraphNode", "join_graph"]
 
@@ -224,8 +228,11 @@ class Graph:
     def endpoints(self, infos: Iterable[Any]) -> list[GraphEndpoint]:
         """Return these publishers or subscriptions as plain data."""
         own = self._node.node.get_fully_qualified_name()
-        named = [(f"{info.node_namespace.rstrip('/')}/{info.node_name}", info.topic_type) for info in infos]
-        return [GraphEndpoint(name, plain_type(told), name == own) for name, told in named]
+        named = [(f"{info.node_namespace.rstrip('/')}/{info.node_name}", info) for info in infos]
+        return [
+            GraphEndpoint(name, plain_type(info.topic_type), name == own, _profile_of(info.qos_profile))
+            for name, info in named
+        ]
 
     def _offered(self) -> dict[str, str]:
         # Asked node by node: the list of all services has those that are merely called, too.
@@ -240,3 +247,10 @@ class Graph:
 
     def _names(self) -> list[tuple[str, str]]:
         return list(self._node.node.get_node_names_and_namespaces())
+
+
+def _profile_of(policies: Any) -> Qos:
+    return nearest_profile(
+        is_reliable=policies.reliability != ReliabilityPolicy.BEST_EFFORT,
+        is_kept=policies.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+    )

@@ -12,6 +12,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
+from robot_runner.ros.rosapi_parameters import RosapiParameters
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
 from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi
@@ -158,6 +159,11 @@ class RosbridgeTransport:
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:
         """Return who subscribes a topic; as `publishers` in all else."""
         return self._rosapi.endpoints("subscribers", topic)
+
+    @property
+    def parameter_server(self) -> RosapiParameters | None:
+        """That of ROS 1, by rosapi; None in ROS 2."""
+        return RosapiParameters(self._rosapi) if self.types.generation == 1 else None
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; raises a `LinkError` as soon as the connection is lost."""

@@ -155,6 +155,14 @@ class Rosapi:
         answer = self._ask(question, {"type": type_name})
         return list(answer.values.get("typedefs", [])) if answer.is_good and isinstance(answer.values, dict) else []
 
+    def told(self, question: str, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what rosapi answers to a question of this name.
+
+        Raises:
+            LinkError: rosapi does not answer.
+        """
+        return self._must(question, values)
+
     def raw_definitions(self) -> dict[str, str]:
         """Return the text of the definition of the type of each topic, by the type's name."""
         answer = self._ask("topics_and_raw_types")

@@ -13,11 +13,11 @@ from robot_runner.ros.sent_velocities import is_from_here
 from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, planar, velocity_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
-    from robot_runner.core.links.robot import GraphEndpoint, Message, RobotLink
+    from robot_runner.core.links.robot import GraphEndpoint, GraphListing, Message, RobotLink
 
-__all__ = ["SoleControl"]
+__all__ = ["SoleControl", "is_told", "named", "rival_findings", "sole_publisher_findings", "subscriber_type_findings"]
 
 #: How often the publishers of the pose are looked up, s: a look is a question to the ROS master or to rosapi, which
 #: costs the robot's computer some milliseconds.
@@ -62,7 +62,12 @@ class SoleControl:
         Raises:
             LinkError: the graph cannot be asked.
         """
-        return [*self._pose_findings(), *self._command_findings()]
+        where, commands = self._where, self._command_topic
+        return [
+            *sole_publisher_findings(self._link, self._pose_topic, where),
+            *subscriber_type_findings(self._link, commands, VELOCITY_COMMANDS, where),
+            *rival_findings(self._link, commands, where),
+        ]
 
     def begin(self, tell: Callable[[str], object]) -> None:
         """Watch until `end`, from threads; `tell` is called with the first thing that is found.
@@ -83,31 +88,12 @@ class SoleControl:
         """Watch no more; ending twice does nothing."""
         self._closing.close()
 
-    def _pose_findings(self) -> Iterator[Finding]:
-        others = self._others(self._link.publishers(self._pose_topic))
-        if len(others) > 1:
-            problem = f"{_named(others)} publish {self._pose_topic!r}, so that it is not known where the robot is"
-            yield Finding.error(self._where, problem, "End all but one of them, or give each robot a namespace.")
-
-    def _command_findings(self) -> Iterator[Finding]:
-        listening = self._others(self._link.subscribers(self._command_topic))
-        obeying = [each for each in listening if each.message_type in VELOCITY_COMMANDS or not each.message_type]
-        if listening and not obeying:
-            types = enumerated(sorted({each.message_type for each in listening}))
-            problem = f"{_named(listening)} subscribes {self._command_topic!r} as {types}, which is no velocity command"
-            fix = f"Have the robot subscribe {' or '.join(sorted(VELOCITY_COMMANDS))}, or correct its namespace."
-            yield Finding.error(self._where, problem, fix)
-        rivals = [each for each in self._others(self._link.publishers(self._command_topic)) if not _is_watchdog(each)]
-        if rivals:
-            problem = f"{_named(rivals)} could command the robot, too, on {self._command_topic!r}"
-            yield Finding.warning(self._where, problem, "End it: once it commands anything, the run fails.")
-
     def _hearer(self, message_type: str, tell: Callable[[str], object]) -> Callable[[Message], None]:
         def hear(message: Message) -> None:
             velocity = planar(velocity_of(message_type, message))
             if not is_from_here(self._command_topic, velocity) and not self._is_over.is_set():
-                rivals = self._others(self._link.publishers(self._command_topic))
-                who = _named(rivals) if rivals else "somebody else"
+                rivals = _others(self._link.publishers(self._command_topic))
+                who = named(rivals) if rivals else "somebody else"
                 figures = f"{velocity[0]:g} m/s, {velocity[1]:g} rad/s"
                 self._tell(tell, f"{who} commands the robot on {self._command_topic!r}: {figures}")
 
@@ -116,7 +102,7 @@ class SoleControl:
     def _watch(self, tell: Callable[[str], object]) -> None:
         while not self._is_over.wait(_PERIOD):
             try:
-                findings = [finding for finding in self._pose_findings() if finding.is_error]
+                findings = list(sole_publisher_findings(self._link, self._pose_topic, self._where))
             except LinkError:  # a graph that is lost falls silent: the odometry says so within its own time
                 continue
             for finding in findings:
@@ -127,13 +113,45 @@ class SoleControl:
             self._has_told = True
             tell(problem)
 
-    def _others(self, endpoints: Sequence[GraphEndpoint]) -> list[GraphEndpoint]:
-        return [each for each in endpoints if not each.is_own]
+
+# What one topic's endpoints say against moving a robot; `robot-runner check` asks the same before any run.
 
 
-def _named(endpoints: Sequence[GraphEndpoint]) -> str:
+def sole_publisher_findings(link: GraphListing, topic: str, where: str) -> Iterator[Finding]:
+    """Yield the error that several nodes publish a topic of which one may."""
+    others = _others(link.publishers(topic))
+    if len(others) > 1:
+        problem = f"{named(others)} publish {topic!r}, so that it is not known where the robot is"
+        yield Finding.error(where, problem, "End all but one of them, or give each robot a namespace.")
+
+
+def subscriber_type_findings(link: GraphListing, topic: str, types: Collection[str], where: str) -> Iterator[Finding]:
+    """Yield the error that nobody subscribes a topic as one of these types, and somebody does as another."""
+    listening = _others(link.subscribers(topic))
+    if listening and not any(each.message_type in types or not is_told(each.message_type) for each in listening):
+        found = enumerated(sorted({each.message_type for each in listening}))
+        wanted = " or ".join(sorted(types))
+        problem = f"{named(listening)} subscribes {topic!r} as {found}, not {wanted}"
+        yield Finding.error(where, problem, f"Have the robot subscribe {wanted}, or correct its namespace.")
+
+
+def rival_findings(link: GraphListing, topic: str, where: str) -> Iterator[Finding]:
+    """Yield the warning that others could command the robot on a topic; our own watchdog only stops it."""
+    rivals = [each for each in _others(link.publishers(topic)) if each.node.rpartition("/")[2] != _WATCHDOG]
+    if rivals:
+        problem = f"{named(rivals)} could command the robot, too, on {topic!r}"
+        yield Finding.warning(where, problem, "End it: once it commands anything, the run fails.")
+
+
+def named(endpoints: Iterable[GraphEndpoint]) -> str:
+    """Return the nodes of endpoints, as a sentence names them."""
     return enumerated(sorted(str(each) for each in endpoints))
 
 
-def _is_watchdog(endpoint: GraphEndpoint) -> bool:
-    return endpoint.node.rpartition("/")[2] == _WATCHDOG
+def is_told(type_name: str) -> bool:
+    """Whether a graph told a type: a link says `*`, or nothing, of one that it does not know."""
+    return type_name not in {"", "*"}
+
+
+def _others(endpoints: Sequence[GraphEndpoint]) -> list[GraphEndpoint]:
+    return [each for each in endpoints if not each.is_own]

@@ -7,6 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.joint_missions import sleep_with_others
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -103,6 +104,8 @@ class SimulatedClock:
         Raises:
             LinkError: a callback that this clock called sleeps on it.
         """
+        if sleep_with_others(seconds):
+            return
         if self._is_moving_on:
             raise LinkError(
                 f"a callback slept {seconds} s on the simulated clock during another sleep on it",

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from robot_runner.testing.fake_turtlebot3 import FakeTurtlebot3Link as FakeTurtlebot3Link
     from robot_runner.testing.graph_link_contract import GraphLinkContract as GraphLinkContract
     from robot_runner.testing.link_contract import RobotLinkContract as RobotLinkContract
+    from robot_runner.testing.parameter_node import LifecycleNode as LifecycleNode
+    from robot_runner.testing.parameter_node import ParameterNode as ParameterNode
     from robot_runner.testing.plugin_contract import ProfilerContract as ProfilerContract
     from robot_runner.testing.rosbridge_server import RosbridgeServer as RosbridgeServer
     from robot_runner.testing.system_contract import SystemContract as SystemContract

@@ -118,6 +118,7 @@ class FakeRobotLink:
         self._services = dict(services or {})
         self._service_types: dict[str, str] = {}
         self._is_simulated = is_simulated
+        self._advertised: dict[str, str] = {}
         self._subscriptions: defaultdict[str, list[_Subscription]] = defaultdict(list)
 
     @property
@@ -157,6 +158,16 @@ class FakeRobotLink:
         """
         self._check()
         self.publications.append(Publication(self._clock.now(), topic, message_type, message, qos))
+
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
+        """Note the topic among those of the graph.
+
+        Raises:
+            LinkError: the link was closed, or the fault that was set.
+        """
+        del qos
+        self._check()
+        self._advertised[topic] = message_type
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
@@ -256,6 +267,7 @@ class FakeRobotLink:
             for topic, subscriptions in self._subscriptions.items()
             if subscriptions
         }
+        types |= self._advertised
         types |= {each.topic: each.message_type for each in self.publications}
         return {full_name("", topic): message_type for topic, message_type in types.items()}
 
@@ -273,10 +285,12 @@ class FakeRobotLink:
         """Return the one node where the topic is there, and this link where it published; or what a test put there."""
         self._check()
         name = full_name("", topic)
-        own = [each for each in self.publications if full_name("", each.topic) == name]
-        default = [GraphEndpoint(_NODE, self.topics()[name])] if name in self.topics() else []
+        types = self._advertised | {each.topic: each.message_type for each in self.publications}
+        own = [message_type for each, message_type in types.items() if full_name("", each) == name]
+        is_here = name in self.topics() and (not own or topic in self.known_topics)
+        default = [GraphEndpoint(_NODE, self.topics()[name])] if is_here else []
         others = self.known_publishers.get(topic, default)
-        return [*others, *([GraphEndpoint("/robot_runner", own[-1].message_type, is_own=True)] if own else [])]
+        return [*others, *([GraphEndpoint("/robot_runner", own[-1], is_own=True)] if own else [])]
 
     def subscribers(self, topic: str) -> list[GraphEndpoint]:
         """Return the one node where the topic is there, or what a test put there."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
 from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.events.joint_missions import sleep_with_others
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, resolve_columns, with_phases
 from robot_runner.core.events.measure_broker import MeasureBroker
@@ -88,6 +89,8 @@ class FakeClock:
 
     def sleep(self, seconds: float) -> None:
         """Move on; whatever a scheduled callback raises comes out of here."""
+        if sleep_with_others(seconds):
+            return
         target = self._now + max(seconds, 0.0)
         while self._due and self._due[0][0] <= target:
             self._now, _, callback = heapq.heappop(self._due)

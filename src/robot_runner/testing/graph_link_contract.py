@@ -8,13 +8,13 @@ import time
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from robot_runner.conditions.graph_presence import node_present, service_present, topic_present
 from robot_runner.conditions.topic_messages import battery_above, message_on, topic_below
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.unhandled import fails_run
-from robot_runner.core.links.robot import Encoding, Qos, RawMessage
+from robot_runner.core.links.robot import Advertiser, Encoding, Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
 from robot_runner.testing.fake_run import FakeLinks, make_context
@@ -227,6 +227,21 @@ class GraphLinkContract(RobotLinkContract):
                 require(any(each.is_own for each in robot.publishers("chatter")), "the own publisher is not told")
                 require(not link.publishers("nothing"), "somebody publishes a topic that is not there")
             self.until(lambda: not link.publishers("chatter"), "a publisher that left is listed for ever")
+
+    def test_a_topic_is_on_the_graph_before_its_first_message(self) -> None:
+        """Hold that an advertised topic reaches at once, from its first message on, who subscribed it before."""
+        with self.opened() as robot, self.opened() as link:
+            arrivals: list[float] = []
+            robot.subscribe("begun", _STRING, lambda _: arrivals.append(time.monotonic()))
+            self.until(lambda: bool(link.subscribers("begun")), "the subscriber is not on the graph")
+            require(isinstance(link, Advertiser), "the link cannot advertise")
+            cast("Advertiser", link).advertise("begun", _STRING)
+            require(any(each.is_own for each in link.publishers("begun")), "the topic is not on the graph")
+            require(not arrivals, "a message was published by advertising")
+            begun = time.monotonic()
+            link.publish("begun", _STRING, {"data": "first"})
+            self.until(lambda: bool(arrivals), "the first message did not arrive")
+            require(arrivals[0] - begun < 1.0, f"the first message took {arrivals[0] - begun:.2f} s")
 
     def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
         """Hold that what is published and subscribed reliably is all there."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 import time
 from collections.abc import Callable, Mapping
@@ -222,6 +223,9 @@ class ServedRosapi:
         generation: of ROS.
         distro: of ROS.
         nodes: full names of the nodes that there are.
+
+    Attributes:
+        parameters: the parameter server of ROS 1, by full names.
     """
 
     def __init__(self, graph: Graph, generation: int, distro: str, nodes: list[str]) -> None:
@@ -229,6 +233,7 @@ class ServedRosapi:
         self._generation = generation
         self._distro = distro
         self.nodes = nodes
+        self.parameters: dict[str, Any] = {}
 
     def answer(self, service: str, request: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return the response of a service of rosapi's, or None if it is another service."""
@@ -246,7 +251,9 @@ class ServedRosapi:
             "service_response_details": lambda asked: _details(self._graph.types.response(plain_type(asked["type"]))),
             "topics_and_raw_types": lambda _: self._raw(),
         }
-        if self._generation > 1:
+        if self._generation == 1:
+            questions |= self._parameter_questions()
+        else:
             questions["get_ros_version"] = lambda _: {"version": self._generation, "distro": self._distro}
         question = questions.get(service.removeprefix("/rosapi/")) if service.startswith("/rosapi/") else None
         if question is None:
@@ -255,6 +262,25 @@ class ServedRosapi:
             return question(request)
         except KeyError as error:
             raise Refusal(f"the request of {service} lacks {error}") from error
+
+    def _parameter_questions(self) -> dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]]:
+        """Return what rosapi answers of parameters, whose values are JSON."""
+        there = self.parameters
+
+        def change(asked: Mapping[str, Any]) -> dict[str, Any]:
+            there[asked["name"]] = json.loads(asked["value"])
+            return {}
+
+        def delete(asked: Mapping[str, Any]) -> dict[str, Any]:
+            there.pop(asked["name"], None)
+            return {}
+
+        return {
+            "get_param": lambda asked: {"value": json.dumps(_nested(there, asked["name"]))},
+            "get_param_names": lambda _: {"names": sorted(there)},
+            "set_param": change,
+            "delete_param": delete,
+        }
 
     def _endpoints(self, name: str, kind: str) -> list[str]:
         """Return the server's node where any client has the topic: a graph does not see who is behind a rosbridge."""
@@ -282,6 +308,12 @@ class ServedRosapi:
         topics = self._topics()
         texts = [self._graph.types.definition(plain_type(name)) for name in topics["types"]]
         return {**topics, "typedefs_full_text": texts}
+
+
+def _nested(parameters: Mapping[str, Any], name: str) -> Any:
+    """Return the parameter of this name, or all below it as a mapping; None where there is none."""
+    below = {each.removeprefix(f"{name}/").partition("/")[0] for each in parameters if each.startswith(f"{name}/")}
+    return {each: _nested(parameters, f"{name}/{each}") for each in sorted(below)} or parameters.get(name)
 
 
 def _details(shape: Shape) -> dict[str, Any]:

@@ -266,7 +266,7 @@ def test_an_experiment_is_analysed_as_its_own_plan_has_it(make_folder):
         assert (each.estimate, each.p_value) == pytest.approx((pair.difference, pair.p_value))
     assert told[0].estimate == pytest.approx(-10, abs=1)
     assert told[1].estimate > told[0].estimate + 3
-    assert [str(each) for each in found.findings] == ["one: its plan leaves out Energy of r_4"]
+    assert [str(each) for each in found.findings] == ["one: its analysis leaves out Energy of r_4"]
 
 
 def test_without_a_choice_primary_measures_are_combined(make_folder):

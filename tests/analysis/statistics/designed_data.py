@@ -109,3 +109,13 @@ PROCESS = [
     (85, 182.07, 78.5),
     (85, 167.93, 77.0),
 ]
+
+#: Cochran and Cox, Experimental Designs, 2nd ed., 1957, p. 133: milk yield by square, cow, period and feeding method.
+COWS = [
+    (f"square {1 + cow // 3}", f"cow {1 + cow}", 10 * (1 + cow // 3) + period, method, int(milk))
+    for cow, told in enumerate(
+        ("A38 B25 C15", "B109 C86 A39", "C124 A72 B27", "A86 C76 B46", "B75 A35 C34", "C101 B63 A1")
+    )
+    for period, (method, *digits) in enumerate(told.split(), start=1)
+    for milk in ["".join(digits)]
+]

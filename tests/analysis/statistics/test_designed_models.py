@@ -86,6 +86,20 @@ def test_incomplete_blocks_are_compared_within_blocks():
     assert abs(pairs["c1", "c4"].difference / pairs["c1", "c4"].statistic) == pytest.approx((2 * 3 * 0.65 / 8) ** 0.5)
 
 
+def test_a_crossover_is_the_one_of_the_textbook():
+    # Cochran and Cox 1957, p. 135: direct effects, adjusted for residual ones, 2854.55 of 2; residual effects, adjusted
+    # for direct ones, 616.19 of 2; error 199.25 of 4. Periods differ between squares. R's lm() has the same.
+    rows = [(cow, period, method, y) for _, cow, period, method, y in data.COWS]
+    facts = {"kind": "crossover", "subject": "Cow", "period": "Period"}
+    test, effects = effects_of(designed(rows, ["Cow", "Period", "Method"], facts))
+    error = 199.25 / 4
+    assert figures(effects["Method"]) == pytest.approx((2854.55 / 2 / error, 2, 4), rel=1e-5)
+    assert f"F(2, 4) = {616.19 / 2 / error:.3g}, p = 0.060" in " ".join(test.notes)
+    # Washed out: the same without residual effects, of 6.
+    _, effects = effects_of(designed(rows, ["Cow", "Period", "Method"], facts | {"washout": True}))
+    assert figures(effects["Method"]) == pytest.approx((2276.78 / 2 / ((616.19 + 199.25) / 6), 2, 6), rel=1e-5)
+
+
 def test_a_fraction_names_what_it_cannot_tell_apart():
     # Table 8.3 and example 8.1: effects 19, 1.5, 14, 16.5, -1, -18.5, 19.
     facts = {"kind": "fractional_factorial", "resolution": 4}

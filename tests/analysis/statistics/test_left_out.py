@@ -59,7 +59,7 @@ def test_outliers_are_left_out_and_both_results_told(tmp_path: Path, rule: dict[
     effect, hypothesis = found.standings
     assert effect.beside is Beside.ALL_RUNS
     assert effect.stands is hypothesis.stands is False
-    assert effect.conclusion.startswith("With the 1 run that the plan leaves out of Energy (r_13), the effect of Task")
+    assert effect.conclusion.startswith("With the 1 run that is left out of Energy (r_13), the effect of Task")
     assert effect.conclusion.endswith("is no longer significant (p = 0.774): the conclusion does not stand.")
     assert found.hypotheses[0].is_supported
 

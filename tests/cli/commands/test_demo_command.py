@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -12,7 +13,6 @@ from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
@@ -89,3 +89,16 @@ def test_without_the_simulator_nothing_is_written(
     assert answer.code == 2
     assert "error: robot: mujoco cannot be imported" in answer.err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_current_folder_may_be_named_whether_it_is_empty_or_in_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert demo._fresh(Path()) == Path()
+    (tmp_path / "notes.txt").touch()
+    assert demo._fresh(Path()) == Path("robot-runner-demo")
+    (tmp_path / "robot-runner-demo" / "demo.py").touch()
+    assert demo._fresh(Path()) == Path("robot-runner-demo-2")
+    (tmp_path / "below").mkdir()
+    assert demo._fresh(Path("below/..")) == Path("below/../robot-runner-demo-2")

@@ -140,7 +140,17 @@ def test_the_task_may_be_the_same_for_all_runs(stage):
     played = stage(task_factor=None, task="Computation")
     played.plugin.task = "Network"
     played.execute()
-    assert played.robot.calls[0].service == "task/network/start"
+    assert [call.service for call in played.robot.calls][:2] == ["task/stop", "task/network/start"]
+
+
+def test_a_task_that_an_earlier_run_left_running_is_ended_before_anything_is_measured(stage):
+    played = stage()
+    left = {"success": True, "message": "network stopped: 12 chunks sent"}
+    played.robot._services["task/stop"] = left
+    played.plugin.start_run(played.context)
+    assert [call.service for call in played.robot.calls] == ["task/stop"]
+    warned = [finding.problem for finding in played.context.broker.findings]
+    assert warned[:1] == ["a task was still running on the robot: network stopped: 12 chunks sent"]
 
 
 def test_the_robot_works_only_in_the_task_phases(stage):

@@ -53,6 +53,12 @@ def add_arguments(parser: Parser) -> None:
     _add_repeated(parser, "--measure", "COLUMN", "a measure; likewise")
     _add_repeated(parser, "--ignore", "COLUMN", "a column to leave out")
     parser.add_argument(
+        "--design",
+        metavar="KIND:PART=COLUMN,...",
+        help="the design by which the runs were planned, such as crossover:unit=Robot,period=Day,washout=yes or "
+        "split_plot:plot=Laying; its columns are taken out of the comparison",
+    )
+    parser.add_argument(
         "--decimal", choices=("point", "comma"), help="the decimal sign of the table's numbers, where it is not clear"
     )
     _add_repeated(parser, "--unit", "COLUMN=UNIT", "the unit of a measure, such as energy=mJ")
@@ -114,6 +120,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _said(arguments: Namespace) -> ImportDescription:
+    from robot_runner.analysis.declared_design import parse_design  # noqa: PLC0415 - as above
     from robot_runner.analysis.importing.description import (  # noqa: PLC0415 - as above
         ImportDescription,
         parse_recipe,
@@ -139,6 +146,7 @@ def _said(arguments: Namespace) -> ImportDescription:
             recipes=tuple(map(parse_recipe, arguments.recompute)),
             origin=arguments.origin,
             guess=not arguments.no_guess,
+            design=parse_design(arguments.design) if arguments.design else None,
         )
     )
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.declared_design import with_declared_design
 from robot_runner.analysis.libraries import require_libraries
-from robot_runner.analysis.plan_file import read_plan
+from robot_runner.analysis.plan_file import PlanFile, read_plan
 from robot_runner.cli.console import output, print_facts, shown_path
 from robot_runner.cli.parser import UsageError, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
@@ -61,7 +62,8 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--plan",
         metavar="FILE",
-        help="a plan of the analysis, as TOML, in the place of the config's; everything is exploratory then",
+        help="a plan of the analysis, as TOML, in the place of the config's; everything is exploratory then. It may "
+        "declare the [design] of results that were made elsewhere",
     )
 
 
@@ -79,11 +81,14 @@ def execute(arguments: Namespace) -> int:
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - as above
 
     results = load_results(folder)
+    given = read_plan(Path(arguments.plan).expanduser()) if arguments.plan else PlanFile(None, None)
+    if given.design is not None:
+        results = with_declared_design(results, given.design, shown_path(Path(arguments.plan)))
     chosen: dict[str, Any] = {
         "output": Path(arguments.output).expanduser() if arguments.output else None,
         "measures": arguments.measure,
         "alpha": arguments.alpha,
-        "plan": None if arguments.plan is None else read_plan(Path(arguments.plan).expanduser()),
+        "plan": given.analysis,
     }
     written = write_report(results, ReportFormat(kind), figures=figures, **chosen)
     kinds = [Recomputation.NOTEBOOK] * arguments.notebook + [Recomputation.R] * arguments.r

@@ -299,7 +299,7 @@ def value_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> 
         left_out = each.left_out(column) if column else ()
         doubtful = [run_id for run_id in each.doubtful.get(column, ()) if run_id not in left_out]
         if left_out:
-            yield Finding.warning(each.name, f"its plan leaves out {column} of {listed(left_out)}")
+            yield Finding.warning(each.name, f"its analysis leaves out {column} of {listed(left_out)}")
         if doubtful:
             fix = "Look at its report, which says what stands without them."
             yield Finding.warning(each.name, f"{column} of {listed(doubtful)} is doubtful", fix)

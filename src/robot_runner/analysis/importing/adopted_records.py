@@ -150,6 +150,7 @@ def _manifest(understanding: Understanding, runs: Sequence[AdoptedRun], warnings
             "blocks": REPETITION
             if roles.block and roles.block == roles.repetition
             else headings.get(roles.block or ""),
+            **understanding.design_facts,
         },
         "plugins": [
             {"name": each.name, "class": None, "package": None, "version": None, "measures": []}

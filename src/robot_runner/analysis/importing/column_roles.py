@@ -53,6 +53,7 @@ class ColumnRoles:
         block: the column that runs are grouped by, or None; the repetition may be one.
         factors, measures: columns in the order of the table.
         extras: columns that are kept as they are.
+        of_design: the columns of a design that the user declared: robots, periods, whole plots.
         guesses: for each column what it is taken for, and why.
         notes: what to think of besides.
     """
@@ -67,12 +68,14 @@ class ColumnRoles:
     extras: tuple[str, ...]
     guesses: tuple[RoleGuess, ...]
     notes: tuple[str, ...]
+    of_design: tuple[str, ...] = ()
 
     @property
     def design(self) -> tuple[str, ...]:
-        """The columns that say under which treatments a run was executed: the factors, and the block's column."""
+        """The columns that say under which treatments a run was executed: factors, block, what a design names."""
         has_block = self.block is not None and self.block != self.repetition
-        return (*self.factors, *([self.block] if has_block and self.block else []))
+        blocks = (*([self.block] if has_block and self.block else []), *self.of_design)
+        return tuple(dict.fromkeys((*self.factors, *blocks)))
 
     def repetition_of(self, run_id: str) -> int | None:
         """Return the number in a run id such as `run_3_repetition_1`."""
@@ -98,7 +101,9 @@ def roles_of(table: ForeignTable, said: ImportDescription) -> ColumnRoles:
 def _check(table: ForeignTable, said: ImportDescription) -> None:
     # A measure that the table lacks may come from a recipe.
     single = (said.run_id, said.status, said.repetition, said.block)
-    for name in filter(None, (*single, *(said.factors or ()), *said.ignore)):
+    designed = said.design.names if said.design is not None else ()
+    of_factors = (*said.design.base, *said.design.ranges) if said.design is not None else ()
+    for name in filter(None, (*single, *(said.factors or ()), *said.ignore, *designed, *of_factors)):
         if name not in table.headings:
             fix = did_you_mean(name, table.headings)
             raise AnalysisError(f"there is no column {name!r}", where=table.path.name, fix=fix)
@@ -111,6 +116,7 @@ def _check(table: ForeignTable, said: ImportDescription) -> None:
     for name in table.headings:
         given = [role for role, names in roles.items() if name in names]
         given += ["the block"] if name == said.block and name != said.repetition else []
+        given += ["part of the design"] if name in designed and name not in (said.factors or ()) else []
         if len(given) > 1:
             problem = f"column {name!r} is said to be {' and '.join(given)}"
             raise AnalysisError(problem, where=table.path.name, fix="Say one of the two.")
@@ -133,6 +139,7 @@ class _Guessing:
         for role, names in ((Role.FACTOR, said.factors), (Role.MEASURE, said.measures)):
             for name in names or ():
                 self._take(name, role, Confidence.SURE, "as you said")
+        self._take_designed()
         run_id, status = self._run_id(), self._status()
         self._evidence.read_run_ids(run_id)
         repetition = self._repetition()
@@ -148,7 +155,7 @@ class _Guessing:
                 self._take(
                     name, Role.MEASURE if is_measure else Role.TEXT, Confidence.SURE, "the description has no other"
                 )
-        block = said.block or self._guessed_block()
+        block = said.block or (self._guessed_block() if said.design is None else None)
         in_run_id = repetition is None and self._evidence.repetition_in_run_id
         named = {role: self._named(role) for role in Role}
         return ColumnRoles(
@@ -162,7 +169,18 @@ class _Guessing:
             extras=named[Role.TEXT],
             guesses=tuple(self._guesses[name] for name in self._table.headings if name in self._guesses),
             notes=tuple(self._notes),
+            of_design=said.design.names if said.design is not None else (),
         )
+
+    def _take_designed(self) -> None:
+        """Take what the user's design names, and what a surface or a base is of, before anything is guessed."""
+        design = self._said.design
+        if design is None:
+            return
+        roles = dict.fromkeys((*design.base, *design.ranges), Role.FACTOR) | dict.fromkeys(design.names, Role.BLOCK)
+        for name, role in roles.items():
+            if name not in self._guesses:
+                self._take(name, role, Confidence.SURE, "your design names it")
 
     def _named(self, role: Role) -> tuple[str, ...]:
         guesses = self._guesses
@@ -277,7 +295,12 @@ class _Guessing:
         factors = self._named(Role.FACTOR)
         for name in factors:
             others = [each for each in factors if each != name]
-            if others and self._evidence.counts(name) and self._evidence.tells_runs_apart(name, others):
+            if (
+                name not in (self._said.factors or ())
+                and others
+                and self._evidence.counts(name)
+                and self._evidence.tells_runs_apart(name, others)
+            ):
                 reason = "its texts are numbered, and each combination has every one once: a repetition?"
                 self._take(name, Role.FACTOR, Confidence.UNSURE, reason)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.analysis.declared_design import DeclaredDesign
 from robot_runner.analysis.importing.units import TIME_UNITS, known_units, unit_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.system_refusals import storage_error
@@ -129,6 +130,8 @@ class ImportDescription:
         recipes: which measure comes out of which samples.
         origin: `measured`, `simulated` or `estimated`.
         guess: whether raw files and recipes that nobody mentioned are looked for.
+        design: what the columns are in the design by which the runs were planned; None for a full factorial, in blocks
+            or not.
     """
 
     name: str | None = None
@@ -147,6 +150,7 @@ class ImportDescription:
     recipes: tuple[Recipe, ...] = ()
     origin: str | None = None
     guess: bool = True
+    design: DeclaredDesign | None = None
 
     def with_options(self, said: ImportDescription) -> ImportDescription:
         """Return this description with what was said on the command line instead, where anything was."""
@@ -215,6 +219,7 @@ _ENTRIES: dict[str, dict[str, type]] = {
         "units": dict,
         "samples": list,
         "recompute": dict,
+        "design": dict,
     },
     "columns.": {
         **dict.fromkeys(("run_id", "status", "repetition", "block"), str),
@@ -255,6 +260,8 @@ def read_description(path: Path) -> ImportDescription:
     columns = _checked(entries.pop("columns", {}), "columns.", where)
     entries["recipes"] = tuple(parse_recipe(f"{name}={how}") for name, how in entries.pop("recompute", {}).items())
     entries["samples"] = tuple(_samples(each, where) for each in entries.pop("samples", ()))
+    if "design" in entries:
+        entries["design"] = DeclaredDesign.of_mapping(entries["design"], f"{where}, [design]")
     return ImportDescription(**{**entries, **columns, "units": _units(entries, where)})
 
 
@@ -309,11 +316,21 @@ def description_text(description: ImportDescription) -> str:
         lines += ["", "[[samples]]", *_lines(said)]
         lines += _section("samples.units", each.units)
     lines += _section("recompute", {recipe.measure: recipe.words for recipe in description.recipes})
+    lines += _design(description.design) if description.design is not None else []
     return "\n".join(lines) + "\n"
 
 
 def _section(name: str, entries: Mapping[str, str]) -> list[str]:
     return ["", f"[{name}]", *_lines({_toml(key): value for key, value in entries.items()})] if entries else []
+
+
+def _design(design: DeclaredDesign) -> list[str]:
+    entries = design.as_mapping()
+    tables = {key: value for key, value in entries.items() if isinstance(value, dict)}
+    lines = ["", "[design]", *_lines({key: value for key, value in entries.items() if key not in tables})]
+    for key, table in tables.items():
+        lines += ["", f"[design.{key}]", *_lines({_toml(name): value for name, value in table.items()})]
+    return lines
 
 
 def _lines(entries: Mapping[str, Any]) -> list[str]:

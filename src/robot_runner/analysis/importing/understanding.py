@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from math import prod
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.declared_design import structure_findings
 from robot_runner.analysis.importing.column_roles import ColumnRoles, roles_of
 from robot_runner.analysis.importing.description import ImportDescription, SamplesDescription
 from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
@@ -24,7 +25,7 @@ from robot_runner.core.storage.cells import number_of
 from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.analysis.importing.description import Recipe
@@ -82,7 +83,8 @@ class Understanding:
     @property
     def design_words(self) -> str:
         """The design that the runs have: factors with their treatments, repetitions, blocks, how many runs."""
-        varied = [name for name in self.roles.factors if len(self.treatments(name)) > 1]
+        declared = self.said.design.names if self.said.design is not None else ()
+        varied = [name for name in self.roles.factors if len(self.treatments(name)) > 1 and name not in declared]
         counts = " x ".join(str(len(self.treatments(name))) for name in varied)
         combinations = Counter(tuple(run.treatments[name] for name in varied) for run in self.runs)
         possible = prod(len(self.treatments(name)) for name in varied)
@@ -90,6 +92,7 @@ class Understanding:
         parts = [f"{counts} ({' x '.join(map(one_line, varied))})" if varied else "one combination"]
         parts += [f"{len(combinations)} of {possible} combinations are there"] if len(combinations) < possible else []
         parts += [f"{least if least == most else f'{least} to {most}'} runs a combination"]
+        parts += [f"declared as {one_line(self.said.design.in_words)}"] if self.said.design is not None else []
         if block := self.roles.block:
             number = (
                 len(self.treatments(block))
@@ -132,6 +135,14 @@ class Understanding:
             guess=False,
         )
 
+    @property
+    def design_facts(self) -> dict[str, object]:
+        """The facts of the design that the user declared, by the headings here; empty where none was."""
+        design = self.said.design
+        if design is None:
+            return {}
+        return {"facts": design.facts("the import", self.headings.__getitem__)}
+
     def treatments(self, factor: str) -> tuple[str, ...]:
         """Return the treatments of a factor: numbers ascending, False before True, others as they come."""
         texts = list(dict.fromkeys(run.treatments[factor] for run in self.runs))
@@ -166,6 +177,7 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
     notes = [*([f"{table.path.name} is written with {words}"] if words else []), *table.notes, *roles.notes]
     runs = read_runs(root, table, roles, said.run_folder, notes)
     folders = {run.source_id: run.folder for run in runs if run.folder is not None}
+    _check_design(said, runs, roles, where)
     samples, sample_notes = understand_samples(folders, said.samples, guess=said.guess)
     units = {name: _unit(table, name, said.units) for name in roles.measures}
     check_recipes(said.recipes, samples)
@@ -185,6 +197,18 @@ def understand(root: Path, said: ImportDescription) -> Understanding:
         said=said,
         notes=(*notes, *sample_notes),
     )
+
+
+def _check_design(said: ImportDescription, runs: Sequence[ForeignRun], roles: ColumnRoles, where: str) -> None:
+    if said.design is None:
+        return
+    import pandas as pd  # noqa: PLC0415 - takes half a second to import
+
+    rows = [dict(run.treatments) for run in runs]
+    factors = [name for name in roles.factors if name not in said.design.names]
+    findings = list(structure_findings(said.design, pd.DataFrame(rows), factors, f"{where}, design"))
+    if findings:
+        raise AnalysisError.of_findings(findings)
 
 
 def _table_path(root: Path, name: str | None) -> Path:

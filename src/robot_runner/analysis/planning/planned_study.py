@@ -248,3 +248,8 @@ class PlannedResults(Results):
     @property
     def _run_frame(self) -> RunFrame:
         return RunFrame(self.table if self.table is not None else pd.DataFrame(), ())
+
+    @property
+    def attempts(self) -> pd.DataFrame:
+        """No attempts: nothing was executed."""
+        return pd.DataFrame({RUN_ID: [], "status": []})

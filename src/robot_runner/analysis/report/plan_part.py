@@ -27,13 +27,13 @@ _TITLES = {
 }
 _CAPTIONS = {
     Beside.WITHOUT_DOUBTFUL: "Whether conclusions stand when the runs are left out whose values are doubtful.",
-    Beside.ALL_RUNS: "Whether conclusions stand with the runs that the plan leaves out.",
+    Beside.ALL_RUNS: "Whether conclusions stand with the runs that are left out.",
     Beside.WITHOUT_COVARIATES: "Whether conclusions stand where means are not adjusted for covariates.",
 }
 
 
 def planned_parts(measure: MeasureStatistics, label: str) -> Iterator[Block]:
-    """Yield the values that the plan leaves out, and what is known of covariates."""
+    """Yield the values that are left out, and what is known of covariates."""
     if measure.left_out:
         yield _left_out_table(measure, label)
     rate = measure.rule_false_positives
@@ -51,7 +51,7 @@ def _left_out_table(measure: MeasureStatistics, label: str) -> Table:
         text("Rule", "reason.value"),
         text("Reason", "why"),
     )
-    caption = f"{label}: values that the planned analysis leaves out; the run table keeps them."
+    caption = f"{label}: values that the analysis leaves out; the run table keeps them."
     return build_table(f"left out {measure.name}", caption, measure.left_out, fields)
 
 

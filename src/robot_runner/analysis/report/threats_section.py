@@ -11,7 +11,7 @@ from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
 from robot_runner.analysis.statistics.disclosed import Beside
-from robot_runner.analysis.statistics.experiment_statistics import planned_warnings
+from robot_runner.analysis.statistics.experiment_statistics import order_warnings, planned_warnings
 from robot_runner.analysis.wording import NUMBER, listed, sentence, shown_number
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
@@ -190,6 +190,8 @@ def _order(material: Material) -> Threats:
         chosen = listed(_chosen_runs(material), shown=8)
         text = f"{sentence(moved_in_words(material.moved, material.executed))}{f' Chosen: {chosen}.' if chosen else ''}"
         yield "Runs were executed out of the order of the run table", text, Tone.WARNING
+    for text in order_warnings(material.results):
+        yield "The design does not hold for all runs", text, Tone.WARNING
 
 
 def _chosen_runs(material: Material) -> Iterator[str]:

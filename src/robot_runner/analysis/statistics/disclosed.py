@@ -20,6 +20,7 @@ class Reason(Enum):
     OUTLIER = "outlier"
     DOUBTFUL = "doubtful"
     COVARIATE = "covariate missing"
+    DISPLACED = "out of its place"
 
 
 class Beside(Enum):

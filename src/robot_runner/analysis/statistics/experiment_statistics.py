@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.disclosed import Beside, LeftOut, Reason
+from robot_runner.analysis.statistics.displaced_runs import displaced_runs, followed_failures
 from robot_runner.analysis.statistics.families import concluded
 from robot_runner.analysis.statistics.left_out import (
     MOST_FALSE_POSITIVES,
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import Standing
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-__all__ = ["analyse", "measure_statistics", "planned_warnings"]
+__all__ = ["analyse", "measure_statistics", "order_warnings", "planned_warnings"]
 
 _ALPHA = 0.05
 
@@ -206,6 +207,7 @@ def _not_correlated(numeric: Sequence[object]) -> tuple[NotComputed, ...]:
 def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator[str]:
     """Yield threats to validity, the gravest first."""
     summary = design.summary()
+    yield from order_warnings(design.results)
     for measure in measures:
         if measure.drift is not None and measure.drift.warning:
             yield measure.drift.warning
@@ -222,6 +224,23 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
         yield "The order of the runs was not randomised: whatever changes with time may pass for an effect."
     if design.results.manifest.get("analysis_changes"):
         yield "The analysis plan was changed after runs had been executed: only the first version counts as planned."
+
+
+def order_warnings(results: Results) -> Iterator[str]:
+    """Yield what became of the order that a design holds, where runs failed and were executed again later."""
+    if displaced := displaced_runs(results):
+        were, are = ("was", "is") if len(displaced) == 1 else ("were", "are")
+        runs = listed([f"{run_id} ({why})" for run_id, why in displaced.items()])
+        yield (
+            f"{counted(len(displaced), 'run')} {were} executed out of the order that the design holds, so that its "
+            f"model does not fit, and {are} left out: {runs}."
+        )
+    if followed := followed_failures(results):
+        pairs = [f"{run_id} after {before}" for run_id, before in followed.items()]
+        yield (
+            f"{counted(len(followed), 'run')} followed an attempt that failed, so that what is carried over from the "
+            f"treatment before may be less than it takes: {listed(pairs)}."
+        )
 
 
 def planned_warnings(measure: MeasureStatistics) -> Iterator[str]:

@@ -10,11 +10,12 @@ from scipy import stats
 
 from robot_runner.analysis.statistics.analysed_design import VALUE
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
+from robot_runner.analysis.statistics.displaced_runs import displaced_runs
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.design.outliers import Doubtful, Outliers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -43,7 +44,10 @@ _SEED = 20210525
 def left_out_of(
     design: Design, measure: str, plan: AnalysisPlan | None, doubtful: Sequence[str]
 ) -> tuple[LeftOut, ...]:
-    """Return the values of a measure that the plan leaves out: doubtful ones first, then outliers among the others.
+    """Return the values of a measure that are left out: of runs out of their place, doubtful ones, then outliers.
+
+    Runs that were executed out of the place that their design gave them are left out whether anything was planned or
+    not: the model of that design does not hold for them.
 
     Args:
         design: of the experiment, with all runs that are done.
@@ -51,11 +55,15 @@ def left_out_of(
         plan: what was fixed; None for nothing.
         doubtful: the runs whose value is doubtful.
     """
-    data = design.data(measure) if plan is not None else None
-    if data is None or plan is None:
+    data = design.data(measure)
+    if data is None:
         return ()
-    found = doubtful_values(design, measure, doubtful) if plan.doubtful is Doubtful.LEAVE_OUT else ()
-    if plan.outliers is None:
+    displaced = displaced_runs(design.results)
+    found = _values_of(design, measure, displaced, Reason.DISPLACED)
+    if plan is not None and plan.doubtful is Doubtful.LEAVE_OUT:
+        others = {run_id: "the value is doubtful" for run_id in doubtful if run_id not in displaced}
+        found += _values_of(design, measure, others, Reason.DOUBTFUL)
+    if plan is None or plan.outliers is None:
         return found
     gone = {each.run_id for each in found}
     unit = design.results.unit(measure)
@@ -65,13 +73,13 @@ def left_out_of(
 
 def doubtful_values(design: Design, measure: str, doubtful: Sequence[str]) -> tuple[LeftOut, ...]:
     """Return the values of these runs as values that are left out, since they are doubtful."""
+    return _values_of(design, measure, dict.fromkeys(doubtful, "the value is doubtful"), Reason.DOUBTFUL)
+
+
+def _values_of(design: Design, measure: str, whys: Mapping[str, str], reason: Reason) -> tuple[LeftOut, ...]:
     data = design.data(measure)
     every = {} if data is None else dict(zip(data.every[RUN_ID], data.every[VALUE], strict=True))
-    return tuple(
-        LeftOut(run_id, float(every[run_id]), Reason.DOUBTFUL, "the value is doubtful")
-        for run_id in doubtful
-        if run_id in every
-    )
+    return tuple(LeftOut(run_id, float(every[run_id]), reason, why) for run_id, why in whys.items() if run_id in every)
 
 
 def _outliers(group: Group, measure: str, unit: str, rule: Outliers, gone: set[str]) -> Iterator[LeftOut]:

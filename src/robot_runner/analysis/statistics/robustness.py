@@ -39,7 +39,8 @@ class Otherwise(NamedTuple):
         if self.beside is Beside.WITHOUT_DOUBTFUL:
             return f"Without the {counted(len(runs), 'run')} whose {measure} is doubtful ({listed(runs)}),"
         if self.beside is Beside.ALL_RUNS:
-            return f"With the {counted(len(runs), 'run')} that the plan leaves out of {measure} ({listed(runs)}),"
+            verb = "is" if len(runs) == 1 else "are"
+            return f"With the {counted(len(runs), 'run')} that {verb} left out of {measure} ({listed(runs)}),"
         return f"Not adjusted for {enumerated(self.covariates)},"
 
 

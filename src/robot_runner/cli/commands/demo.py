@@ -51,7 +51,7 @@ def add_arguments(parser: Parser) -> None:
         "--folder",
         metavar="FOLDER",
         default=_FOLDER,
-        help=f"where to (./{_FOLDER} if it is left out); where it is in use, a numbered one beside it",
+        help=f"where to (./{_FOLDER} if it is left out); where it is in use, a numbered one beside it, or in it for .",
     )
     parser.add_argument("--plain", action="store_true", help="print plain lines on a terminal, too")
 
@@ -91,7 +91,12 @@ def _print(console: UserConsole, execution: Execution, finished: ExperimentFinis
 
 
 def _fresh(wanted: Path) -> Path:
-    """Make and return the folder, or the first numbered one beside it that is not in use."""
+    """Make and return the folder, or the first numbered one beside it that is not in use.
+
+    Of `.`, `..` and `/`, which have no name that could be numbered, it is a folder inside.
+    """
+    if wanted.name in {"", ".."} and wanted.is_dir() and any(wanted.iterdir()):
+        return _fresh(wanted / _FOLDER)
     numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in itertools.count(2))
     for folder in itertools.chain([wanted], numbered):
         try:

@@ -90,7 +90,7 @@ def _add(arguments: Namespace, parser: Parser) -> int:
     run.apply_shortcuts(arguments)
     refused = [*_refused_options(arguments)]
     with quiet_loading():
-        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
+        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), looks_at_graph=False)
     experiment = preparation.experiment
     show_findings([*preparation.findings, *refused])
     if experiment is None or refused:

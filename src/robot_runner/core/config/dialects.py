@@ -60,7 +60,11 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
 
 
 def prepare(
-    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), *, is_for_here: bool = True
+    path: Path,
+    overrides: Mapping[str, str] = MappingProxyType({}),
+    *,
+    is_for_here: bool = True,
+    looks_at_graph: bool = True,
 ) -> Preparation:
     """Load and validate a config file of any dialect; all findings at once, and nothing on disk is touched.
 
@@ -68,17 +72,20 @@ def prepare(
         path: the config file.
         overrides: static parameters to set, by name.
         is_for_here: whether it is to be executed on this machine; if not, nobody asks what the machine has.
+        looks_at_graph: whether it is to be executed now, so that the robot's graph has what its plugins need.
     """
-    return preparation.prepare(path, overrides, load_config, is_for_here=is_for_here)
+    return preparation.prepare(path, overrides, load_config, is_for_here=is_for_here, looks_at_graph=looks_at_graph)
 
 
-def prepare_or_refuse(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> Experiment:
-    """Load and validate a config file of any dialect.
+def prepare_or_refuse(
+    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), *, looks_at_graph: bool = True
+) -> Experiment:
+    """Load and validate a config file of any dialect; as `prepare` in all else.
 
     Raises:
         ConfigError: it is refused; carries every finding.
     """
-    return preparation.prepare_or_refuse(path, overrides, load_config)
+    return preparation.prepare_or_refuse(path, overrides, load_config, looks_at_graph=looks_at_graph)
 
 
 def stand_in_modules() -> frozenset[str]:

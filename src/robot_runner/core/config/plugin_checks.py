@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["check_plugins", "check_treatments", "companions", "failed_check", "gather_plugins"]
+__all__ = ["check_plugins", "check_treatments", "companions", "failed_check", "gather_plugins", "with_each_treatment"]
 
 
 def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[tuple[Plugin, ...], list[Finding]]:
@@ -89,6 +89,15 @@ def check_treatments(
         unbuilt = _unbuilt_with_each(plugin, listed, [])
         findings += unbuilt or _checked_with_each(plugin, plugins, listed, Circumstances(robot, factors))
     return findings
+
+
+def with_each_treatment(plugin: Plugin, model: RunTableModel | None) -> Iterator[Plugin]:
+    """Yield a plugin as it is built with each of the treatments that its parameters are bound to, or as it is."""
+    if model is None or not factors_of(plugin):
+        yield plugin
+        return
+    planned = (run.combination for run in _some_of(model, factors_of(plugin)))
+    yield from (built_with(plugin, combination) for combination in _distinct(planned, factors_of(plugin).values()))
 
 
 def failed_check(where: str, error: Exception, what: str = "the check") -> Finding:

@@ -22,6 +22,7 @@ from robot_runner.core.config.checks import (
 from robot_runner.core.config.claims import check_workers
 from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder, grown_model
+from robot_runner.core.config.graph_checks import GraphCheck
 from robot_runner.core.config.loader import LoadedConfig, load_config
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
@@ -125,6 +126,7 @@ def prepare(
     load: Loader = load_config,
     *,
     is_for_here: bool = True,
+    looks_at_graph: bool = True,
 ) -> Preparation:
     """Load and validate a config file; all findings at once, and nothing on disk is touched.
 
@@ -133,6 +135,7 @@ def prepare(
         overrides: static parameters to set, by name.
         load: how the file becomes a config object.
         is_for_here: whether it is to be executed on this machine; if not, nobody asks what the machine has.
+        looks_at_graph: whether it is to be executed now, so that the robot's graph has what its plugins need.
     """
     try:
         loaded = load(path, overrides)
@@ -158,7 +161,7 @@ def prepare(
         findings += check_repeat_until(loaded, parameters, model, columns)
         findings += check_workers(loaded.where, parameters, plugins, events, model)
     if is_for_here:
-        findings += _check_machine(loaded, parameters, plugins, complete)
+        findings += _check_machine(loaded, parameters, plugins, complete, events if looks_at_graph else None)
     ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
@@ -195,11 +198,20 @@ def _name_findings(loaded: LoadedConfig) -> list[Finding]:
 
 
 def _check_machine(
-    loaded: LoadedConfig, parameters: Parameters | None, plugins: tuple[Plugin, ...], model: RunTableModel | None
+    loaded: LoadedConfig,
+    parameters: Parameters | None,
+    plugins: tuple[Plugin, ...],
+    model: RunTableModel | None,
+    events: EventManager | None,
 ) -> Iterator[Finding]:
     yield from loaded.lacking
+    graph = None
+    if parameters is not None and events is not None and parameters.cluster is None:  # each worker has its own graph
+        graph = GraphCheck(parameters, plugins, model, events)
     robot = parameters.robot if parameters is not None else getattr(loaded.config, "robot", None)
     yield from _robot_first(loaded, parameters, plugins, model, robot)
+    if graph is not None and parameters is not None:
+        yield from _of_graphs(graph, parameters)
     if parameters is not None:
         runs = _most_runs(model, parameters) if model is not None else 0
         if model is not None:
@@ -240,6 +252,13 @@ def _of_each(robots: Mapping[str, str], look: Callable[[str], list[Finding]]) ->
         yield from (replace(each, where=f"{each.where}, robot {name}") for each in findings if each not in alike)
 
 
+def _of_graphs(graph: GraphCheck, parameters: Parameters) -> Iterator[Finding]:
+    if parameters.robots:
+        yield from _of_each(parameters.robots, lambda link: list(graph.findings(link)))
+    else:
+        yield from graph.findings(parameters.robot)
+
+
 def _left_to_workers(finding: Finding) -> Finding:
     """Return what was found on this machine as a warning: a cluster's workers look at their own as they join."""
     if not finding.is_error:
@@ -255,14 +274,18 @@ def _most_runs(model: RunTableModel, parameters: Parameters) -> int:
 
 
 def prepare_or_refuse(
-    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), load: Loader = load_config
+    path: Path,
+    overrides: Mapping[str, str] = MappingProxyType({}),
+    load: Loader = load_config,
+    *,
+    looks_at_graph: bool = True,
 ) -> Experiment:
     """Load and validate a config file, as `prepare` does.
 
     Raises:
         ConfigError: it is refused; carries every finding.
     """
-    preparation = prepare(path, overrides, load)
+    preparation = prepare(path, overrides, load, looks_at_graph=looks_at_graph)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     return preparation.experiment

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
@@ -39,14 +40,16 @@ class Resources:
     def __init__(self) -> None:
         self._opened: dict[str, Closable] = {}
         self._closing = ExitStack()
+        self._lock = threading.RLock()  # systems that go on together open what they need at the same time
 
     def open(self, key: str, opener: Callable[[], R]) -> R:
         """Return what was opened under `key`, opening it first if it was not; it is closed with the run."""
-        if key not in self._opened:
-            opened = opener()
-            self._opened[key] = opened
-            self._closing.callback(opened.close)
-        return cast("R", self._opened[key])
+        with self._lock:
+            if key not in self._opened:
+                opened = opener()
+                self._opened[key] = opened
+                self._closing.callback(opened.close)
+            return cast("R", self._opened[key])
 
     def close(self) -> None:
         """Close everything in reverse order; what one of them raises is raised after all were closed."""

@@ -88,7 +88,7 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
 
 
 def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> None:
-    experiment = prepare_or_refuse(Path(description["config"]), description["set"])
+    experiment = prepare_or_refuse(Path(description["config"]), description["set"], looks_at_graph=False)
     restore_revisions(experiment.model.factors, description["revisions"])
     task = task_of(experiment, description["task"])
     experiment = replace(experiment, folder=experiment.folder.at_slot(task.slot))

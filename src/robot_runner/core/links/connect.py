@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.kinds import (
     BringsDevices,
     FindsRobot,
+    LooksAtGraph,
     Preloads,
     RobotLinkKind,
     installed_links,
@@ -22,10 +24,12 @@ from robot_runner.core.links.kinds import (
 from robot_runner.core.links.robot import RobotName
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.events.resources import Resources
+    from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SIMULATED",
     "SIMULATION_TOPIC",
+    "begin_graph_look",
     "connect_host",
     "connect_robot",
     "found_robot",
@@ -74,6 +79,26 @@ def link_findings(robot: str | None) -> list[Finding]:
         return kind.findings(name)
     except (LinkError, PluginError) as error:
         return [error.as_finding()]
+
+
+def begin_graph_look(robot: str, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]] | None:
+    """Begin to look whether the graph of a robot has what plugins need; None where its link looks at none.
+
+    Args:
+        robot: how it is reached.
+        needs: with names relative to the robot's namespace, by the place that findings are to name.
+
+    Raises:
+        LinkError: there is no such robot, or a name cannot be one.
+    """
+    kind, name = _resolved(robot)
+    if kind.is_simulated or not isinstance(kind, LooksAtGraph):
+        return None
+    full = {
+        where: [replace(need, name=full_name(name.namespace, need.name)) for need in wanted]
+        for where, wanted in needs.items()
+    }
+    return kind.begin_look(name, full)
 
 
 def meant_robot(robot: str) -> str | None:

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from robot_runner.core.entry_points import entry_points, named_entry_point
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import Clock
     from robot_runner.core.events.resources import Resources
+    from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.robot import RobotLink, RobotName
     from robot_runner.core.links.serial_line import SerialLine
@@ -19,6 +22,7 @@ __all__ = [
     "BringsDevices",
     "FindsRobot",
     "FoundRobot",
+    "LooksAtGraph",
     "Preloads",
     "RobotLinkKind",
     "installed_links",
@@ -104,6 +108,22 @@ class Preloads(Protocol):
 
     def preload(self, name: RobotName) -> None:
         """Import it; nothing is opened."""
+        ...
+
+
+@runtime_checkable
+class LooksAtGraph(Protocol):
+    """A kind of link that can look, before anything is executed, whether its graph has what plugins need."""
+
+    def begin_look(self, name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]]:
+        """Begin to look, in a process of its own, and return what waits for the findings, within a deadline.
+
+        Nothing is moved, called or started by looking.
+
+        Args:
+            name: of the robot.
+            needs: what is needed, with full names, by the place that findings are to name (`plugin Arm`).
+        """
         ...
 
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 __all__ = [
+    "Advertiser",
     "Caller",
     "Encoding",
     "GraphEndpoint",
@@ -81,11 +82,13 @@ class GraphEndpoint:
         node: the full name of its node; empty where the graph does not tell.
         message_type: the type that it publishes or subscribes, such as `nav_msgs/Odometry`; empty likewise.
         is_own: whether it is this link's. All that one rosbridge server publishes for anybody counts as this link's.
+        qos: the profile that comes nearest to its own; None where the graph does not tell (ROS 1, a rosbridge).
     """
 
     node: str
     message_type: str
     is_own: bool = False
+    qos: Qos | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         """Return what to call it.
@@ -115,6 +118,19 @@ class Publisher(Protocol):
 
         Raises:
             LinkError: the robot cannot be reached, or the message does not follow its definition.
+        """
+        ...
+
+
+@runtime_checkable
+class Advertiser(Protocol):
+    """Puts topics on the graph before anything is published on them."""
+
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
+        """Return once the subscribers that are there already would receive a message: the first is not late.
+
+        Raises:
+            LinkError: the robot cannot be reached, there is no such type, or the topic carries another.
         """
         ...
 

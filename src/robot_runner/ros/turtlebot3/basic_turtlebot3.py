@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.plugin import System
 from robot_runner.core.sampling.live_samples import LiveSamples
 from robot_runner.core.treatments import factors_of
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
-from robot_runner.ros.turtlebot3.motion import Wheels
-from robot_runner.ros.turtlebot3.odometry import Odometer, Trajectory
-from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
+from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Wheels
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Trajectory
+from robot_runner.ros.turtlebot3.steered_robot import Robot, Task, TaskServices, required_services
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.ros.sole_control import SoleControl
     from robot_runner.ros.turtlebot3.mission import Performance, Phase
 
 __all__ = ["BasicTurtlebot3"]
@@ -119,6 +119,15 @@ class BasicTurtlebot3(System):
         yield from self._check_namespace(circumstances)
         yield from self._check_tasks(circumstances)
 
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Return odometry, velocity commands, and the services of the tasks that runs may have."""
+        fix = "Start the robot's bringup, or correct the plugin's namespace."
+        yield GraphNeed.published(POSE_TOPIC, ODOMETRY, is_sole=self.sole_control, fix=fix)
+        yield GraphNeed.subscribed(COMMAND_TOPIC, *sorted(VELOCITY_COMMANDS), is_sole=self.sole_control, fix=fix)
+        named = [self.task] if self.task is not None else circumstances.factors.get(self.task_factor or "", ())
+        for task in dict.fromkeys(filter(None, map(Task.named, named))):
+            yield from required_services(task)
+
     def duration_s(self, combination: Mapping[str, Any]) -> float:
         """Return how long the mission takes, s: 95 with the defaults, by the sum of its phases."""
         del combination
@@ -134,19 +143,14 @@ class BasicTurtlebot3(System):
         odometer.wait(self.connect_timeout_s)
         self._robot.check_commands_subscribed(where=self.name)
         self._robot.tasks.check(self._task_of(context), where=self.name)
-        if not link.is_simulated:  # the embedded robot is alone in its world
-            self._take_control(self._robot.control, context)
+        self._end_left_task(self._robot.tasks, context)
+        self._robot.take_control(context, sole=self.sole_control)
 
-    def _take_control(self, control: SoleControl, context: RobotRunnerContext) -> None:
-        findings = control.check()
-        errors = [finding for finding in findings if finding.is_error]
-        if errors and self.sole_control:
-            raise LinkError.of_findings(errors)
-        for finding in findings:
-            tell = context.doubt if finding.is_error else context.warn
-            tell(finding.problem, fix=finding.fix)
-        fix = "End what else commands or is this robot, and execute the run again."
-        control.begin(context.fail if self.sole_control else partial(context.doubt, fix=fix))
+    def _end_left_task(self, tasks: TaskServices, context: RobotRunnerContext) -> None:
+        """Stop a task that an earlier run, or somebody else, left running: it would be measured, and refuse ours."""
+        told = tasks.stop_all()
+        if any(told.startswith(f"{task.value} ") for task in Task):  # else: "nothing was running"
+            context.warn(f"a task was still running on the robot: {told}", fix="Look what left it running.")
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Execute the mission.

@@ -32,6 +32,7 @@ class Wheels:
     Args:
         link: to the robot.
         namespace: the robot's.
+        topic: of its velocity commands.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -42,9 +43,10 @@ class Wheels:
         0.2
     """
 
-    def __init__(self, link: RobotLink, *, namespace: str = "") -> None:
+    def __init__(self, link: RobotLink, *, namespace: str = "", topic: str = COMMAND_TOPIC) -> None:
         self._link = link
-        self._topic = full_name(namespace, COMMAND_TOPIC)
+        self._own_topic = topic
+        self._topic = full_name(namespace, topic)
         self._type: str | None = None
 
     def command(self, speed: float, rate: float) -> None:
@@ -54,7 +56,7 @@ class Wheels:
             LinkError: the robot cannot be reached, or subscribes neither type.
         """
         message_type = self._type or self._subscribed_type()
-        self._link.publish(COMMAND_TOPIC, message_type, velocity_command(message_type, speed, rate))
+        self._link.publish(self._own_topic, message_type, velocity_command(message_type, speed, rate))
 
     def _subscribed_type(self) -> str:
         told = {each.message_type for each in self._link.subscribers(self._topic) if not each.is_own}
@@ -106,6 +108,21 @@ class Ramp:
         """Return the ramp of this duration whose cruising speed is `speed`."""
         return cls(speed * (_moving_time(seconds) - _rise_time(seconds)), seconds)
 
+    @classmethod
+    def covering(cls, way: float, speed: float) -> Ramp:
+        """Return the ramp over this way whose cruising speed is `speed`: the shorter the way, the shorter its parts.
+
+        Example:
+            >>> round(abs(Ramp.covering(-1.5, 0.2).cruise), 6)
+            0.2
+        """
+        cruising = abs(way) / speed
+        for begins_at, lost, share in _RAMP_PARTS:
+            seconds = (cruising + lost) / share
+            if seconds >= begins_at:
+                return cls(way, seconds)
+        raise ValueError(f"no ramp covers {way!r} at {speed!r}")
+
     @property
     def cruise(self) -> float:
         """The speed between speeding up and slowing down."""
@@ -125,6 +142,15 @@ class Ramp:
         return cruise * (time - rise / 2), cruise
 
 
+#: Of a ramp that lasts so long or longer (s): what is lost (s), and the share of its duration that its way at cruising
+#: speed takes with that. It follows from `_rise_time` and `_moving_time`: way = cruise x (moving - rise).
+_RAMP_PARTS = (
+    (5.0, _LONGEST_RAMP + _LONGEST_SETTLING, 1.0),
+    (4.0, _LONGEST_RAMP, 0.9),
+    (0.0, 0.0, 0.65),
+)
+
+
 def _rise_time(seconds: float) -> float:
     return min(_LONGEST_RAMP, seconds / 4)
 
@@ -134,10 +160,27 @@ def _moving_time(seconds: float) -> float:
 
 
 class Pilot:
-    """Moves one robot. Who uses it must call `stop` in the end, whatever happened."""
+    """Moves one robot. Who uses it must call `stop` in the end, whatever happened.
 
-    def __init__(self, wheels: Wheels, odometer: Odometer, clock: Clock, *, where: str = "robot") -> None:
+    Args:
+        wheels: of the robot.
+        odometer: where it is.
+        clock: the run's.
+        where: the plugin, for errors.
+        limits: the most that it is commanded, m/s and rad/s.
+    """
+
+    def __init__(
+        self,
+        wheels: Wheels,
+        odometer: Odometer,
+        clock: Clock,
+        *,
+        where: str = "robot",
+        limits: tuple[float, float] = (MAXIMUM_SPEED, MAXIMUM_TURN_RATE),
+    ) -> None:
         self._where = where
+        self._limits = limits
         self._wheels = wheels
         self._odometer = odometer
         self._clock = clock
@@ -195,9 +238,10 @@ class Pilot:
             )
 
     def _follow(self, steer: Callable[[float], tuple[float, float]], begun: float, seconds: float) -> None:
+        fastest, quickest = self._limits
         while (left := begun + seconds - self._clock.now()) > TICK:
             speed, rate = steer(seconds - left)
-            self._wheels.command(_limited(speed, MAXIMUM_SPEED), _limited(rate, MAXIMUM_TURN_RATE))
+            self._wheels.command(_limited(speed, fastest), _limited(rate, quickest))
             self._clock.sleep(min(_CONTROL_PERIOD, left))
         self.stop()
 

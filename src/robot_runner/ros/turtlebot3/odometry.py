@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message
     from robot_runner.core.sampling.live_samples import LiveSamples
 
-__all__ = ["POSE_TOPIC", "Odometer", "Pose", "Trajectory", "wrapped"]
+__all__ = ["ODOMETRY", "POSE_TOPIC", "Odometer", "Pose", "Trajectory", "wrapped"]
 
 
 #: The topic of the robot's odometry.
 POSE_TOPIC = "odom"
+ODOMETRY = "nav_msgs/Odometry"
 #: How often the first pose is looked for, s.
 _POLL = 0.02
 #: How fast a pose may change, m/s: what a TurtleBot3 can do, five times over; odometry comes in bursts where a network
@@ -78,13 +79,15 @@ class Odometer:
         clock: the run's clock.
         timeout: how long, s, the odometry may be silent.
         where: the plugin, for errors.
+        fastest: a change of the pose beyond this is a jump, m/s.
 
     Attributes:
         on_pose: called with each pose and its moment on the clock; None for no call.
     """
 
-    def __init__(self, clock: Clock, *, timeout: float, where: str) -> None:
+    def __init__(self, clock: Clock, *, timeout: float, where: str, fastest: float = _FASTEST) -> None:
         self.on_pose: Callable[[float, Pose], None] | None = None
+        self._fastest = fastest
         self._clock = clock
         self._timeout = timeout
         self._where = where
@@ -104,7 +107,7 @@ class Odometer:
             seconds = max(_seconds_between(self._stamp, stamp), self._clock.now() - self._received_at)
             step = self._pose.distance_to(pose)
             self._travelled += step
-            if self._jump is None and step > _ROOM + _FASTEST * seconds:
+            if self._jump is None and step > _ROOM + self._fastest * seconds:
                 self._jump = step, seconds
         self._pose, self._received_at = pose, self._clock.now()
         self._steps_back += stamp < self._stamp

@@ -5,24 +5,30 @@ from __future__ import annotations
 import logging
 import threading
 from contextlib import ExitStack
+from dataclasses import replace
 from enum import Enum
+from functools import partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.core.links.connect import is_simulation
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.ros.graph_links import full_name, missing
+from robot_runner.ros.graph_look import offer_findings
 from robot_runner.ros.sole_control import SoleControl
-from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Pilot, Wheels
+from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, MAXIMUM_SPEED, MAXIMUM_TURN_RATE, Pilot, Wheels
 from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
 
 if TYPE_CHECKING:
-    from robot_runner.core.events.context import Clock
+    from collections.abc import Iterator
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.ros.turtlebot3.odometry import Odometer
 
-__all__ = ["Heartbeat", "Robot", "Task", "TaskServices"]
+__all__ = ["Heartbeat", "Robot", "Task", "TaskServices", "required_services"]
 
 
 #: The watchdog is patient for 0.4 s: three beats may be lost on the air.
@@ -109,6 +115,13 @@ class Task(Enum):
 
 
 _TRIGGER = "std_srvs/Trigger"
+_TASK_NODE = "Start the robot's task node, which is in the repository's robot/ folder."
+
+
+def required_services(task: Task) -> Iterator[GraphNeed]:
+    """Yield the services that a robot must offer for a task."""
+    for name in (f"task/{task.value}/start", f"task/{task.value}/stop", "task/stop"):
+        yield GraphNeed.service(name, _TRIGGER, fix=_TASK_NODE)
 
 
 class TaskServices:
@@ -122,14 +135,13 @@ class TaskServices:
         """See that the robot offers the services of a task, before it has driven to where the task begins.
 
         Raises:
-            LinkError: it does not; nothing is raised where the graph does not tell its services.
+            LinkError: it does not, or they are of another type.
         """
         offered = self._link.services()
-        for name in (f"task/{task.value}/start", f"task/{task.value}/stop", "task/stop"):
-            service = full_name(self._namespace, name)
-            if offered and service not in offered:
-                fix = "Start the robot's task node, which is in the repository's robot/ folder."
-                raise missing("service", service, offered, where=where, fix=fix)
+        needs = [replace(need, name=full_name(self._namespace, need.name)) for need in required_services(task)]
+        found = [finding for need in needs for finding in offer_findings("service", offered, need, where)]
+        if found:
+            raise LinkError.of_findings(found)
 
     def start(self, task: Task) -> None:
         """Start a task.
@@ -147,13 +159,13 @@ class TaskServices:
         """
         self._call(f"task/{task.value}/stop")
 
-    def stop_all(self) -> None:
-        """Stop whatever is going on; that nothing is, is no fault.
+    def stop_all(self) -> str:
+        """Stop whatever is going on, and return what the robot says of it; that nothing is, is no fault.
 
         Raises:
             LinkError: the robot cannot be reached or has no such service.
         """
-        self._link.call("task/stop", _TRIGGER)
+        return str(self._link.call("task/stop", _TRIGGER).get("message", ""))
 
     def _call(self, service: str) -> None:
         response = self._link.call(service, _TRIGGER)
@@ -173,6 +185,17 @@ _LOOK_PERIOD = 0.1
 class Robot:
     """One robot that is reached: what it says and what it can be told.
 
+    Args:
+        link: to the robot.
+        odometer: takes its odometry.
+        clock: the run's.
+        namespace: the robot's.
+        where: the plugin, for errors.
+        command_topic: of its velocity commands.
+        pose_topic: of its odometry.
+        limits: the most that it is commanded, m/s and rad/s.
+        has_tasks: whether its computer offers the services of tasks, which are stopped with it.
+
     Attributes:
         odometer: takes the robot's odometry until the robot is closed.
         pilot: moves it.
@@ -181,24 +204,36 @@ class Robot:
         is_simulated: whether it is a simulated one.
     """
 
-    def __init__(
-        self, link: RobotLink, odometer: Odometer, clock: Clock, *, namespace: str = "", where: str = "robot"
+    def __init__(  # noqa: PLR0913 - one keyword for each thing in which robots differ
+        self,
+        link: RobotLink,
+        odometer: Odometer,
+        clock: Clock,
+        *,
+        namespace: str = "",
+        where: str = "robot",
+        command_topic: str = COMMAND_TOPIC,
+        pose_topic: str = POSE_TOPIC,
+        limits: tuple[float, float] = (MAXIMUM_SPEED, MAXIMUM_TURN_RATE),
+        has_tasks: bool = True,
     ) -> None:
         self._link = link
         self._clock = clock
-        self._command_topic = full_name(namespace, COMMAND_TOPIC)
+        self._command_topic = full_name(namespace, command_topic)
         self.odometer = odometer
-        self.pilot = Pilot(Wheels(link, namespace=namespace), odometer, clock, where=where)
+        wheels = Wheels(link, namespace=namespace, topic=command_topic)
+        self.pilot = Pilot(wheels, odometer, clock, where=where, limits=limits)
         self.control = SoleControl(
             link,
             namespace=namespace,
-            pose_topic=POSE_TOPIC,
-            command_topic=COMMAND_TOPIC,
+            pose_topic=pose_topic,
+            command_topic=command_topic,
             where=where,
         )
         self.tasks = TaskServices(link, namespace)
+        self._has_tasks = has_tasks
         self.is_simulated = is_simulation(link, namespace)
-        self._subscription = link.subscribe(POSE_TOPIC, "nav_msgs/Odometry", odometer.take)
+        self._subscription = link.subscribe(pose_topic, "nav_msgs/Odometry", odometer.take)
         self._heartbeat = Heartbeat(link)
 
     def check_commands_subscribed(self, *, where: str) -> None:
@@ -214,6 +249,28 @@ class Robot:
                 raise missing("topic", self._command_topic, topics, where=where, fix=fix)
             self._clock.sleep(_LOOK_PERIOD)
 
+    def take_control(self, context: RobotRunnerContext, *, sole: bool) -> None:
+        """See that nobody else commands it or tells its pose, now and until it is closed.
+
+        Args:
+            context: of the run.
+            sole: whether the run fails where somebody does; if not, its values are doubtful then.
+
+        Raises:
+            LinkError: somebody does now.
+        """
+        if self._link.is_simulated:  # the embedded robot is alone in its world
+            return
+        findings = self.control.check()
+        errors = [finding for finding in findings if finding.is_error]
+        if errors and sole:
+            raise LinkError.of_findings(errors)
+        for finding in findings:
+            tell = context.doubt if finding.is_error else context.warn
+            tell(finding.problem, fix=finding.fix)
+        fix = "End what else commands or is this robot, and execute the run again."
+        self.control.begin(context.fail if sole else partial(context.doubt, fix=fix))
+
     def make_safe(self) -> None:
         """Stop the wheels, and the tasks even if the wheels cannot be reached.
 
@@ -221,7 +278,8 @@ class Robot:
             LinkError: the robot cannot be reached.
         """
         with ExitStack() as closing:
-            closing.callback(self.tasks.stop_all)
+            if self._has_tasks:
+                closing.callback(self.tasks.stop_all)
             closing.callback(self.pilot.stop)
 
     def close(self) -> None:

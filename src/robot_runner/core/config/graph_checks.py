@@ -1,0 +1,102 @@
+"""Whether the robot's graph has what plugins need of it: asked of each plugin with each treatment, before any run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from robot_runner.core.config.plugin_checks import failed_check, with_each_treatment
+from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.events.manager import OwnerKind, RobotRunnerEvents
+from robot_runner.core.links.connect import begin_graph_look, link_findings
+from robot_runner.core.links.graph_names import namespace_prefix
+from robot_runner.core.plugin import Circumstances
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.events.manager import EventManager
+    from robot_runner.core.links.graph_needs import GraphNeed
+    from robot_runner.core.plugin import Plugin
+
+__all__ = ["GraphCheck"]
+
+#: The callbacks of a config that may start a robot's nodes before its run needs them.
+_BEFORE = (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN, RobotRunnerEvents.START_RUN)
+
+
+class GraphCheck:
+    """Looks at the graphs of an experiment's robots, all at once; nothing is moved or started.
+
+    Args:
+        parameters: of the experiment.
+        plugins: all of the experiment.
+        model: the factors; None where there is no run table.
+        events: what the config and the plugins hear.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        plugins: Sequence[Plugin],
+        model: RunTableModel | None,
+        events: EventManager,
+    ) -> None:
+        robots = parameters.robots.values() if parameters.robots else filter(None, [parameters.robot])
+        self._starters = list(_starters(parameters, plugins, events))
+        self._looks = {}
+        self._failed: list[Finding] = []
+        for robot in dict.fromkeys(robots):
+            if any(finding.is_error for finding in link_findings(robot)):
+                continue  # which is found already
+            try:
+                self._looks[robot] = begin_graph_look(robot, _needs(plugins, model, robot, self._failed))
+            except LinkError as error:
+                self._failed.append(error.as_finding())
+
+    def findings(self, robot: str | None) -> Iterator[Finding]:
+        """Yield what is missing on the graph of one robot: a warning where the experiment may start it itself."""
+        look = self._looks.get(robot or "")
+        found = [*self._failed, *(look() if look is not None else ())]
+        for finding in found:
+            if finding.is_error and self._starters:
+                problem = f"{finding.problem}, unless {enumerated(self._starters)} will start it"
+                yield Finding.warning(finding.where, problem, finding.fix)
+            else:
+                yield finding
+
+
+def _starters(parameters: Parameters, plugins: Sequence[Plugin], events: EventManager) -> Iterator[str]:
+    """Yield what of an experiment may start a robot, or wait for it, before a run needs it."""
+    yield from (f"plugin {plugin.name}" for plugin in plugins if plugin.starts_nodes)
+    heard = [each for event in _BEFORE for each in events.subscribers(event) if each.kind is OwnerKind.CONFIG]
+    yield from dict.fromkeys(f"{each.event.callback_name} of the config" for each in heard)
+    if parameters.gates:
+        yield "whoever a gate waits for"
+    if parameters.operator_steps:
+        yield "the operator"
+
+
+def _needs(
+    plugins: Sequence[Plugin], model: RunTableModel | None, robot: str, failed: list[Finding]
+) -> dict[str, list[GraphNeed]]:
+    """Return what each plugin needs, below its own namespace, with any of its treatments."""
+    needs: dict[str, list[GraphNeed]] = {}
+    factors = {factor.name: factor.treatments for factor in model.factors} if model else {}
+    for plugin in plugins:
+        where = f"plugin {plugin.name}"
+        wanted: dict[GraphNeed, None] = {}
+        try:
+            for built in with_each_treatment(plugin, model):
+                prefix = namespace_prefix(getattr(built, "namespace", "") or "")
+                for need in built.required_graph(Circumstances(robot, factors, tuple(plugins))):
+                    name = need.name if need.name.startswith("/") or not prefix else f"{prefix[1:]}/{need.name}"
+                    wanted[replace(need, name=name)] = None
+        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+            failed.append(failed_check(where, error, "required_graph"))
+        if wanted:
+            needs[where] = list(wanted)
+    return needs

@@ -1,0 +1,63 @@
+"""What a plugin needs of the robot's graph, as it declares it: topics, services and actions by name and type."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+__all__ = ["GraphNeed", "GraphPart"]
+
+
+class GraphPart(StrEnum):
+    """What of a graph is needed."""
+
+    #: A topic that somebody publishes: the plugin subscribes it.
+    PUBLISHED = "published"
+    #: A topic that somebody subscribes: the plugin publishes it, as commands are.
+    SUBSCRIBED = "subscribed"
+    SERVICE = "service"
+    ACTION = "action"
+
+
+@dataclass(frozen=True, slots=True)
+class GraphNeed:
+    """One thing that must be on the robot's graph before a run, as `Plugin.required_graph` declares it.
+
+    Attributes:
+        part: what it is.
+        name: relative to the namespace of the plugin's robot, unless it begins with `/`.
+        types: ROS names; one of them is enough; none for any type.
+        is_sole: whether nobody else may publish the topic: of a topic that is published, a second publisher is an
+            error; of one that the plugin commands, any other publisher is a warning.
+        fix: what to do where it is not there.
+
+    Example:
+        >>> GraphNeed.published("odom", "nav_msgs/Odometry", is_sole=True).types
+        ('nav_msgs/Odometry',)
+    """
+
+    part: GraphPart
+    name: str
+    types: tuple[str, ...] = ()
+    is_sole: bool = False
+    fix: str = ""
+
+    @classmethod
+    def published(cls, topic: str, *types: str, is_sole: bool = False, fix: str = "") -> GraphNeed:
+        """Need a topic that somebody publishes."""
+        return cls(GraphPart.PUBLISHED, topic, types, is_sole, fix)
+
+    @classmethod
+    def subscribed(cls, topic: str, *types: str, is_sole: bool = False, fix: str = "") -> GraphNeed:
+        """Need a topic that somebody subscribes."""
+        return cls(GraphPart.SUBSCRIBED, topic, types, is_sole, fix)
+
+    @classmethod
+    def service(cls, name: str, *types: str, fix: str = "") -> GraphNeed:
+        """Need a service."""
+        return cls(GraphPart.SERVICE, name, types, fix=fix)
+
+    @classmethod
+    def action(cls, name: str, *types: str, fix: str = "") -> GraphNeed:
+        """Need an action server."""
+        return cls(GraphPart.ACTION, name, types, fix=fix)

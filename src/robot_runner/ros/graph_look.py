@@ -1,0 +1,224 @@
+"""A look at a robot's graph before anything is executed: whether what plugins need is there.
+
+It is taken in a process of its own, because the libraries of ROS and DDS start threads, which the process that forks
+runs may not have. Nothing is published, called or moved by looking.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from contextlib import closing, suppress
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import Finding, LinkError, Severity, nearest
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
+from robot_runner.core.links.robot import RobotName
+from robot_runner.core.words import enumerated
+from robot_runner.ros.graph_links import GRAPH_LINKS, clock_fix
+from robot_runner.ros.shapes import plain_type
+from robot_runner.ros.sole_control import (
+    is_told,
+    named,
+    rival_findings,
+    sole_publisher_findings,
+    subscriber_type_findings,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.links.robot import GraphListing
+
+__all__ = ["begin_look", "look_at", "need_findings", "offer_findings"]
+
+#: How long a look may take in all, s: a client library takes one or two to import and to join the graph on a laptop.
+_SECONDS = 8.0
+#: How long what is missing may take to be discovered, s; a ROS 1 master and a rosbridge know at once.
+_DISCOVERY = {"ros2": 2.0, "dds": 1.0}
+_PERIOD = 0.1
+#: What is on a graph without any robot: topics that the client libraries and the rosbridge bring.
+_INFRASTRUCTURE = frozenset(
+    {"/rosout", "/rosout_agg", "/parameter_events", "/client_count", "/connected_clients", "/clock"}
+)
+_LISTED = 5
+_ROBOT = "robot"
+
+
+def begin_look(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], list[Finding]]:
+    """Begin to look, and return what waits for the findings; see `LooksAtGraph`."""
+    asked = {
+        "robot": {"link": name.link, "options": dict(name.options), "address": name.address},
+        "needs": {where: [asdict(need) for need in wanted] for where, wanted in needs.items()},
+    }
+    deadline = time.monotonic() + _SECONDS
+    try:
+        looking = subprocess.Popen(
+            [sys.executable, "-m", "robot_runner.ros.graph_look"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+    except OSError as error:
+        reason = f"no process can be started ({error.strerror})"
+        return lambda: [_not_looked_at(reason)]
+    assert looking.stdin is not None  # noqa: S101 - it is a pipe
+    with suppress(BrokenPipeError), looking.stdin as question:
+        json.dump(asked, question)
+    looking.stdin = None
+    return lambda: _answer(looking, deadline)
+
+
+def _answer(looking: subprocess.Popen[str], deadline: float) -> list[Finding]:
+    try:
+        answer, _ = looking.communicate(timeout=max(0.0, deadline - time.monotonic()))
+    except subprocess.TimeoutExpired:
+        looking.kill()
+        looking.communicate()
+        return [_not_looked_at(f"it does not answer within {_SECONDS:g} s")]
+    try:  # client libraries may print, too
+        told: list[dict[str, Any]] = json.loads(answer.splitlines()[-1])
+    except (IndexError, ValueError):
+        return [_not_looked_at(f"the process that looks ended with exit code {looking.returncode}")]
+    return [Finding(Severity(each.pop("severity")), **each) for each in told]
+
+
+def _not_looked_at(why: str, fix: str = "") -> Finding:
+    problem = f"whether the robot is on the graph was not seen: {why}"
+    return Finding.warning(_ROBOT, problem, fix or "Look at the graph yourself before you start.")
+
+
+def look_at(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> list[Finding]:
+    """Join the graph, look, and leave it; what could not be looked at is a warning that says why."""
+    try:
+        kind = GRAPH_LINKS[name.link]
+        follows = kind.follows_graph_clock(name)
+        clock = [GraphNeed.published("/clock", "rosgraph_msgs/Clock", fix=clock_fix(name))] if follows else []
+        link = kind.open(name, SystemClock())
+    except LinkError as error:
+        return [_not_looked_at(error.problem, error.fix)]
+    wanted = {**needs, **({_ROBOT: clock} if clock else {})}
+    with closing(link):
+        try:
+            return _patiently(link, wanted, _DISCOVERY.get(name.link, 0.0))
+        except LinkError as error:
+            return [_not_looked_at(error.problem, error.fix)]
+
+
+def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], seconds: float) -> list[Finding]:
+    """Look until nothing is missing, but no longer than it takes to discover what is on the graph."""
+    deadline = time.monotonic() + seconds
+    while True:
+        found = list(_findings(link, needs))
+        if not any(each.is_error for each in found) or time.monotonic() > deadline:
+            return found
+        time.sleep(_PERIOD)
+
+
+def _findings(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> Iterator[Finding]:
+    if not set(link.topics()) - _INFRASTRUCTURE:
+        names = [need.name for wanted in needs.values() for need in wanted]
+        shown = [*names[:_LISTED], *([f"{len(names) - _LISTED} more"] if len(names) > _LISTED else [])]
+        problem = "no robot is on the graph: no node publishes or subscribes anything there"
+        needed = f", and the plugins need {enumerated(shown)}" if names else ""
+        fix = "Start the robot's bringup, and see that this machine is on its graph (domain, master, network)."
+        yield (Finding.error if names else Finding.warning)(_ROBOT, problem + needed, fix)
+        return
+    for where, wanted in needs.items():
+        for need in wanted:
+            yield from need_findings(link, need, where)
+
+
+def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
+    """Yield what is missing, of another type, or not alone on a graph; names are full.
+
+    Raises:
+        LinkError: the graph cannot be asked.
+    """
+    match need.part:
+        case GraphPart.PUBLISHED:
+            yield from _published(link, need, where)
+        case GraphPart.SUBSCRIBED:
+            yield from _subscribed(link, need, where)
+        case GraphPart.SERVICE:
+            yield from offer_findings("service", link.services(), need, where)
+        case GraphPart.ACTION:
+            yield from _action(link, need, where)
+
+
+def _published(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
+    publishers = link.publishers(need.name)
+    if not publishers:
+        yield _missing(f"nobody publishes {need.name!r}", link.topics(), need, where)
+        return
+    told = {each.message_type for each in publishers if is_told(each.message_type)}
+    if need.types and told and not told & set(need.types):
+        problem = f"{named(publishers)} publishes {need.name!r} as {enumerated(sorted(told))}, not {_wanted(need)}"
+        yield Finding.error(where, problem, need.fix or "Correct the topic or its namespace.")
+    if need.is_sole:
+        yield from sole_publisher_findings(link, need.name, where)
+
+
+def _subscribed(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
+    if not link.subscribers(need.name):
+        yield _missing(f"nobody subscribes {need.name!r}", link.topics(), need, where)
+        return
+    if need.types:
+        yield from subscriber_type_findings(link, need.name, need.types, where)
+    if need.is_sole:
+        yield from rival_findings(link, need.name, where)
+
+
+def _action(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
+    actions = getattr(link, "actions", None)
+    if actions is None:
+        yield Finding.warning(where, f"whether the action {need.name!r} is offered was not seen: the link lists none")
+    else:
+        yield from offer_findings("action", actions(), need, where)
+
+
+def offer_findings(what: str, offered: Mapping[str, str], need: GraphNeed, where: str) -> Iterator[Finding]:
+    """Yield that a service or an action is missing, or of another type.
+
+    Args:
+        what: `service` or `action`.
+        offered: the type of each on the graph, by its full name.
+        need: what is needed, with its full name.
+        where: for the finding.
+    """
+    if need.name not in offered:
+        yield _missing(f"there is no {what} {need.name!r}", offered, need, where)
+        return
+    true = plain_type(offered[need.name])
+    if need.types and is_told(true) and true not in need.types:
+        problem = f"the {what} {need.name!r} is of the type {true}, not {_wanted(need)}"
+        yield Finding.error(where, problem, need.fix or f"End the node that offers it, or correct the {what}'s name.")
+
+
+def _missing(problem: str, known: Iterable[str], need: GraphNeed, where: str) -> Finding:
+    near = nearest(need.name, [name for name in known if name != need.name])
+    guess = f"Did you mean {near!r}?" if near else ""
+    return Finding.error(where, problem, " ".join(filter(None, [need.fix, guess])) or "Start the node that has it.")
+
+
+def _wanted(need: GraphNeed) -> str:
+    return " or ".join(need.types)
+
+
+def _main() -> None:
+    asked = json.load(sys.stdin)
+    needs = {
+        where: [GraphNeed(**{**each, "part": GraphPart(each["part"]), "types": tuple(each["types"])}) for each in some]
+        for where, some in asked["needs"].items()
+    }
+    found = look_at(RobotName(**asked["robot"]), needs)
+    sys.stdout.write("\n" + json.dumps([{**asdict(each), "severity": each.severity.value} for each in found]) + "\n")
+
+
+if __name__ == "__main__":
+    _main()

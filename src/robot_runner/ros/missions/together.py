@@ -1,0 +1,215 @@
+"""The system that is made of several: their missions begin together, are joined, and are stopped together."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.joint_missions import JointMission, SharedClock, execute_together
+from robot_runner.core.events.manager import CLOSED_BY, EVENTS_BY_CALLBACK, RobotRunnerEvents
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.plugin import Plugin, System
+from robot_runner.core.words import enumerated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext, RunBroker
+    from robot_runner.core.events.measure import Origin
+    from robot_runner.core.events.window import MissionTimes
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["Together"]
+
+_LAUNCH = RobotRunnerEvents.LAUNCH_MISSION
+_FEWEST = 2
+
+
+class Together(System):
+    """Has several systems execute their missions at the same time: two robots that drive at once.
+
+    The missions begin together, and the mission of the run lasts until the last has ended. Where one fails, the others
+    are stopped at once, and the failure says which it was. What a system measures is prefixed by its name:
+    `alice.Distance`; so are its phases: `alice_leg_1`; its raw data lie in a folder of its name. On a simulated robot
+    all of them share the simulated seconds, as two robots in one room would.
+
+    Args:
+        *systems: two or more, each with a name of its own; each may bind parameters to factors.
+        name: the class's name if left out.
+
+    Raises:
+        PluginError: they are fewer than two, one is no system, or two have one name.
+
+    Example:
+        >>> from robot_runner.plugins.systems import BasicTurtlebot3
+        >>> pair = Together(
+        ...     BasicTurtlebot3(name="alice", namespace="/alice", task="Video", task_factor=None),
+        ...     BasicTurtlebot3(name="bob", namespace="/bob", task="Video", task_factor=None),
+        ... )
+        >>> [measure.name for measure in pair.measures][:2]
+        ['alice.Duration', 'alice.Distance']
+    """
+
+    needs: ClassVar[str] = "What its systems need: a robot for each."
+
+    def __init__(self, *systems: System, name: str | None = None) -> None:
+        super().__init__(name=name)
+        self.systems = systems
+        self._check_systems()
+        self.measures = tuple(
+            replace(measure, name=f"{system.name}.{measure.name}", description=f"{system.name}: {measure.description}")
+            for system in systems
+            for measure in system.measures
+        )
+        self.bytes_per_run = sum(system.bytes_per_run for system in systems)
+        self._entered: dict[RobotRunnerEvents, list[System]] = {}
+        for callback, event in EVENTS_BY_CALLBACK.items():
+            if event is not _LAUNCH and any(hasattr(system, callback) for system in systems):
+                setattr(self, callback, partial(self._pass_on, event))
+
+    def _check_systems(self) -> None:
+        strangers = [each for each in self.systems if not isinstance(each, System)]
+        if strangers or len(self.systems) < _FEWEST:
+            given = f"{strangers[0]!r} is no system" if strangers else f"{len(self.systems)} system is given"
+            fix = "Give two systems or more: Together(Waypoints(..., name='alice'), Waypoints(..., name='bob'))."
+            raise PluginError(given, where=self.name, fix=fix)
+        names = [each.name.casefold() for each in self.systems]
+        twice = next((each for each in self.systems if names.count(each.name.casefold()) > 1), None)
+        if twice is not None:
+            problem = f"{names.count(twice.name.casefold())} of its systems are named {twice.name!r}"
+            fix = f"Give each a name of its own: {type(twice).__name__}(name='alice')."
+            raise PluginError(problem, where=self.name, fix=fix)
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what any of its systems claims."""
+        return dict.fromkeys(claim for system in self.systems for claim in system.claims(robot))
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way of any of its systems, and that two of them command the same."""
+        others = tuple(each for each in circumstances.plugins if each is not self)
+        asked = replace(circumstances, plugins=(*others, *self.systems))
+        for system in self.systems:
+            yield from system.check(asked)
+        yield from self._check_commanded()
+
+    def _check_commanded(self) -> Iterator[Finding]:
+        commanding: dict[str, list[str]] = {}
+        for system in self.systems:
+            for topic in getattr(system, "commands", ()):
+                commanding.setdefault(full_name(getattr(system, "namespace", ""), topic), []).append(system.name)
+        for topic, names in commanding.items():
+            if len(names) > 1:
+                problem = f"{enumerated(names)} command the same robot at the same time, on {topic!r}"
+                fix = "Give each its robot's namespace, as in Waypoints(..., namespace='/alice')."
+                yield Finding.error(f"plugin {self.name}", problem, fix)
+
+    def duration_s(self, combination: Mapping[str, Any]) -> float | None:
+        """Return how long the longest of the missions takes, s; None where one of them is not known."""
+        known = [system.duration_s(combination) for system in self.systems]
+        return max((each for each in known if each is not None), default=None) if None not in known else None
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Execute the missions at the same time."""
+        missions = [
+            JointMission(system.name, partial(_called, system, _LAUNCH, self._context_of(system, context)))
+            for system in self.systems
+            if hasattr(system, _LAUNCH.callback_name)
+        ]
+        execute_together(missions, context.clock, takes_turns=is_simulated(context.robot))
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Make each of its systems safe, whatever fails with another."""
+        with ExitStack() as each_of_them:
+            for system in self.systems:  # the last one first
+                each_of_them.callback(system.make_safe, self._context_of(system, context))
+
+    def _pass_on(self, event: RobotRunnerEvents, context: Any) -> dict[str, Any] | None:
+        """Call the callbacks of its systems; of a closing event, those whose opening one was called, in reverse."""
+        if event.is_closing:
+            self._close(event, context)
+            return None
+        reached = self._entered[event] = []
+        returned: dict[str, Any] = {}
+        for system in self.systems:
+            reached.append(system)
+            given = _called(system, event, self._context_of(system, context))
+            if isinstance(given, dict):
+                returned |= {f"{system.name}.{name}": value for name, value in given.items()}
+        return returned or None
+
+    def _close(self, event: RobotRunnerEvents, context: Any) -> None:
+        opening = next((each for each, closing in CLOSED_BY.items() if closing is event), event)
+        reached = self._entered.pop(opening, self.systems)
+        with ExitStack() as each_of_them:
+            for system in reached:  # the last one first
+                each_of_them.callback(_called, system, event, self._context_of(system, context))
+
+    def _context_of(self, system: System, context: Any) -> Any:
+        if not hasattr(context, "broker"):  # before and after the experiment
+            return context
+        return replace(
+            context,
+            owner=system.name,
+            clock=SharedClock(context.clock),
+            run_path=context.run_path / self.name,
+            broker=_BrokerOfOne(context.broker, self.name, system),
+            times=_TimesOfOne(context.times, system.name),
+        )
+
+
+def _called(system: Plugin, event: RobotRunnerEvents, context: ExperimentContext) -> Any:
+    callback: Callable[..., Any] | None = getattr(system, event.callback_name, None)
+    return callback(context) if callback is not None else None
+
+
+class _BrokerOfOne:
+    """The broker of a run as one of the systems has it: what it measures goes by its name, and all else says whose."""
+
+    def __init__(self, broker: RunBroker, together: str, system: System) -> None:
+        self._broker = broker
+        self._together = together
+        self._name = system.name
+        self._measures = [measure.name for measure in system.measures]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._broker, name)
+
+    def publish(self, owner: str, name: str, value: object, origin: Origin) -> None:
+        del owner
+        self._broker.publish(self._together, f"{self._name}.{name}", value, origin)
+
+    def warn(self, owner: str, problem: str, fix: str) -> None:
+        del owner
+        self._broker.warn(self._together, f"{self._name}: {problem}", fix)
+
+    def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str]) -> None:
+        del owner
+        named = [f"{self._name}.{name}" for name in measures or self._measures]
+        if named:
+            self._broker.doubt(self._together, f"{self._name}: {problem}", fix, named)
+        else:
+            self.warn("", problem, fix)
+
+    def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
+        del owner
+        self._broker.note(self._together, kind, facts)
+
+
+class _TimesOfOne:
+    """The times of a mission as one of the systems has them: its phases go by its name."""
+
+    def __init__(self, times: MissionTimes, name: str) -> None:
+        self._times = times
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._times, name)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        with self._times.phase(f"{self._name}_{name}"):
+            yield

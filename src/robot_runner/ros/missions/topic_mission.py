@@ -1,0 +1,230 @@
+"""The mission that publishes something until a condition holds, or for some time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
+from robot_runner.core.events.condition import Condition, Look
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
+from robot_runner.core.plugin import System
+from robot_runner.ros.shapes import plain_type
+from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["TopicMission"]
+
+#: A clock rounds: what is due within this many seconds is done now.
+_TICK = 1e-6
+
+
+class TopicMission(System):
+    """Publishes a message again and again until a condition holds or some time has gone by, and a safe one afterwards.
+
+    Args:
+        topic: where it is published, relative to the robot's namespace unless it begins with `/`.
+        message_type: its ROS type, such as `geometry_msgs/Twist`.
+        publish: the message; `treatment(...)` may stand for any field, and what is left out has its ROS default.
+        until: a condition of `robot_runner.conditions`, such as `topic_above(...)`, or a number of seconds.
+        rate_hz: how often it is published, 1/s; 0 for once.
+        timeout_s: how long the condition may take, s of the run's clock; the run fails then.
+        afterwards: the safe message, published when the mission is over or breaks off, and by whoever is left when the
+            run dies. A velocity command is followed by zero where it is left out, and any other message by nothing.
+        name: tells several instances apart; the class's name if left out.
+        namespace: the robot's ROS namespace, such as `/alice`.
+
+    Raises:
+        PluginError: a parameter is out of its range.
+
+    Example:
+        >>> mission = TopicMission("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.1}}, until=2.0)
+        >>> [measure.name for measure in mission.measures]
+        ['Duration', 'Messages']
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("Duration", "s", "How long the mission published, on the run's clock."),
+        Measure("Messages", "1", "How many messages it published until the condition held."),
+    )
+    #: What it commands, for `Together`.
+    commands: Sequence[str] = ()
+    needs: ClassVar[str] = "A robot that subscribes the topic, or robot='simulated'."
+
+    def __init__(  # noqa: PLR0913 - one keyword for each thing in which missions differ
+        self,
+        topic: str,
+        message_type: str,
+        publish: Mapping[str, Any],
+        *,
+        until: Condition | float,
+        rate_hz: float = 10.0,
+        timeout_s: float = 60.0,
+        afterwards: Mapping[str, Any] | None = None,
+        name: str | None = None,
+        namespace: str = "",
+    ) -> None:
+        super().__init__(name=name)
+        for parameter, message in (("publish", publish), ("afterwards", afterwards or {})):
+            if not isinstance(message, Mapping):
+                fix = "Give a mapping by the fields of the message: {'linear': {'x': 0.1}}."
+                raise PluginError(f"{parameter} is {message!r}", where=self.name, fix=fix)
+        if not isinstance(until, Condition):
+            self._check_number("until", until, least=0.0, fix="Give a condition, or a number of seconds.")
+        self._check_number("rate_hz", rate_hz, least=0.0, fix="Give messages a second, or 0 for one message.")
+        self._check_number("timeout_s", timeout_s, least=0.0, fix="Give a number of seconds.")
+        self.topic, self.message_type, self.publish = topic, message_type, publish
+        self.until: Condition = until if isinstance(until, Condition) else _Elapsed(float(until))
+        self.rate_hz, self.timeout_s = float(rate_hz), float(timeout_s)
+        is_velocity = plain_type(message_type) in VELOCITY_COMMANDS
+        self.afterwards = {} if afterwards is None and is_velocity else afterwards
+        self.namespace = namespace
+        self.commands = (topic,)
+        self._is_velocity = is_velocity
+        self._link: RobotLink | None = None
+        self._heartbeat: Heartbeat | None = None
+        self._is_simulated = False
+        self._result: tuple[float, int] | None = None
+
+    def _check_number(self, parameter: str, value: object, *, least: float, fix: str) -> None:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
+            raise PluginError(f"{parameter} is {value!r}", where=self.name, fix=fix)
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot, or what the condition finds."""
+        if circumstances.robot is None:
+            yield Finding.error(
+                f"plugin {self.name}",
+                "the plugin publishes to a robot, and the experiment names none",
+                "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
+            )
+        yield from self.until.check(circumstances.robot)
+
+    def duration_s(self, combination: Mapping[str, Any]) -> float | None:
+        """Return how long it takes, s, where that is fixed."""
+        del combination
+        return self.until.seconds if isinstance(self.until, _Elapsed) else None
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect."""
+        self._result = None
+        self._link = connect_robot(context, namespace=self.namespace)
+        self._is_simulated = is_simulation(self._link, robot_namespace(context, self.namespace))
+        if self._is_velocity:
+            self._heartbeat = Heartbeat(self._link)
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Publish until the condition holds; the safe message follows whatever happens.
+
+        Raises:
+            ConditionTimeout: it did not hold in time; what was seen last is told.
+            LinkError: the robot cannot be reached, or the message does not follow its definition.
+        """
+        link = self._link
+        if link is None:
+            fix = "Emit start_run before launch_mission."
+            raise PluginError("the mission was launched before the run was started", where=self.name, fix=fix)
+        begun = context.clock.now()
+        with ExitStack() as opened, self._made_safe(link):
+            count = self._publish_until(link, context, self.until.watch(context, opened))
+        self._result = context.clock.now() - begun, count
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Leave the robot in the safe state."""
+        del context
+        link, heartbeat, self._heartbeat = self._link, self._heartbeat, None
+        if link is None:
+            return
+        with ExitStack() as closing:
+            if heartbeat is not None:
+                closing.callback(heartbeat.end)
+            self._say_safe(link)
+            if heartbeat is not None:
+                heartbeat.end()
+                heartbeat.say_farewell()
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no values where the mission did not take place."""
+        if self._result is None:
+            context.doubt("the mission did not take place", fix="Look at the run's log.")
+        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
+        for measure, value in zip(self.measures, self._result or (None, None), strict=True):
+            context.publish(measure.name, value, origin=origin)
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Publish the safe message, also in a process that has not been connected to the robot before."""
+        self._say_safe(connect_robot(context, namespace=self.namespace))
+
+    @contextmanager
+    def _made_safe(self, link: RobotLink) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            self._say_safe(link)
+
+    def _say_safe(self, link: RobotLink) -> None:
+        if self.afterwards is not None:
+            link.publish(self.topic, self.message_type, self.afterwards)
+
+    def _publish_until(self, link: RobotLink, context: RobotRunnerContext, look_again: Callable[[], Look]) -> int:
+        clock, begun, due, count = context.clock, context.clock.now(), 0.0, 0
+        while not (look := look_again()).holds:
+            elapsed = clock.now() - begun
+            if not isinstance(self.until, _Elapsed) and elapsed >= self.timeout_s - _TICK:
+                self._fail(look, context)
+            if elapsed >= due - _TICK:
+                link.publish(self.topic, self.message_type, self.publish)
+                count += 1
+                due = count / self.rate_hz if self.rate_hz else math.inf
+                elapsed = clock.now() - begun
+            clock.sleep(max(_TICK, min(due - elapsed, self._patience(elapsed))))
+        context.broker.note(context.owner, "waited", self._facts(look, clock.now() - begun, holds=True))
+        return count
+
+    def _patience(self, elapsed: float) -> float:
+        """Return how long to sleep at most until the condition is looked at again, s."""
+        if isinstance(self.until, _Elapsed):
+            return self.until.seconds - elapsed
+        return min(self.until.every_s, self.timeout_s - elapsed)
+
+    def _fail(self, look: Look, context: RobotRunnerContext) -> None:
+        context.broker.note(context.owner, "waited", self._facts(look, self.timeout_s, holds=False))
+        seen = f": {look.seen}" if look.seen else ""
+        raise ConditionTimeout(
+            f"after {self.timeout_s:g} s of publishing on {self.topic!r} it still did not hold that {self.until}{seen}",
+            where=self.name,
+            fix="Look at what is awaited, or allow it more time (timeout_s).",
+        )
+
+    def _facts(self, look: Look, seconds: float, *, holds: bool) -> dict[str, Any]:
+        return {"condition": str(self.until), "seen": look.seen, "seconds": round(seconds, 3), "holds": holds}
+
+
+class _Elapsed(Condition):
+    """So many seconds have gone by since the watching began."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+
+    def __str__(self) -> str:
+        return f"{self.seconds:g} s have gone by"
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Look]:
+        del opened
+        clock, begun = context.clock, context.clock.now()
+        return lambda: Look(clock.now() - begun >= self.seconds - _TICK)

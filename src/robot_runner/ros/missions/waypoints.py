@@ -1,0 +1,313 @@
+"""The mission from place to place of a robot that only knows velocity, in a closed loop on its odometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import connect_robot, robot_namespace
+from robot_runner.core.plugin import System
+from robot_runner.core.sampling.live_samples import LiveSamples
+from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp, Wheels
+from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC, Odometer, Pose, Trajectory, wrapped
+from robot_runner.ros.turtlebot3.steered_robot import Robot
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["Waypoints"]
+
+#: What a robot may be commanded beyond its cruising speed to mend what it is off by, and beyond that the odometry
+#: counts as jumping.
+_HEADROOM, _JUMPING = 1.25, 5.0
+#: The least that counts as driving fast, m/s: the odometry of a slow robot rounds, too.
+_SLOWEST_JUMP = 1.3
+#: A way or a turn too short to be driven, m and rad.
+_NO_WAY, _NO_TURN = 0.005, 0.01
+#: How often a waypoint is gone at again that was missed.
+_MOST_TRIES = 4
+_SHORTEST = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Waypoint:
+    x: float
+    y: float
+    yaw: float | None
+
+
+@dataclass(slots=True)
+class _Outcome:
+    duration: float
+    distance: float
+    legs: list[float]
+    error: float
+    turned_by: float | None
+
+
+class Waypoints(System):
+    """Drives from waypoint to waypoint: on the spot to face it, straight to it, and on the spot to the yaw there.
+
+    Each leg is a phase of the mission, `leg_1`, `leg_2` and so on, for which the config's `phases` may ask. The way is
+    kept in `trajectory.csv`.
+
+    Args:
+        waypoints: where to go, each `(x, y)` or `(x, y, yaw)` in m and rad; `treatment(...)` may stand for any number.
+        name: tells several robots apart; the class's name if left out.
+        namespace: the robot's ROS namespace, such as `/alice`.
+        relative_to: `odom` for the frame of the odometry, `start` for where the robot stands when the mission begins.
+        speed: the speed to cruise at, m/s.
+        turn_rate: the same of a turn, rad/s.
+        tolerance_m: how near a waypoint has to be reached, m.
+        tolerance_rad: the same of its yaw, rad.
+        command_topic: of the robot's velocity commands: `Twist`, or `TwistStamped` where it subscribes that.
+        odometry_topic: of its `nav_msgs/Odometry`.
+        connect_timeout_s: how long to wait for the robot's first odometry, s.
+        odometry_timeout_s: how long the odometry may be silent before the mission is broken off, s.
+        sole_control: whether a run fails where somebody else commands the robot, or more than one node tells its
+            odometry; where it is False, the run's values are doubtful then.
+
+    Raises:
+        PluginError: there is no waypoint, or a parameter is out of its range.
+
+    Example:
+        >>> [measure.name for measure in Waypoints([(1.0, 0.0), (0.0, 0.0, 0.0)]).measures]
+        ['Duration', 'Distance', 'FinalError', 'FinalYawError', 'Leg1', 'Leg2']
+    """
+
+    #: What it commands, for `Together`.
+    commands: Sequence[str] = (COMMAND_TOPIC,)
+    needs: ClassVar[str] = "A robot with odometry and velocity commands, or robot='simulated'."
+
+    def __init__(  # noqa: PLR0913 - one keyword for each thing in which robots and studies differ
+        self,
+        waypoints: Sequence[Sequence[float]],
+        *,
+        name: str | None = None,
+        namespace: str = "",
+        relative_to: str = "odom",
+        speed: float = 0.2,
+        turn_rate: float = 1.0,
+        tolerance_m: float = 0.05,
+        tolerance_rad: float = 0.1,
+        command_topic: str = COMMAND_TOPIC,
+        odometry_topic: str = POSE_TOPIC,
+        connect_timeout_s: float = 5.0,
+        odometry_timeout_s: float = 1.0,
+        sole_control: bool = True,
+    ) -> None:
+        super().__init__(name=name)
+        self.waypoints = _checked_waypoints(waypoints, self.name)
+        if relative_to not in {"odom", "start"}:
+            raise PluginError(f"relative_to is {relative_to!r}", where=self.name, fix="Say 'odom' or 'start'.")
+        for parameter, value in (
+            ("speed", speed),
+            ("turn_rate", turn_rate),
+            ("tolerance_m", tolerance_m),
+            ("tolerance_rad", tolerance_rad),
+        ):
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise PluginError(f"{parameter} is {value!r}", where=self.name, fix="Give a number above 0.")
+        self.namespace = namespace
+        self.relative_to = relative_to
+        self.speed, self.turn_rate = float(speed), float(turn_rate)
+        self.tolerance_m, self.tolerance_rad = float(tolerance_m), float(tolerance_rad)
+        self.command_topic, self.odometry_topic = command_topic, odometry_topic
+        self.commands = (command_topic,)
+        self.connect_timeout_s, self.odometry_timeout_s = connect_timeout_s, odometry_timeout_s
+        self.sole_control = sole_control
+        self.measures = tuple(_measures(len(self.waypoints)))
+        self._robot: Robot | None = None
+        self._outcome: _Outcome | None = None
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot."""
+        if circumstances.robot is None:
+            yield Finding.error(
+                f"plugin {self.name}",
+                "the plugin operates a robot, and the experiment names none",
+                "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
+            )
+
+    def duration_s(self, combination: Mapping[str, Any]) -> float | None:
+        """Return how long the legs between the waypoints take, s; None where the first begins anywhere."""
+        del combination
+        if self.relative_to != "start":
+            return None
+        total, here, heading = 0.0, (0.0, 0.0), 0.0
+        for each in self.waypoints:
+            way, bearing = math.dist(here, (each.x, each.y)), math.atan2(each.y - here[1], each.x - here[0])
+            if way > _NO_WAY:
+                total += self._turning(wrapped(bearing - heading)) + Ramp.covering(way, self.speed).seconds
+                heading = bearing
+            if each.yaw is not None:
+                total, heading = total + self._turning(wrapped(each.yaw - heading)), each.yaw
+            here = (each.x, each.y)
+        return total
+
+    def _turning(self, angle: float) -> float:
+        return Ramp.covering(angle, self.turn_rate).seconds if abs(angle) > _NO_TURN else 0.0
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect, and see that the robot answers and obeys nobody else."""
+        self._robot = self._outcome = None
+        self._robot = self._reached(context)
+        self._robot.odometer.wait(self.connect_timeout_s)
+        self._robot.check_commands_subscribed(where=self.name)
+        self._robot.take_control(context, sole=self.sole_control)
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Drive from waypoint to waypoint; the robot is stopped whatever happens.
+
+        Raises:
+            LinkError: a waypoint was not reached, the odometry fell silent, or the robot does not move as it is
+                commanded.
+        """
+        robot = self._robot
+        if robot is None:
+            fix = "Emit start_run before launch_mission."
+            raise PluginError("the mission was launched before the run was started", where=self.name, fix=fix)
+        path = context.raw_data_folder / "trajectory.csv"
+        trajectory = Trajectory(LiveSamples(path))
+        with ExitStack() as closing:
+            closing.callback(trajectory.write, path)
+            closing.callback(setattr, robot.odometer, "on_pose", None)
+            closing.callback(robot.pilot.stop)
+            robot.odometer.on_pose = trajectory.add
+            self._outcome = self._driven(robot, context)
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Stop the robot and leave it."""
+        del context
+        if self._robot is not None:
+            self._robot.close()
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no values where the mission did not take place."""
+        outcome = self._outcome
+        if outcome is None or self._robot is None:
+            context.doubt("the mission did not take place", fix="Look at the run's log.")
+            for measure in self.measures:
+                context.publish(measure.name, None)
+            return
+        origin = Origin.SIMULATED if self._robot.is_simulated else Origin.MEASURED
+        values = (outcome.duration, outcome.distance, outcome.error, outcome.turned_by, *outcome.legs)
+        for measure, value in zip(self.measures, values, strict=True):
+            context.publish(measure.name, value, origin=origin)
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Stop the wheels, also in a process that has not been connected to the robot before."""
+        link = connect_robot(context, namespace=self.namespace)
+        namespace = robot_namespace(context, self.namespace)
+        Wheels(link, namespace=namespace, topic=self.command_topic).command(0.0, 0.0)
+        self._reached(context).close()
+
+    def _reached(self, context: RobotRunnerContext) -> Robot:
+        fastest = max(_SLOWEST_JUMP, _JUMPING * self.speed)
+        odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name, fastest=fastest)
+        return Robot(
+            connect_robot(context, namespace=self.namespace),
+            odometer,
+            context.clock,
+            namespace=robot_namespace(context, self.namespace),
+            where=self.name,
+            command_topic=self.command_topic,
+            pose_topic=self.odometry_topic,
+            limits=(_HEADROOM * self.speed, _HEADROOM * self.turn_rate),
+            has_tasks=False,
+        )
+
+    def _driven(self, robot: Robot, context: RobotRunnerContext) -> _Outcome:
+        clock, odometer = context.clock, robot.odometer
+        start, way_before, legs = odometer.pose(), odometer.travelled, [clock.now()]
+        for number, waypoint in enumerate(self.waypoints, start=1):
+            context.share(leg=number, leg_count=len(self.waypoints))
+            with context.phase(f"leg_{number}"):
+                target = _in_odometry(waypoint, start if self.relative_to == "start" else None)
+                self._go_to(robot, target, number, context)
+            legs.append(clock.now())
+        here = odometer.pose()
+        return _Outcome(
+            duration=legs[-1] - legs[0],
+            distance=odometer.travelled - way_before,
+            legs=[later - earlier for earlier, later in pairwise(legs)],
+            error=math.dist((here.x, here.y), (target.x, target.y)),
+            turned_by=None if target.yaw is None else abs(wrapped(here.heading - target.yaw)),
+        )
+
+    def _go_to(self, robot: Robot, target: _Waypoint, number: int, context: RobotRunnerContext) -> None:
+        for _ in range(_MOST_TRIES):
+            here = robot.odometer.pose()
+            way = math.dist((here.x, here.y), (target.x, target.y))
+            if way > self.tolerance_m:
+                bearing = math.atan2(target.y - here.y, target.x - here.x)
+                self._turn(robot, bearing, context)
+                line = Pose(here.x, here.y, bearing)
+                robot.pilot.drive(line, Ramp.covering(way, self.speed), context.clock.now())
+            elif target.yaw is None or abs(wrapped(target.yaw - here.heading)) <= self.tolerance_rad:
+                return
+            else:
+                self._turn(robot, target.yaw, context)
+        self._check_reached(robot.odometer.pose(), target, number)
+
+    def _turn(self, robot: Robot, heading: float, context: RobotRunnerContext) -> None:
+        here = robot.odometer.pose()
+        angle = wrapped(heading - here.heading)
+        if abs(angle) > _NO_TURN:
+            robot.pilot.turn(here, Ramp.covering(angle, self.turn_rate), context.clock.now())
+
+    def _check_reached(self, here: Pose, target: _Waypoint, number: int) -> None:
+        off = math.dist((here.x, here.y), (target.x, target.y))
+        turned = 0.0 if target.yaw is None else abs(wrapped(target.yaw - here.heading))
+        if off > self.tolerance_m or turned > self.tolerance_rad:
+            problem = f"the robot is {off:.2f} m and {turned:.2f} rad off waypoint {number} after {_MOST_TRIES} tries"
+            fix = "Look whether its way is free and its wheels grip, or give larger tolerances."
+            raise LinkError(problem, where=self.name, fix=fix)
+
+
+def _in_odometry(waypoint: _Waypoint, start: Pose | None) -> _Waypoint:
+    """Return a waypoint in the frame of the odometry; `start` is the origin of its own, None for the odometry's."""
+    if start is None:
+        return waypoint
+    cos, sin = math.cos(start.heading), math.sin(start.heading)
+    yaw = None if waypoint.yaw is None else waypoint.yaw + start.heading
+    x, y = waypoint.x * cos - waypoint.y * sin, waypoint.x * sin + waypoint.y * cos
+    return _Waypoint(start.x + x, start.y + y, yaw)
+
+
+def _checked_waypoints(given: object, where: str) -> tuple[_Waypoint, ...]:
+    fix = "Give a list of places in m, with the yaw there in rad if it matters: [(1.0, 0.0), (0.0, 0.0, 0.0)]."
+    if isinstance(given, str) or not isinstance(given, Sequence) or not given:
+        raise PluginError(f"waypoints is {given!r}", where=where, fix=fix)
+    for each in given:
+        is_place = isinstance(each, Sequence) and not isinstance(each, str) and len(each) in {_SHORTEST, _SHORTEST + 1}
+        if not is_place or not all(_is_number(value) for value in each):
+            raise PluginError(f"{each!r} is no waypoint", where=where, fix=fix)
+    return tuple(_Waypoint(float(x), float(y), float(yaw[0]) if yaw else None) for x, y, *yaw in given)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _measures(count: int) -> Iterable[Measure]:
+    yield Measure("Duration", "s", "Duration of the mission on the run's clock.")
+    yield Measure("Distance", "m", "Way covered during the mission, by odometry.")
+    yield Measure("FinalError", "m", "How far from the last waypoint the robot ended, by odometry.")
+    yield Measure("FinalYawError", "rad", "How far from the last waypoint's yaw it ended; empty where that has none.")
+    for number in range(1, count + 1):
+        yield Measure(f"Leg{number}", "s", f"Duration of leg {number}: until waypoint {number} was reached.")

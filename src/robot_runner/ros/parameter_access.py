@@ -1,0 +1,327 @@
+"""Lists, describes, reads and changes the parameters of nodes, whichever generation of ROS they are of.
+
+A node of ROS 2 answers for its own parameters by six services (design.ros2.org, ROS 2 parameters). In ROS 1 they stand
+in the parameter server of the master, where a node has looked them up, mostly when it was started.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.words import enumerated
+from robot_runner.ros.parameter_values import (
+    ParameterDescription,
+    ParameterKind,
+    as_wire,
+    fitted,
+    from_wire,
+    kind_of,
+    normal,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.links.robot import Message, RobotLink
+    from robot_runner.ros.parameter_values import ParameterValue
+
+__all__ = ["NodeParameters", "ParameterAccess", "ParameterServer", "ServerParameters", "all_at_once", "parameters_of"]
+
+_LIST = "list_parameters"
+#: ROS 1: XML-RPC has whole numbers of 32 bits.
+_INT32 = range(-(2**31), 2**31)
+_DECLARED = "Look what it has: ros2 param list."
+
+
+@runtime_checkable
+class ParameterAccess(Protocol):
+    """The parameters of the nodes of a graph. Names of nodes are relative to the robot's namespace or begin with `/`.
+
+    Each method raises a `LinkError` where there is no such node or parameter, naming the nearest, and where the node
+    does not answer in time.
+    """
+
+    def names(self, node: str) -> Sequence[str]:
+        """Return the names of all parameters of a node, sorted."""
+        ...
+
+    def described(self, node: str, names: Sequence[str]) -> Mapping[str, ParameterDescription]:
+        """Return what the node tells of these parameters."""
+        ...
+
+    def values(self, node: str, names: Sequence[str]) -> Mapping[str, ParameterValue]:
+        """Return the values that these parameters have; None for one without a value."""
+        ...
+
+    def change(self, node: str, values: Mapping[str, Any]) -> None:
+        """Set parameters of a node; None takes the value of one away.
+
+        Raises:
+            LinkError: one is read-only, of another kind or out of its limits, and nothing is set; or the node refuses
+                one, and the others are set.
+        """
+        ...
+
+
+class ParameterServer(Protocol):
+    """The parameter server of ROS 1: parameters by full names, whoever they are for."""
+
+    def parameter_names(self) -> Sequence[str]:
+        """Return the full names of all parameters."""
+        ...
+
+    def parameter(self, name: str) -> Any:
+        """Return the value of one, or None where it is not set."""
+        ...
+
+    def set_parameter(self, name: str, *, value: Any) -> None:
+        """Set one."""
+        ...
+
+    def delete_parameter(self, name: str) -> None:
+        """Take one away."""
+        ...
+
+
+def parameters_of(link: RobotLink, *, timeout: float = 5.0) -> ParameterAccess:
+    """Return the parameters of the nodes that a link reaches.
+
+    Args:
+        link: to the robot; relative names of nodes are below its namespace.
+        timeout: how long each answer of a node may take, s.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock, FakeRobotLink, ParameterNode
+        >>> link = FakeRobotLink(FakeClock())
+        >>> node = ParameterNode(link, "/planner", {"speed": 0.2}, read_only=["frame"])
+        >>> planner = parameters_of(link)
+        >>> planner.change("planner", {"speed": 1})
+        >>> planner.values("/planner", ["speed"])
+        {'speed': 1.0}
+    """
+    server, namespace = getattr(link, "parameter_server", None), getattr(link, "namespace", "")
+    return NodeParameters(link, namespace, timeout) if server is None else ServerParameters(server, namespace)
+
+
+def all_at_once(errors: Sequence[LinkError], *, where: str) -> None:
+    """Raise what several errors say as one; nothing where there is none.
+
+    Raises:
+        LinkError: there is an error.
+    """
+    if len(errors) == 1:
+        raise errors[0]
+    if errors:
+        told = "; ".join(f"{error.where}: {error.problem}" for error in errors)
+        raise LinkError(told, where=where, fix=" ".join(dict.fromkeys(error.fix for error in errors)))
+
+
+class NodeParameters:
+    """The parameters of nodes of ROS 2, asked of the nodes themselves."""
+
+    def __init__(self, link: RobotLink, namespace: str = "", timeout: float = 5.0) -> None:
+        self._link = link
+        self._namespace = namespace
+        self._timeout = timeout
+
+    def names(self, node: str) -> list[str]:
+        """Return the names of all parameters of a node, sorted."""
+        return sorted(self._call(node, _LIST, "ListParameters", {"prefixes": [], "depth": 0})["result"]["names"])
+
+    def described(self, node: str, names: Sequence[str]) -> dict[str, ParameterDescription]:
+        """Return what the node tells of these parameters."""
+        told = self._call(node, "describe_parameters", "DescribeParameters", {"names": list(names)})["descriptors"]
+        self._check_known(node, names, [int(each["type"]) for each in told])
+        found = {name: _description(name, each) for name, each in zip(names, told, strict=True)}
+        vague = [name for name, each in found.items() if each.kind is ParameterKind.NOT_SET]
+        for name, value in (self.values(node, vague) if vague else {}).items():  # rclpy of Foxy tells no kind
+            found[name] = replace(found[name], kind=kind_of(value))
+        return found
+
+    def values(self, node: str, names: Sequence[str]) -> dict[str, ParameterValue]:
+        """Return the values that these parameters have; None for one without a value."""
+        told = self._call(node, "get_parameters", "GetParameters", {"names": list(names)})["values"]
+        self._check_known(node, names, [int(each["type"]) for each in told])
+        return {name: from_wire(each) for name, each in zip(names, told, strict=True)}
+
+    def change(self, node: str, values: Mapping[str, Any]) -> None:
+        """Set parameters of a node, all of which are looked at before."""
+        described = self.described(node, list(values))
+        wire, errors = [], []
+        for name, value in values.items():
+            try:
+                wire.append({"name": name, "value": _checked(value, described[name], self._where(node, name))})
+            except LinkError as error:
+                errors.append(error)
+        all_at_once(errors, where=self._full(node))
+        results = self._call(node, "set_parameters", "SetParameters", {"parameters": wire})["results"]
+        if len(results) != len(wire):
+            raise self._odd(node, len(results), len(wire))
+        answers = zip(values, results, strict=True)
+        refused = [self._refused(node, name, told["reason"]) for name, told in answers if not told["successful"]]
+        all_at_once(refused, where=self._full(node))
+
+    def _call(self, node: str, service: str, kind: str, request: Message) -> Message:
+        full = self._full(node)
+        try:
+            return self._link.call(f"{full}/{service}", f"rcl_interfaces/{kind}", request, timeout=self._timeout)
+        except LinkError as error:
+            known = self._nodes()
+            if known is None or full in known:
+                raise
+            near = nearest(full, known)
+            problem = f"there is no node {full!r} that has parameters"
+            others = f"those that have are {enumerated(sorted(known))}" if known else "none here has any"
+            fix = f"Did you mean {near!r}?" if near else f"Start it, or correct its name: {others}."
+            raise LinkError(problem, where=full, fix=fix) from error
+
+    def _nodes(self) -> set[str] | None:
+        """Return the nodes that have parameters; None where the graph does not tell."""
+        with suppress(LinkError):
+            services = self._link.services()
+            return {name.rpartition("/")[0] for name in services if name.endswith(f"/{_LIST}")} if services else None
+        return None
+
+    def _check_known(self, node: str, names: Sequence[str], kinds: Sequence[int]) -> None:
+        """See that the node has these parameters: rclcpp answers nothing at all where it lacks one, rclpy `not set`."""
+        if len(kinds) == len(names) and ParameterKind.NOT_SET not in kinds:
+            return
+        there = self.names(node)
+        full = self._full(node)
+        all_at_once([_unknown(full, name, there) for name in names if name not in there], where=full)
+        if len(kinds) != len(names):
+            raise self._odd(node, len(kinds), len(names))
+
+    def _full(self, node: str) -> str:
+        return full_name(self._namespace, node)
+
+    def _where(self, node: str, name: str) -> str:
+        return f"{self._full(node)}: {name}"
+
+    def _odd(self, node: str, told: int, asked: int) -> LinkError:
+        problem = f"the node answers for {told} parameters where {asked} were asked for"
+        return LinkError(problem, where=self._full(node), fix="Look at the node's log.")
+
+    def _refused(self, node: str, name: str, reason: str) -> LinkError:
+        told = reason or "it gives no reason"
+        return LinkError(
+            f"the node refuses the value: {told}", where=self._where(node, name), fix="Give another value."
+        )
+
+
+class ServerParameters:
+    """The parameters of nodes of ROS 1, which stand below their names in the master's parameter server."""
+
+    def __init__(self, server: ParameterServer, namespace: str = "") -> None:
+        self._server = server
+        self._namespace = namespace
+
+    def names(self, node: str) -> list[str]:
+        """Return the names of what is set for a node, sorted; `/` is what is set for all."""
+        prefix = self._key(node, "")
+        return sorted(name.removeprefix(prefix) for name in self._server.parameter_names() if name.startswith(prefix))
+
+    def described(self, node: str, names: Sequence[str]) -> dict[str, ParameterDescription]:
+        """Return the kind of each of these parameters; a parameter server knows no more."""
+        return {
+            name: ParameterDescription(name, kind_of(value), may_change_kind=value is None)
+            for name, value in self.values(node, names).items()
+        }
+
+    def values(self, node: str, names: Sequence[str]) -> dict[str, ParameterValue]:
+        """Return the values that are set; None where nothing is, and the node takes its own default."""
+        return {name: self._value(self._key(node, name)) for name in names}
+
+    def change(self, node: str, values: Mapping[str, Any]) -> None:
+        """Set parameters for a node; None has it take its own default when it starts the next time."""
+        described = self.described(node, list(values))
+        fits, errors = {}, []
+        for name, value in values.items():
+            key = self._key(node, name)
+            try:
+                fits[key] = None if value is None else _fitting_server(value, described[name].kind, key)
+            except LinkError as error:
+                errors.append(error)
+        all_at_once(errors, where=node)
+        for key, value in fits.items():
+            if value is not None:
+                self._server.set_parameter(key, value=value)
+            elif self._server.parameter(key) is not None:
+                self._server.delete_parameter(key)
+
+    def doubts(self, node: str, names: Sequence[str], running: Iterable[str]) -> list[tuple[str, str]]:
+        """Return what may make a change vain, each with a remedy: names that nobody has set, a node that runs already.
+
+        Args:
+            node: whose parameters are to be set.
+            names: of the parameters.
+            running: the full names of the nodes that are there.
+        """
+        there, full = self.names(node), full_name(self._namespace, node) if node != "/" else "/"
+        found = []
+        for name in names:
+            if name not in there:
+                near = nearest(name, there)
+                fix = f"Did you mean {near!r}?" if near else "See that the node reads a parameter of this name."
+                found.append((f"{self._key(node, name)} was not set before, and ROS 1 does not tell who reads it", fix))
+        if full in set(running):
+            problem = f"{full} is running already, and a node of ROS 1 reads most of its parameters when it starts"
+            found.append((problem, "Start it after they are set: list its RosLaunch after RosParameters."))
+        return found
+
+    def _key(self, node: str, name: str) -> str:
+        return f"/{name}" if node == "/" else f"{full_name(self._namespace, node)}/{name}"
+
+    def _value(self, key: str) -> ParameterValue:
+        value = self._server.parameter(key)
+        if isinstance(value, dict):
+            fix = f"Name one of them: {enumerated(sorted(value))}."
+            raise LinkError("the name is that of several parameters", where=key, fix=fix)
+        return None if value is None else normal(value, where=key)
+
+
+def _fitting_server(value: Any, kind: ParameterKind, key: str) -> ParameterValue:
+    """Return a value of the kind that is there, or a number for a number: the server itself knows no kinds."""
+    given = normal(value, where=key)
+    numbers = isinstance(given, int) and given not in _INT32
+    if numbers or (isinstance(given, list) and any(isinstance(each, int) and each not in _INT32 for each in given)):
+        raise LinkError(f"{given!r} does not fit the 32 bits of ROS 1", where=key, fix="Give a smaller number.")
+    widened = {ParameterKind.INTEGER: ParameterKind.DOUBLE, ParameterKind.INTEGER_ARRAY: ParameterKind.DOUBLE_ARRAY}
+    if kind is ParameterKind.NOT_SET or kind_of(given) is widened.get(kind):
+        return given
+    return fitted(given, kind, where=key)
+
+
+def _checked(value: Any, described: ParameterDescription, where: str) -> dict[str, Any]:
+    if described.is_read_only:
+        fix = "Give it where the node is started: as an argument of its launch file, or in its parameter file."
+        raise LinkError("the parameter is read-only: it is set when the node starts", where=where, fix=fix)
+    if value is None:
+        return as_wire(None)
+    kind = described.kind
+    if described.may_change_kind or kind is ParameterKind.NOT_SET:
+        kind = kind_of(normal(value, where=where))
+    given = fitted(value, kind, where=where)
+    if described.limits is not None and isinstance(given, int | float):
+        least, greatest = described.limits
+        if not least <= given <= greatest:
+            problem = f"{given!r} is not within the limits that the node names, {least:g} to {greatest:g}"
+            raise LinkError(problem, where=where, fix="Give a value within them.")
+    return as_wire(given, kind)
+
+
+def _description(name: str, told: Message) -> ParameterDescription:
+    ranges = [*told["floating_point_range"], *told["integer_range"]]
+    limits = (ranges[0]["from_value"], ranges[0]["to_value"]) if ranges else None
+    is_dynamic, kind = bool(told.get("dynamic_typing", False)), ParameterKind(int(told["type"]))
+    return ParameterDescription(name, kind, bool(told["read_only"]), is_dynamic, limits, str(told["description"]))
+
+
+def _unknown(node: str, name: str, known: Sequence[str]) -> LinkError:
+    near = nearest(name, known)
+    fix = f"Did you mean {near!r}?" if near else _DECLARED
+    return LinkError(f"the node has no parameter {name!r}", where=node, fix=fix)

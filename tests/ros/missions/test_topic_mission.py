@@ -1,0 +1,71 @@
+"""A mission that publishes until a condition holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.conditions.topic_messages import topic_above
+from robot_runner.core.errors import ConditionTimeout, PluginError
+from robot_runner.plugins import treatment
+from robot_runner.plugins.systems import TopicMission
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_TWIST = "geometry_msgs/Twist"
+_FAR = topic_above("odom", "nav_msgs/Odometry", "pose.pose.position.x", 0.5)
+
+
+class TestTopicMission(SystemContract):
+    """Half a metre ahead."""
+
+    breaking_points = 4
+
+    def make_plugin(self) -> TopicMission:
+        return TopicMission("cmd_vel", _TWIST, {"linear": {"x": 0.2}}, until=_FAR)
+
+
+def test_it_publishes_at_its_rate_until_the_condition_holds(tmp_path: Path) -> None:
+    mission = TopicMission("cmd_vel", _TWIST, {"linear": {"x": treatment("Speed")}}, until=_FAR, rate_hz=5.0)
+    context = make_context(tmp_path, mission, combination={"Speed": 0.1})
+    measured = rehearse(context, mission)
+    assert 5.0 < measured["Duration"] < 5.6
+    assert measured["Messages"] == pytest.approx(5.0 * measured["Duration"], abs=1.0)
+    context.resources.close()
+
+
+def test_for_some_seconds_it_publishes_as_often_as_it_says_and_the_safe_message_afterwards(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    lamp = TopicMission("lamp", "std_msgs/String", {"data": "on"}, until=2.0, rate_hz=10.0, afterwards={"data": "off"})
+    context = make_context(tmp_path, lamp, links=FakeLinks(robot=link), clock=clock)
+    measured = rehearse(context, lamp)
+    assert dict(measured) == {"Duration": pytest.approx(2.0), "Messages": 20}
+    assert [each.message["data"] for each in link.publications if each.topic == "lamp"][-2:] == ["off", "off"]
+    once = TopicMission("lamp", "std_msgs/String", {"data": "on"}, until=2.0, rate_hz=0)
+    context = make_context(tmp_path, once, links=FakeLinks(robot=FakeRobotLink(clock)), clock=clock)
+    assert rehearse(context, once)["Messages"] == 1
+
+
+def test_a_condition_that_never_holds_fails_the_run_with_what_was_seen(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    clock.at(0.5, lambda: link.deliver("odom", {"pose": {"pose": {"position": {"x": 0.25}}}}))
+    mission = TopicMission("cmd_vel", _TWIST, {"linear": {"x": 0.2}}, until=_FAR, timeout_s=3.0)
+    context = make_context(tmp_path, mission, links=FakeLinks(robot=link), clock=clock)
+    with pytest.raises(ConditionTimeout, match=r"after 3 s of publishing on 'cmd_vel' .* is above 0\.5: 0\.25"):
+        rehearse(context, mission)
+    assert clock.now() == pytest.approx(3.0)
+    assert link.stands_still
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value"), [("until", "arrived"), ("until", -1), ("rate_hz", -1), ("timeout_s", None), ("publish", 3)]
+)
+def test_a_parameter_out_of_its_range_is_refused(parameter: str, value: object) -> None:
+    given = {"publish": {}, "until": 1.0, parameter: value}
+    with pytest.raises(PluginError, match=f"{parameter} is"):
+        TopicMission("cmd_vel", _TWIST, **given)  # type: ignore[arg-type]

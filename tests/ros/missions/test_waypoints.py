@@ -1,0 +1,91 @@
+"""Waypoints for robots that only know velocity."""
+
+from __future__ import annotations
+
+import csv
+import math
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.plugins.systems import Waypoints
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+class TestWaypoints(SystemContract):
+    """A corner and back."""
+
+    breaking_points = 4
+
+    def make_plugin(self) -> Waypoints:
+        return Waypoints([(0.5, 0.0), (0.5, 0.4, math.pi / 2)])
+
+
+def test_a_square_ends_where_it_began_and_each_leg_is_measured(tmp_path: Path) -> None:
+    square = Waypoints([(0.8, 0.0), (0.8, 0.8), (0.0, 0.8), (0.0, 0.0, 0.0)], speed=0.2, turn_rate=1.5)
+    context = make_context(tmp_path, square, phases=["leg_2"])
+    measured = rehearse(context, square)
+    assert measured["Distance"] == pytest.approx(3.2, abs=0.1)
+    assert measured["FinalError"] < 0.05
+    assert measured["FinalYawError"] < 0.1
+    assert sum(measured[f"Leg{number}"] for number in range(1, 5)) == pytest.approx(measured["Duration"])
+    assert [phase.name for phase in context.phases] == ["leg_1", "leg_2", "leg_3", "leg_4"]
+    with (tmp_path / "runs/r_1/Waypoints/trajectory.csv").open() as file:
+        far = max(math.hypot(float(row["x_m"]), float(row["y_m"])) for row in csv.DictReader(file))
+    assert far == pytest.approx(0.8 * math.sqrt(2), abs=0.05)
+    context.resources.close()
+
+
+def test_waypoints_may_be_relative_to_where_the_robot_stands(tmp_path: Path) -> None:
+    ahead = Waypoints([(0.3, 0.0)], relative_to="start")
+    context = make_context(tmp_path, ahead)
+    rehearse(context, ahead)
+    again = rehearse(context, ahead)
+    assert again["Distance"] == pytest.approx(0.3, abs=0.05)
+    assert ahead.duration_s({}) == pytest.approx(again["Duration"], rel=0.1)
+    context.resources.close()
+
+
+def test_a_robot_that_does_not_move_fails_the_run_and_is_stopped(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    link.known_topics = {"cmd_vel": "geometry_msgs/Twist"}
+    clock.every(0.05, lambda: link.deliver("odom", _odometry(clock.now())))
+    blocked = Waypoints([(2.0, 0.0)])
+    context = make_context(tmp_path, blocked, robot="dds", links=FakeLinks(robot=link), clock=clock)
+    with pytest.raises(LinkError, match=r"does not move as it is commanded: it covered 0\.00 m"):
+        rehearse(context, blocked)
+    assert link.stands_still
+
+
+def _odometry(now: float) -> dict[str, Any]:
+    pose = {"position": {"x": 0.0, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    return {"header": {"stamp": {"sec": int(now), "nanosec": int(now % 1 * 1e9)}}, "pose": {"pose": pose}}
+
+
+def test_a_robot_that_does_not_speak_fails_in_its_deadline(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    silent = Waypoints([(1.0, 0.0)], connect_timeout_s=2.0, command_topic="base/cmd_vel")
+    context = make_context(tmp_path, silent, links=FakeLinks(robot=link), clock=clock)
+    with pytest.raises(LinkError, match=r"no odometry arrived for 2\.0 s"):
+        rehearse(context, silent)
+    assert clock.now() < 3.0
+    assert {each.topic for each in link.publications} == {"base/cmd_vel", "robot_runner/heartbeat"}
+    assert link.stands_still
+
+
+@pytest.mark.parametrize("given", [[], "ab", [(1.0,)], [(1.0, "x")], [(1.0, math.nan)], [(True, 1.0)]])
+def test_what_is_no_waypoint_is_refused(given: object) -> None:
+    with pytest.raises(PluginError, match="waypoint"):
+        Waypoints(given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("parameter", "value"), [("speed", 0.0), ("tolerance_m", -1), ("relative_to", "map")])
+def test_a_parameter_out_of_its_range_is_refused(parameter: str, value: object) -> None:
+    with pytest.raises(PluginError, match=f"{parameter} is"):
+        Waypoints([(1.0, 0.0)], **{parameter: value})  # type: ignore[arg-type]

@@ -1,0 +1,156 @@
+"""Before anything is executed, the graph is seen to have the robot that the plugins need: on each link, in time."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import closing
+
+import pytest
+from tests.processor_wait import ProcessorWait
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.ros1_master import quiet_about_rospy
+
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.robot import RobotName
+from robot_runner.ros import graph_look
+from robot_runner.ros.graph_links import GRAPH_LINKS
+from robot_runner.ros.turtlebot3.steered_robot import Task, TaskServices
+from robot_runner.testing import RosbridgeServer
+
+TRIGGER = "std_srvs/Trigger"
+#: The deadline of a look, and what the rest of a check may take beside it.
+IN_TIME = 10.0
+HEAD = """\
+from robot_runner import *
+from robot_runner.plugins import GraphNeed, System
+from robot_runner.plugins.systems import BasicTurtlebot3
+
+
+class Gripper(System):
+    namespace = "arm"
+
+    def required_graph(self, circumstances):
+        yield GraphNeed.service("close", "std_srvs/Trigger", fix="Start the gripper.")
+
+
+class Bringup(System):
+    starts_nodes = True
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+"""
+
+
+def findings(write_config, robot, *plugins):
+    """Return what `check` finds, errors with a mark before them."""
+    config = write_config(f"plugins = [{', '.join(plugins or ['BasicTurtlebot3()'])}]", head=HEAD)
+    begun, wait = time.monotonic(), ProcessorWait([os.getpid()])
+    found = prepare(config, {"robot": robot}).findings
+    wait.look()
+    assert time.monotonic() - begun - wait.seconds < IN_TIME
+    return [f"{'! ' if each.is_error else ''}{each}" for each in found]
+
+
+def be_a_robot(link, *, services):
+    link.publish("odom", "nav_msgs/Odometry", {})
+    link.subscribe("cmd_vel", "geometry_msgs/Twist", lambda _: None)
+    for name, kind in services.items():
+        link.offer(name, kind, lambda _: {})
+
+
+class GraphLook:
+    @pytest.fixture
+    def robot(self):
+        raise NotImplementedError
+
+    def test_the_robot_its_services_and_their_types_are_seen_before_anything_is_executed(self, robot, write_config):
+        (alone,) = findings(write_config, robot)
+        assert alone.startswith("! robot: no robot is on the graph")
+        assert "the plugins need /odom, /cmd_vel, /task/video/start" in alone
+        (later,) = findings(write_config, robot, "Bringup()", "BasicTurtlebot3()")
+        assert later.startswith("robot: ")
+        assert "unless plugin Bringup will start it" in later
+        services = {f"task/{task}/{what}": TRIGGER for task in ("video", "network") for what in ("start", "stop")}
+        name = RobotName.parse(robot)
+        with closing(GRAPH_LINKS[name.link].open(name, SystemClock())) as link:
+            be_a_robot(link, services=services | {"task/video/stop": "std_srvs/Empty"})
+            found = findings(write_config, robot, "BasicTurtlebot3()", "Gripper()")
+            assert len(found) == 3
+            assert found[0].startswith(
+                "! plugin BasicTurtlebot3: the service '/task/video/stop' is of the type std_srvs/E"
+            )
+            assert found[1].startswith(
+                "! plugin BasicTurtlebot3: there is no service '/task/stop' → Start the robot's task"
+            )
+            assert found[2].startswith("! plugin Gripper: there is no service '/arm/close' → Start the gripper.")
+            with pytest.raises(LinkError, match="'/task/video/stop' is of the type std_srvs/Empty"):
+                TaskServices(link).check(Task.VIDEO, where="test")  # as a run does before it drives
+            link.offer("task/stop", TRIGGER, lambda _: {})
+            assert findings(write_config, robot, "BasicTurtlebot3(task_factor=None, task='Network')") == []
+
+
+@quiet_about_rospy
+class TestOnRos1(GraphLook):
+    @pytest.fixture
+    def robot(self, master_uri):
+        return f"ros1:master={master_uri}"
+
+
+class TestOverDds(GraphLook):
+    @pytest.fixture
+    def robot(self, monkeypatch):
+        monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+        return f"dds:domain={claim_domain()},distro=humble"
+
+    def test_a_second_robot_a_rival_and_a_wrong_type_are_seen(self, robot, write_config):
+        name = RobotName.parse(robot)
+        with (
+            closing(GRAPH_LINKS["dds"].open(name, SystemClock())) as one,
+            closing(GRAPH_LINKS["dds"].open(name, SystemClock())) as other,
+        ):
+            for link in (one, other):
+                link.publish("odom", "nav_msgs/Odometry", {})
+            one.subscribe("cmd_vel", "geometry_msgs/Twist", lambda _: None)
+            other.publish("cmd_vel", "geometry_msgs/Twist", {})
+            other.subscribe("scan", "std_msgs/String", lambda _: None)
+            found = graph_look.look_at(
+                name,
+                {
+                    "mission": [
+                        GraphNeed.published("/odom", "nav_msgs/Odometry", is_sole=True),
+                        GraphNeed.subscribed("/cmd_vel", "geometry_msgs/Twist", is_sole=True),
+                        GraphNeed.subscribed("/scan", "sensor_msgs/LaserScan"),
+                    ]
+                },
+            )
+        told = " | ".join(map(str, found))
+        assert "publish '/odom', so that it is not known where the robot is" in told
+        assert "could command the robot, too, on '/cmd_vel'" in told
+        assert "subscribes '/scan' as std_msgs/String, not sensor_msgs/LaserScan" in told
+        assert len(found) == 3
+
+    def test_a_graph_that_is_to_live_by_a_clock_that_nobody_publishes(self, robot, write_config):
+        name = RobotName.parse(f"{robot},clock=graph")
+        with closing(GRAPH_LINKS["dds"].open(name, SystemClock())) as link:
+            link.publish("odom", "nav_msgs/Odometry", {})
+            (finding,) = graph_look.look_at(name, {})
+        assert "nobody publishes '/clock'" in finding.problem
+        assert "leave clock=graph out of robot = 'dds:…'" in finding.fix
+
+
+class TestOverRosbridge(GraphLook):
+    @pytest.fixture
+    def robot(self):
+        with closing(RosbridgeServer()) as server:
+            yield server.url
+
+    def test_what_cannot_be_looked_at_is_said_with_its_reason(self, write_config):
+        with closing(RosbridgeServer(has_rosapi=False)) as server:
+            (finding,) = findings(write_config, f"{server.url}?ros=1")
+        assert finding.startswith("robot: whether the robot is on the graph was not seen: the graph cannot be listed")
