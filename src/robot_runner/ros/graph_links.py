@@ -213,17 +213,6 @@ GRAPH_LINKS: Mapping[str, GraphLinkKind] = MappingProxyType(
 )
 
 
-def follows_graph_clock(robot: str | None) -> bool:
-    """Whether a run with the robot of this name lives by the time that its graph publishes.
-
-    Raises:
-        LinkError: the name cannot be one, or there is no master to ask.
-    """
-    name = None if robot is None else RobotName.parse(robot)
-    kind = None if name is None else GRAPH_LINKS.get(name.link)
-    return name is not None and kind is not None and kind.follows_graph_clock(name)
-
-
 def clock_fix(name: RobotName) -> str:
     """Return what to do where a run is to live by `/clock` and nobody publishes it.
 
@@ -235,6 +224,17 @@ def clock_fix(name: RobotName) -> str:
     if _CLOCK in name.options:
         return f"Start the simulation; or, for a real robot, leave clock=graph out of robot = '{name.link}:…'."
     return "Start the simulation; or, for a real robot, set the parameter /use_sim_time to false (rosparam set)."
+
+
+def follows_graph_clock(robot: str | None) -> bool:
+    """Whether a run with the robot of this name lives by the time that its graph publishes.
+
+    Raises:
+        LinkError: the name cannot be one, or there is no master to ask.
+    """
+    name = None if robot is None else RobotName.parse(robot)
+    kind = None if name is None else GRAPH_LINKS.get(name.link)
+    return name is not None and kind is not None and kind.follows_graph_clock(name)
 
 
 def _started(link: RobotLink, fix: str) -> GraphClock:
