@@ -32,6 +32,7 @@ __all__ = [
     "TypedTopic",
     "found_topics",
     "missed",
+    "nearest_rank",
     "robot_findings",
     "topic_label",
 ]
@@ -184,6 +185,16 @@ def missed(sequence: Sequence[int]) -> int | None:
     if not any(steps) or falls > max(1, len(steps) // _STEPS_A_FALL):
         return None
     return sum(step - 1 for step in steps if 1 < step < _UINT32 // 2)
+
+
+def nearest_rank(ordered: Sequence[float], share: float) -> float | None:
+    """Return a percentile of numbers in ascending order: the least that so large a share does not exceed.
+
+    Example:
+        >>> nearest_rank([0.1, 0.2, 0.3, 0.9], 0.5), nearest_rank([], 0.99)
+        (0.2, None)
+    """
+    return ordered[max(0, math.ceil(share * len(ordered)) - 1)] if ordered else None
 
 
 @dataclass(slots=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.ros.message_codec import NodeKind
 from robot_runner.ros.node_services import NODE_TYPES
+from robot_runner.ros.simulators.simulator_types import simulator_types
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -54,6 +55,8 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
         definitions.setdefault(f"{name}.srv", ("the standard services", text))
     for name, text in NODE_TYPES[generation].items():
         definitions.setdefault(name, ("the services of every node", text))
+    for name, text in simulator_types(generation).items():
+        definitions.setdefault(name, ("the services of simulators", text))
     found: dict[str, Any] = {}
     for name, (where, text) in definitions.items():
         found |= _parsed(rosbags, name, text, where)
