@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.action_calls import missing_action
@@ -188,7 +188,7 @@ class _Client:
         if sent.status is GoalStatus.REJECTED:
             self._forget(sent)
             fix = "Look at the log of its node: it may be busy, or not active yet."
-            raise LinkError("the action server rejects the goal", where=self._action, fix=fix)
+            raise GoalRejectedError("the action server rejects the goal", where=self._action, fix=fix)
         if sent.status in {GoalStatus.UNKNOWN, GoalStatus.ACCEPTED}:
             self._publish_cancel(sent)  # it must not begin when nobody waits for it any more
             is_waiting = sent.status is GoalStatus.ACCEPTED

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.action_calls import missing_action
@@ -154,7 +154,7 @@ class _Client:
             sent.note(GoalStatus.REJECTED)
             self._forget(sent)
             fix = "Look at the log of its node: it may be busy, or not active yet."
-            raise LinkError("the action server rejects the goal", where=self._action, fix=fix)
+            raise GoalRejectedError("the action server rejects the goal", where=self._action, fix=fix)
         if sent.status is GoalStatus.UNKNOWN:
             sent.note(GoalStatus.ACCEPTED)
 

@@ -59,10 +59,10 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
     definitions = _definitions(extra)
     for name, text in STANDARD_SERVICES.items():
         definitions.setdefault(f"{name}.srv", ("the standard services", text))
-    for name, text in bundled_definitions(generation, distro or _LATEST).items():
-        definitions.setdefault(name, ("the standard actions", text))
     for name, text in NODE_TYPES[generation].items():
         definitions.setdefault(name, ("the services of every node", text))
+    for name, text in bundled_definitions(generation, distro or _LATEST).items():
+        definitions.setdefault(name, ("the standard actions", text))
     for name, text in simulator_types(generation).items():
         definitions.setdefault(name, ("the services of simulators", text))
     found: dict[str, Any] = {}

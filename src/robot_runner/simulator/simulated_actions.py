@@ -6,7 +6,7 @@ import itertools
 from functools import partial
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import GoalRejectedError
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.ros.action_calls import missing_action
 from robot_runner.ros.graph_transport import already_offered
@@ -129,7 +129,7 @@ class _Client:
             del self._served.senders[sent.key]
             sent.note(GoalStatus.REJECTED)
             fix = "Send a goal that it takes, or look whether it is busy."
-            raise LinkError("the action server rejects the goal", where=self._action, fix=fix)
+            raise GoalRejectedError("the action server rejects the goal", where=self._action, fix=fix)
         sent.note(execution.status)
 
     def cancel(self, sent: SentGoal, timeout: float) -> None:

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 __all__ = ["SimulatedRobotLink", "SimulatedTransport"]
 
 _STEP = STEP_NS / 1e9
-_NANOSECOND = 1e-9
+#: The shortest time that a simulated clock knows, s.
+_LEAST = 1e-9
 _NODE = "turtlebot3_node"
 
 # The types that the embedded robot takes and answers with are known without any ROS package.
@@ -194,7 +195,8 @@ class SimulatedTransport:
         clock = self._simulation.clock
         deadline = clock.now() + seconds
         while not event.is_set() and clock.now() < deadline:
-            clock.sleep(max(_NANOSECOND, min(_STEP, deadline - clock.now())))  # a rest of less would never go by
+            # What is left may round to no time at all, in which nothing would ever come.
+            clock.sleep(max(_LEAST, min(_STEP, deadline - clock.now())))
 
     def close(self) -> None:
         """Stop the robot's task, if one was started here.

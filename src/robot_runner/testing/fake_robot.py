@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.errors import GoalRejectedError, LinkError, did_you_mean
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos, RawMessage
 from robot_runner.ros.action_calls import missing_action
@@ -294,7 +294,7 @@ class FakeRobotLink:
             raise missing_action(action, action_type, {name: each.action_type for name, each in self._actions.items()})
         accept = self._accepts.get(action)
         if script.status is GoalStatus.REJECTED or not (accept is None or accept(goal or {})):
-            raise LinkError("the action server rejects the goal", where=action, fix="Send another.")
+            raise GoalRejectedError("the action server rejects the goal", where=action, fix="Send another.")
         sent = action, action_type, goal or {}
         self.goals.append(FakeGoal(self._clock, script, sent, on_feedback, self._executes.get(action)))
         return self.goals[-1]
