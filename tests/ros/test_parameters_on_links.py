@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 
 import pytest
@@ -130,7 +130,7 @@ def test_what_a_node_does_not_take_is_told_with_reason_and_nearest_name(two_link
     planner.change("planner", {"unset": [1, 2]})
     assert node.values["unset"] == [1, 2]
     nobody = refused(lambda: planner.values("planer", ["speed"]))
-    assert nobody.problem == "there is no node '/alice/planer' that has parameters"
+    assert nobody.problem == "there is no node that has parameters: '/alice/planer'"
     assert nobody.fix == "Did you mean '/alice/planner'?"
 
 
@@ -187,9 +187,10 @@ def _check_server(link, server):
     assert "several parameters" in refused(lambda: planner.values("planner", ["FollowPath"])).problem
     planner.change("planner", {"gains": None, "enabled": None, "nothing": None})
     assert planner.names("planner") == ["FollowPath/speed", "frame"]
-    doubts = planner.doubts("planner", ["fram"], ["/alice/planner"])
+    doubts = planner.doubts("planner", ["fram"])
     assert next(fix for _, fix in doubts) == "Did you mean 'frame'?"
-    assert "is running already" in doubts[1][0]
+    with closing(link.offer("lamp", "std_srvs/Trigger", lambda _: {})):
+        assert "is running already" in planner.doubts(link.nodes()[0], ["frame"])[1][0]
     parameters_of(link).change("/", {"use_sim_time": True})
     assert server.parameter("/use_sim_time") is True
     parameters_of(link).change("/", {"use_sim_time": None})

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import LinkError, did_you_mean, nearest
-from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.links.robot import Encoding
 from robot_runner.core.words import enumerated
+from robot_runner.ros.node_services import call_node
 
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, RobotLink
 
 __all__ = ["SETTLED", "LifecycleState", "bring_to", "change_state", "named_state", "ros1_has_none", "state_of"]
-
-_CHANGE, _STATE, _TRANSITIONS = "change_state", "get_state", "get_available_transitions"
 
 
 class LifecycleState(IntEnum):
@@ -57,7 +54,7 @@ def state_of(link: RobotLink, node: str, *, timeout: float = 5.0) -> LifecycleSt
     Raises:
         LinkError: there is no managed node of this name, it does not answer in time, or the graph is one of ROS 1.
     """
-    told = _call(link, node, _STATE, "GetState", {}, timeout)["current_state"]
+    told = _call(link, node, "GetState", {}, timeout)["current_state"]
     try:
         return LifecycleState(int(told["id"]))
     except ValueError as error:
@@ -77,7 +74,7 @@ def change_state(link: RobotLink, node: str, transition: str, *, timeout: float 
     Raises:
         LinkError: its state has no such transition, the node refuses it, or as `state_of`.
     """
-    told = _call(link, node, _TRANSITIONS, "GetAvailableTransitions", {}, timeout)["available_transitions"]
+    told = _call(link, node, "GetAvailableTransitions", {}, timeout)["available_transitions"]
     known = {each["transition"]["label"]: each["transition"]["id"] for each in told}
     if transition not in known:
         state = state_of(link, node, timeout=timeout)
@@ -85,7 +82,7 @@ def change_state(link: RobotLink, node: str, transition: str, *, timeout: float 
         problem = f"a node that is {state.label} has no transition {transition!r}; it has {there}"
         raise LinkError(problem, where=node, fix=did_you_mean(transition, known))
     request = {"transition": {"id": known[transition], "label": transition}}
-    done = _call(link, node, _CHANGE, "ChangeState", request, timeout)["success"]
+    done = _call(link, node, "ChangeState", request, timeout)["success"]
     state = state_of(link, node, timeout=timeout)
     if not done:
         problem = f"the node refuses the transition {transition!r}: it is {state.label} now"
@@ -141,24 +138,7 @@ def ros1_has_none(where: str) -> LinkError:
     return LinkError("nodes of ROS 1 have no life cycle: it is ROS 2's", where=where, fix=fix)
 
 
-def _call(link: RobotLink, node: str, service: str, kind: str, request: Message, timeout: float) -> Any:
+def _call(link: RobotLink, node: str, service: str, request: Message, timeout: float) -> Any:
     if link.encoding is Encoding.ROS1:
         raise ros1_has_none(node)
-    full = full_name(getattr(link, "namespace", ""), node)
-    try:
-        return link.call(f"{full}/{service}", f"lifecycle_msgs/{kind}", request, timeout=timeout)
-    except LinkError as error:
-        known = _managed(link)
-        if known is None or full in known:
-            raise
-        near, others = nearest(full, known), enumerated(sorted(known)) if known else "none here is"
-        fix = f"Did you mean {near!r}?" if near else f"Start it, or correct its name: managed nodes are {others}."
-        raise LinkError(f"there is no managed node {full!r}", where=full, fix=fix) from error
-
-
-def _managed(link: RobotLink) -> set[str] | None:
-    """Return the managed nodes; None where the graph does not tell."""
-    with suppress(LinkError):
-        services = link.services()
-        return {name.rpartition("/")[0] for name in services if name.endswith(f"/{_CHANGE}")} if services else None
-    return None
+    return call_node(link, node, f"lifecycle_msgs/{service}", request, what="managed node", timeout=timeout)

@@ -1,17 +1,24 @@
-"""The services that every node of ROS 2 offers for its parameters and its life cycle, and the message of transforms.
+"""The services that nodes of ROS 2 offer for their parameters and their life cycle: their types, and calls of them.
 
 Source: rcl_interfaces and lifecycle_msgs 1.2 (Humble) and later, which are the same in these; tf2_msgs of noetic.
 """
 
 from __future__ import annotations
 
+from contextlib import suppress
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["NODE_TYPES"]
+    from robot_runner.core.links.robot import Message, RobotLink
+
+__all__ = ["NODE_TYPES", "NodeNotReadyError", "call_node", "full_node"]
 
 _PARAMETERS = {
     "GetParameters": "string[] names\n---\nrcl_interfaces/ParameterValue[] values\n",
@@ -40,3 +47,52 @@ NODE_TYPES: Mapping[int, Mapping[str, str]] = MappingProxyType(
         },
     }
 )
+
+
+class NodeNotReadyError(LinkError):
+    """A node is not there, or is on its way to another state: one that was just started may need a moment."""
+
+
+def full_node(link: RobotLink, node: str) -> str:
+    """Return the full name of a node that is named relative to a link's namespace; `/` stays what it is.
+
+    Raises:
+        LinkError: it cannot be a name.
+    """
+    return node if node == "/" else full_name(getattr(link, "namespace", ""), node)
+
+
+def call_node(link: RobotLink, node: str, service_type: str, request: Message, *, what: str, timeout: float) -> Any:
+    """Call one of the services that nodes of a kind offer, and return its response.
+
+    Args:
+        link: to the robot.
+        node: its name.
+        service_type: such as `rcl_interfaces/GetParameters`; the service is called `get_parameters`.
+        request: to it.
+        what: such nodes are called, for errors: `node that has parameters`.
+        timeout: how long the answer may take, s.
+
+    Raises:
+        NodeNotReadyError: no node of this name offers it; the nearest is named.
+        LinkError: the node does not answer in time.
+    """
+    full = full_node(link, node)
+    service = "".join(f"_{each.lower()}" if each.isupper() else each for each in service_type.partition("/")[2])[1:]
+    try:
+        return link.call(f"{full}/{service}", service_type, request, timeout=timeout)
+    except LinkError as error:
+        known = _nodes_with(link, service)
+        if known is None or full in known:
+            raise
+        near = nearest(full, known)
+        others = f"here there is {enumerated(sorted(known))}" if known else "here there is none"
+        fix = f"Did you mean {near!r}?" if near else f"Start it, or correct its name: {others}."
+        raise NodeNotReadyError(f"there is no {what} {full!r}", where=full, fix=fix) from error
+
+
+def _nodes_with(link: RobotLink, service: str) -> set[str] | None:
+    """Return the nodes that offer a service of this name; None where the graph cannot be asked."""
+    with suppress(LinkError):
+        return {name.rpartition("/")[0] for name in link.services() if name.endswith(f"/{service}")}
+    return None

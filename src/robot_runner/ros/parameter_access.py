@@ -6,13 +6,12 @@ in the parameter server of the master, where a node has looked them up, mostly w
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError, nearest
-from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.words import enumerated
+from robot_runner.ros.node_services import call_node, full_node
 from robot_runner.ros.parameter_values import (
     ParameterDescription,
     ParameterKind,
@@ -24,14 +23,13 @@ from robot_runner.ros.parameter_values import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.parameter_values import ParameterValue
 
 __all__ = ["NodeParameters", "ParameterAccess", "ParameterServer", "ServerParameters", "all_at_once", "parameters_of"]
 
-_LIST = "list_parameters"
 #: ROS 1: XML-RPC has whole numbers of 32 bits.
 _INT32 = range(-(2**31), 2**31)
 _DECLARED = "Look what it has: ros2 param list."
@@ -103,8 +101,8 @@ def parameters_of(link: RobotLink, *, timeout: float = 5.0) -> ParameterAccess:
         >>> planner.values("/planner", ["speed"])
         {'speed': 1.0}
     """
-    server, namespace = getattr(link, "parameter_server", None), getattr(link, "namespace", "")
-    return NodeParameters(link, namespace, timeout) if server is None else ServerParameters(server, namespace)
+    server: ParameterServer | None = getattr(link, "parameter_server", None)
+    return NodeParameters(link, timeout) if server is None else ServerParameters(link, server)
 
 
 def all_at_once(errors: Sequence[LinkError], *, where: str) -> None:
@@ -123,18 +121,17 @@ def all_at_once(errors: Sequence[LinkError], *, where: str) -> None:
 class NodeParameters:
     """The parameters of nodes of ROS 2, asked of the nodes themselves."""
 
-    def __init__(self, link: RobotLink, namespace: str = "", timeout: float = 5.0) -> None:
+    def __init__(self, link: RobotLink, timeout: float = 5.0) -> None:
         self._link = link
-        self._namespace = namespace
         self._timeout = timeout
 
     def names(self, node: str) -> list[str]:
         """Return the names of all parameters of a node, sorted."""
-        return sorted(self._call(node, _LIST, "ListParameters", {"prefixes": [], "depth": 0})["result"]["names"])
+        return sorted(self._call(node, "ListParameters", {"prefixes": [], "depth": 0})["result"]["names"])
 
     def described(self, node: str, names: Sequence[str]) -> dict[str, ParameterDescription]:
         """Return what the node tells of these parameters."""
-        told = self._call(node, "describe_parameters", "DescribeParameters", {"names": list(names)})["descriptors"]
+        told = self._call(node, "DescribeParameters", {"names": list(names)})["descriptors"]
         self._check_known(node, names, [int(each["type"]) for each in told])
         found = {name: _description(name, each) for name, each in zip(names, told, strict=True)}
         vague = [name for name, each in found.items() if each.kind is ParameterKind.NOT_SET]
@@ -144,7 +141,7 @@ class NodeParameters:
 
     def values(self, node: str, names: Sequence[str]) -> dict[str, ParameterValue]:
         """Return the values that these parameters have; None for one without a value."""
-        told = self._call(node, "get_parameters", "GetParameters", {"names": list(names)})["values"]
+        told = self._call(node, "GetParameters", {"names": list(names)})["values"]
         self._check_known(node, names, [int(each["type"]) for each in told])
         return {name: from_wire(each) for name, each in zip(names, told, strict=True)}
 
@@ -158,33 +155,16 @@ class NodeParameters:
             except LinkError as error:
                 errors.append(error)
         all_at_once(errors, where=self._full(node))
-        results = self._call(node, "set_parameters", "SetParameters", {"parameters": wire})["results"]
+        results = self._call(node, "SetParameters", {"parameters": wire})["results"]
         if len(results) != len(wire):
             raise self._odd(node, len(results), len(wire))
         answers = zip(values, results, strict=True)
         refused = [self._refused(node, name, told["reason"]) for name, told in answers if not told["successful"]]
         all_at_once(refused, where=self._full(node))
 
-    def _call(self, node: str, service: str, kind: str, request: Message) -> Message:
-        full = self._full(node)
-        try:
-            return self._link.call(f"{full}/{service}", f"rcl_interfaces/{kind}", request, timeout=self._timeout)
-        except LinkError as error:
-            known = self._nodes()
-            if known is None or full in known:
-                raise
-            near = nearest(full, known)
-            problem = f"there is no node {full!r} that has parameters"
-            others = f"those that have are {enumerated(sorted(known))}" if known else "none here has any"
-            fix = f"Did you mean {near!r}?" if near else f"Start it, or correct its name: {others}."
-            raise LinkError(problem, where=full, fix=fix) from error
-
-    def _nodes(self) -> set[str] | None:
-        """Return the nodes that have parameters; None where the graph does not tell."""
-        with suppress(LinkError):
-            services = self._link.services()
-            return {name.rpartition("/")[0] for name in services if name.endswith(f"/{_LIST}")} if services else None
-        return None
+    def _call(self, node: str, service: str, request: Message) -> Any:
+        what, kind = "node that has parameters:", f"rcl_interfaces/{service}"
+        return call_node(self._link, node, kind, request, what=what, timeout=self._timeout)
 
     def _check_known(self, node: str, names: Sequence[str], kinds: Sequence[int]) -> None:
         """See that the node has these parameters: rclcpp answers nothing at all where it lacks one, rclpy `not set`."""
@@ -197,7 +177,7 @@ class NodeParameters:
             raise self._odd(node, len(kinds), len(names))
 
     def _full(self, node: str) -> str:
-        return full_name(self._namespace, node)
+        return full_node(self._link, node)
 
     def _where(self, node: str, name: str) -> str:
         return f"{self._full(node)}: {name}"
@@ -216,9 +196,9 @@ class NodeParameters:
 class ServerParameters:
     """The parameters of nodes of ROS 1, which stand below their names in the master's parameter server."""
 
-    def __init__(self, server: ParameterServer, namespace: str = "") -> None:
+    def __init__(self, link: RobotLink, server: ParameterServer) -> None:
+        self._link = link
         self._server = server
-        self._namespace = namespace
 
     def names(self, node: str) -> list[str]:
         """Return the names of what is set for a node, sorted; `/` is what is set for all."""
@@ -253,28 +233,27 @@ class ServerParameters:
             elif self._server.parameter(key) is not None:
                 self._server.delete_parameter(key)
 
-    def doubts(self, node: str, names: Sequence[str], running: Iterable[str]) -> list[tuple[str, str]]:
+    def doubts(self, node: str, names: Sequence[str]) -> list[tuple[str, str]]:
         """Return what may make a change vain, each with a remedy: names that nobody has set, a node that runs already.
 
         Args:
             node: whose parameters are to be set.
             names: of the parameters.
-            running: the full names of the nodes that are there.
         """
-        there, full = self.names(node), full_name(self._namespace, node) if node != "/" else "/"
+        there, full = self.names(node), full_node(self._link, node)
         found = []
         for name in names:
             if name not in there:
                 near = nearest(name, there)
                 fix = f"Did you mean {near!r}?" if near else "See that the node reads a parameter of this name."
                 found.append((f"{self._key(node, name)} was not set before, and ROS 1 does not tell who reads it", fix))
-        if full in set(running):
+        if full in self._link.nodes():
             problem = f"{full} is running already, and a node of ROS 1 reads most of its parameters when it starts"
             found.append((problem, "Start it after they are set: list its RosLaunch after RosParameters."))
         return found
 
     def _key(self, node: str, name: str) -> str:
-        return f"/{name}" if node == "/" else f"{full_name(self._namespace, node)}/{name}"
+        return f"{full_node(self._link, node).rstrip('/')}/{name}"
 
     def _value(self, key: str) -> ParameterValue:
         value = self._server.parameter(key)

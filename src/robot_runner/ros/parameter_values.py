@@ -151,18 +151,18 @@ def fitted(value: Any, kind: ParameterKind, *, where: str) -> ParameterValue:
 
 
 def same_value(one: ParameterValue, other: ParameterValue) -> bool:
-    """Return whether two values are equal and of one kind; NaN equals NaN.
+    """Return whether two values are equal; a whole number may equal a double, and NaN equals NaN.
 
     Example:
         >>> same_value(1, 1.0), same_value([0.5], [0.5]), same_value(True, 1)
-        (False, True, False)
+        (True, True, False)
     """
-    if isinstance(one, float) and isinstance(other, float):
-        return one == other or (math.isnan(one) and math.isnan(other))
     if isinstance(one, list) and isinstance(other, list):
         pairs: list[tuple[Any, Any]] = list(zip(one, other, strict=False))
         return len(one) == len(other) and all(same_value(*pair) for pair in pairs)
-    return type(one) is type(other) and one == other
+    if isinstance(one, float) and isinstance(other, float) and math.isnan(one):
+        return math.isnan(other)
+    return one == other and isinstance(one, bool) == isinstance(other, bool)
 
 
 def as_wire(value: ParameterValue, kind: ParameterKind | None = None) -> dict[str, Any]:

@@ -1,0 +1,134 @@
+"""What nodes were like before a run changed them, in a file that outlives the run.
+
+It is written before anything is set, and goes once everything is as before: as long as it is there, a run is at work or
+was killed, and whoever comes next can put things right.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import make_experiment_folder, read_json, remove
+from robot_runner.core.storage.outliving import process_stat
+from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.ros.parameter_values import from_json, to_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.ros.parameter_values import ParameterValue
+
+__all__ = ["KeptSettings", "Settings", "as_json", "left_settings"]
+
+#: Values by node and by name.
+Settings: TypeAlias = "Mapping[str, Mapping[str, ParameterValue]]"
+
+#: The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
+_STATE, _STARTED = 0, 19
+_DEAD = "ZX"
+
+
+@dataclass(frozen=True, slots=True)
+class KeptSettings:
+    """What is in one file.
+
+    Attributes:
+        kind: what they are settings of, such as `parameters`.
+        robot: of the experiment, as its config names it.
+        plugin: the name of the plugin that set them.
+        before: what there was, by full names of nodes.
+        wanted: what was set.
+        owner: the process that puts it back, and when it was started.
+    """
+
+    kind: str
+    robot: str
+    plugin: str
+    before: Settings
+    wanted: Settings
+    owner: tuple[int, str]
+
+    @classmethod
+    def of_this_process(cls, kind: str, robot: str, plugin: str, before: Settings, wanted: Settings) -> KeptSettings:
+        """Return what this process keeps."""
+        return cls(kind, robot, plugin, before, wanted, (os.getpid(), _started(os.getpid())))
+
+    @property
+    def path(self) -> Path:
+        """Its file."""
+        return _folder() / f"{self.plugin}-{self.owner[0]}-{self.owner[1]}.json"
+
+    @property
+    def is_left(self) -> bool:
+        """Whether its owner is dead; this process has its own care of what it keeps."""
+        pid, started = self.owner
+        return pid != os.getpid() and (not started or _started(pid) != started)
+
+    def write(self) -> None:
+        """Write the file, and have it reach the disk.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        stored = {
+            "kind": self.kind,
+            "robot": self.robot,
+            "plugin": self.plugin,
+            "owner": self.owner,
+            "before": as_json(self.before),
+            "wanted": as_json(self.wanted),
+        }
+        make_experiment_folder(self.path.parent)
+        write_beside_and_rename(self.path, lambda file: json.dump(stored, file, indent=1))
+
+    def remove(self) -> None:
+        """Let go of the file, once all is as before."""
+        with suppress(StorageError):  # a simulated robot's was never written
+            remove(self.path)
+
+
+def left_settings(kind: str, robot: str | None) -> list[KeptSettings]:
+    """Return what runs that were killed have left changed on this robot; nothing is changed by asking.
+
+    A file that cannot be read is passed over: it is of another version, or a stranger's.
+    """
+    return [each for each in _read_all() if each.kind == kind and each.robot == robot and each.is_left]
+
+
+def as_json(settings: Settings) -> dict[str, dict[str, Any]]:
+    """Return settings as JSON can hold them."""
+    return {node: {name: to_json(value) for name, value in values.items()} for node, values in settings.items()}
+
+
+def _read_all() -> Iterator[KeptSettings]:
+    for path in sorted(_folder().glob("*.json")):
+        with suppress(StorageError, KeyError, TypeError, ValueError, AttributeError):
+            found = read_json(path)
+            pid, started = found["owner"]
+            before, wanted = _settings(found["before"]), _settings(found["wanted"])
+            owner = (int(pid), str(started))
+            kept = KeptSettings(found["kind"], found["robot"], found["plugin"], before, wanted, owner)
+            if kept.path == path:
+                yield kept
+
+
+def _settings(stored: Mapping[str, Mapping[str, Any]]) -> Settings:
+    return {node: {name: from_json(value) for name, value in values.items()} for node, values in stored.items()}
+
+
+def _folder() -> Path:
+    """Return where they are kept: in the user's folder of state (XDG_STATE_HOME)."""
+    home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
+    return Path(home).expanduser() / "robot-runner" / "settings"
+
+
+def _started(pid: int) -> str:
+    """Return when a living process was started; empty for a dead one, and where there is no /proc (macOS)."""
+    stat = process_stat(pid)
+    return "" if not stat or stat[_STATE] in _DEAD else stat[_STARTED]

@@ -1,0 +1,278 @@
+"""What systems share that change nodes of the robot's graph for a run, and put back afterwards what was there."""
+
+from __future__ import annotations
+
+import json
+import logging
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.links.connect import connect_robot, is_simulated
+from robot_runner.core.plugin import System
+from robot_runner.core.words import enumerated
+from robot_runner.ros.kept_settings import KeptSettings, left_settings
+from robot_runner.ros.node_services import NodeNotReadyError, full_node
+from robot_runner.ros.parameter_access import all_at_once
+from robot_runner.ros.parameter_values import same_value, to_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.plugin import Circumstances, Plugin
+    from robot_runner.ros.kept_settings import Settings
+    from robot_runner.ros.parameter_values import ParameterValue
+
+__all__ = ["RestoredSettings", "check_left_settings"]
+
+_log = logging.getLogger(__name__)
+
+#: How often a node is looked for that is not there yet, s.
+_LOOK = 0.1
+_BY_HAND = "Set it by hand, or restart the node."
+
+
+class RestoredSettings(System):
+    """Sets something of nodes before the mission, sees that they have it, and puts back what was there.
+
+    What was there is written to a file first (`kept_settings`). The run puts it back at its end, whether it failed or
+    not; where the run was killed, the process that stands by for this does; where that was killed as well, the next run
+    with a plugin of this class on this robot.
+
+    Args:
+        settings: what is to be set, by node and by name.
+        name: tells several instances apart; the class's name if left out.
+        namespace: which robot, where there are several.
+        patience: how long a node may take to appear on the graph before a run starts, s.
+        timeout: how long each answer of a node may take, s.
+
+    Attributes:
+        kind: what is set, in the plural; names the file of raw data.
+        settings: what is to be set.
+    """
+
+    kind: ClassVar[str]
+
+    def __init__(
+        self, settings: Settings, *, name: str | None, namespace: str, patience: float, timeout: float
+    ) -> None:
+        super().__init__(name=name)
+        for word, seconds in (("patience", patience), ("timeout", timeout)):
+            if not isinstance(seconds, int | float) or isinstance(seconds, bool) or not 0 <= seconds < float("inf"):
+                raise PluginError(f"{word} is {seconds!r}", where=self.name, fix="Give a number of seconds.")
+        self.settings = settings
+        self.namespace = namespace
+        self.patience = patience
+        self.timeout = timeout
+        self._kept: KeptSettings | None = None
+        self._is_set = False
+        self._facts: dict[str, dict[str, dict[str, Any]]] = {}
+
+    def read(self, link: RobotLink, node: str, names: Sequence[str]) -> Mapping[str, ParameterValue]:
+        """Return what a node has; raises a `LinkError` where it cannot be asked."""
+        raise NotImplementedError
+
+    def write(self, link: RobotLink, node: str, values: Mapping[str, ParameterValue]) -> None:
+        """Set what a node is to have; raises a `LinkError` where it does not take it."""
+        raise NotImplementedError
+
+    def doubts(self, link: RobotLink, settings: Settings) -> Iterable[tuple[str, str]]:
+        """Yield what may make the settings vain, each with a remedy; nothing, if not overridden."""
+        del link, settings
+        return ()
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Yield that there is no robot, and what runs that were killed have left changed on it."""
+        where = f"plugin {self.name}"
+        if circumstances.robot is None:
+            problem = f"the plugin sets {self.kind} of a robot's nodes, and the experiment names none"
+            yield Finding.error(
+                where, problem, "Name one in the config: robot = 'simulated'. Or: --set robot=simulated."
+            )
+            return
+        for kept in left_settings(self.kind, circumstances.robot):
+            yield Finding.warning(where, _left(kept), "They are put back before the first run.")
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Set what the run is to have, and see that the nodes have it.
+
+        Raises:
+            LinkError: a node is not there, does not take it, or has something else afterwards.
+        """
+        self._kept, self._is_set, self._facts = None, False, {}
+        link = connect_robot(context, namespace=self.namespace)
+        self._put_back_left(context, link)
+        wanted = {full_node(link, node): dict(values) for node, values in self.settings.items()}
+        for problem, fix in self.doubts(link, wanted):
+            context.warn(problem, fix=fix)
+        before = self._awaited(context, link, wanted)
+        self._kept = KeptSettings.of_this_process(self.kind, str(context.robot), self.name, before, wanted)
+        if not is_simulated(context.robot):  # which ends with its run
+            self._kept.write()
+        self._note(context, "before", before)
+        for node, values in wanted.items():
+            self.write(link, node, values)
+        found = self._read_all(link, wanted)
+        self._note(context, "set", wanted)
+        self._note(context, "during", found)
+        all_at_once([_not_taken(*each) for each in _differences(wanted, found)], where=self.name)
+        self._is_set = True
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Put back what was there before the run; what somebody else has changed in it makes the run doubtful.
+
+        Raises:
+            LinkError: a node cannot be asked, or does not take it.
+        """
+        kept = self._kept
+        if kept is None:
+            return
+        link = connect_robot(context, namespace=self.namespace)
+        for problem, fix in self._restore(link, kept, context):
+            context.warn(problem, fix=fix)
+        self._kept = None
+        kept.remove()
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Put back what a run that was killed has left, or one that could not; what cannot be, stays in its file."""
+        kept = [*([self._kept] if self._kept is not None else []), *left_settings(self.kind, context.robot)]
+        self._kept = None
+        for each in kept:
+            try:
+                for problem, fix in self._restore(connect_robot(context, namespace=self.namespace), each, None):
+                    context.warn(problem, fix=fix)
+                each.remove()
+            except LinkError as error:
+                _log.warning("%s of %s are not put back: %s", self.kind, enumerated(each.before), error)
+
+    def _put_back_left(self, context: RobotRunnerContext, link: RobotLink) -> None:
+        for kept in left_settings(self.kind, context.robot):
+            problems = list(self._restore(link, kept, None))
+            kept.remove()
+            context.warn(f"{_left(kept)}; they were put back before this run", fix="Look how that run ended.")
+            for problem, fix in problems:
+                context.warn(problem, fix=fix)
+
+    def _restore(
+        self, link: RobotLink, kept: KeptSettings, context: RobotRunnerContext | None
+    ) -> Iterator[tuple[str, str]]:
+        """Put back what was there, node by node, the last one first; yield what is not put back, with a remedy.
+
+        Where the run's own `context` is given, all is put back. What a dead run left is put back only where it is as
+        that run set it: somebody else may have changed it since, or started the node again.
+        """
+        errors: list[LinkError] = []
+        for node, before in reversed(list(kept.before.items())):
+            try:
+                yield from self._restore_node(link, kept, node, before, context)
+            except NodeNotReadyError:
+                yield f"{node} is gone, so that its {self.kind} are not put back", "Nothing, if it was to end."
+            except LinkError as error:
+                errors.append(error)
+        all_at_once(errors, where=self.name)
+
+    def _restore_node(
+        self,
+        link: RobotLink,
+        kept: KeptSettings,
+        node: str,
+        before: Mapping[str, ParameterValue],
+        context: RobotRunnerContext | None,
+    ) -> Iterator[tuple[str, str]]:
+        now, wanted = self.read(link, node, list(before)), kept.wanted[node]
+        odd = {name: value for name, value in now.items() if not _is_among(value, before[name], wanted[name])}
+        if context is not None:
+            self._note(context, "after", {node: now})
+            for name, value in now.items():
+                if self._is_set and not same_value(value, wanted[name]):
+                    problem = f"{name} of {node} was set to {wanted[name]!r}, and is {value!r} after the mission"
+                    context.broker.doubt_run(context.owner, problem, "Look who else sets it.")
+        else:
+            for name, value in odd.items():
+                problem = f"{name} of {node} is {value!r} and not {wanted[name]!r}, as a run set it that died"
+                yield f"{problem}: it is left so", _BY_HAND
+        left = odd if context is None else {}
+        names = [
+            name for name in reversed(list(before)) if name not in left and not same_value(now[name], before[name])
+        ]
+        back = {name: before[name] for name in names}
+        if back:
+            self.write(link, node, back)
+            found = self.read(link, node, list(back))
+            if context is not None:
+                self._note(context, "restored", {node: found})
+            for _, name, was, found_value in _differences({node: back}, {node: found}):
+                yield f"{name} of {node} was {was!r} before the run, and is {found_value!r} now", _BY_HAND
+
+    def _awaited(self, context: RobotRunnerContext, link: RobotLink, wanted: Settings) -> Settings:
+        """Return what there is before the run, as soon as the nodes are there."""
+        deadline = context.clock.now() + self.patience
+        while True:
+            try:
+                return self._read_all(link, wanted)
+            except NodeNotReadyError:
+                if context.clock.now() >= deadline:
+                    raise
+                context.clock.sleep(_LOOK)
+
+    def _read_all(self, link: RobotLink, wanted: Settings) -> Settings:
+        found, errors = {}, []
+        for node, values in wanted.items():
+            try:
+                found[node] = self.read(link, node, list(values))
+            except NodeNotReadyError:
+                raise
+            except LinkError as error:
+                errors.append(error)
+        all_at_once(errors, where=self.name)
+        return found
+
+    def _note(self, context: RobotRunnerContext, when: str, settings: Settings) -> None:
+        """Keep in the raw data what the settings are at a moment of the run."""
+        for node, values in settings.items():
+            for name, value in values.items():
+                self._facts.setdefault(node, {}).setdefault(name, {})[when] = to_json(value)
+        text = json.dumps(self._facts, indent=1, ensure_ascii=False)
+        (context.raw_data_folder / f"{self.kind}.json").write_text(text, encoding="utf-8")
+
+
+def check_left_settings(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
+    """Yield that nodes of this robot are as a run set them that was killed; a check of each experiment.
+
+    An experiment with a plugin of the kind puts them back itself, and says so.
+    """
+    kinds = {plugin.kind for plugin in plugins if isinstance(plugin, RestoredSettings)}
+    for each in RestoredSettings.__subclasses__():
+        for kept in left_settings(each.kind, parameters.robot) if each.kind not in kinds else ():
+            fix = f"Restart the nodes, or execute an experiment with {each.__name__} on this robot: it puts them back."
+            yield Finding.warning(where, _left(kept), fix)
+
+
+def _left(kept: KeptSettings) -> str:
+    nodes = enumerated(kept.before)
+    return f"{kept.kind} of {nodes} are still as {kept.plugin} set them in process {kept.owner[0]}, which was killed"
+
+
+def _is_among(value: ParameterValue, *others: ParameterValue) -> bool:
+    return any(same_value(value, other) for other in others)
+
+
+def _differences(wanted: Settings, found: Settings) -> Iterator[tuple[str, str, ParameterValue, ParameterValue]]:
+    """Yield where nodes have something else than they should: node, name, both values."""
+    for node, values in wanted.items():
+        for name, value in values.items():
+            if not same_value(value, found[node][name]):
+                yield node, name, value, found[node][name]
+
+
+def _not_taken(node: str, name: str, wanted: ParameterValue, found: ParameterValue) -> LinkError:
+    problem = f"{wanted!r} was set, and the node has {found!r}"
+    fix = "Set a value that it keeps: a run with another one would not be what its row says."
+    return LinkError(problem, where=f"{node}: {name}", fix=fix)
