@@ -83,8 +83,8 @@ class GraphLink:
         self._first_fault: tuple[str, Exception] | None = None
         self._is_closed = False
         self._transport = connect()
-        self.parameter_server: ParameterServer | None = getattr(self._transport, "parameter_server", None)
         self._goals = LinkGoals(self._transport.actions, self._transport.wait)
+        self.parameter_server: ParameterServer | None = getattr(self._transport, "parameter_server", None)
 
     @property
     def is_simulated(self) -> bool:

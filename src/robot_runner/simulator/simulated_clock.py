@@ -8,7 +8,7 @@ import time
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.joint_missions import sleep_with_others
+from robot_runner.core.events.joint_missions import sleep_by, sleep_with_others
 from robot_runner.core.links.goals import ActionCanceled
 
 if TYPE_CHECKING:
@@ -94,13 +94,11 @@ class ClockWorker:
     Args:
         clock: that it may sleep on.
         work: what it does.
-        workers: the clock's, by thread.
     """
 
-    def __init__(self, clock: SimulatedClock, work: Callable[[], None], workers: dict[int, ClockWorker]) -> None:
+    def __init__(self, clock: SimulatedClock, work: Callable[[], None]) -> None:
         self._clock = clock
         self._work = work
-        self._workers = workers
         self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
         self._is_over, self._is_stopped = False, False
         self._thread = threading.Thread(target=self._run, name="simulated work", daemon=True)
@@ -139,14 +137,13 @@ class ClockWorker:
             )
 
     def _run(self) -> None:
-        self._workers[threading.get_ident()] = self
+        sleep_by(self.sleep)
         self._go.acquire()
         try:
             if not self._is_stopped:
                 self._work()
         finally:
             self._is_over = True
-            self._workers.pop(threading.get_ident(), None)
             self._back.release()
 
 
@@ -169,7 +166,6 @@ class SimulatedClock:
         self._due: list[tuple[int, int, Ticker]] = []
         self._scheduled = 0
         self._is_moving_on = False
-        self._workers: dict[int, ClockWorker] = {}
 
     @property
     def now_ns(self) -> int:
@@ -192,10 +188,6 @@ class SimulatedClock:
             LinkError: a callback that this clock called sleeps on it.
         """
         if sleep_with_others(seconds):
-            return
-        worker = self._workers.get(threading.get_ident())
-        if worker is not None:
-            worker.sleep(seconds)
             return
         if self._is_moving_on:
             raise LinkError(
@@ -231,7 +223,7 @@ class SimulatedClock:
 
     def work(self, work: Callable[[], None]) -> ClockWorker:
         """Begin to do work in a thread that may sleep on this clock, from the next moment that passes."""
-        return ClockWorker(self, work, self._workers)
+        return ClockWorker(self, work)
 
     def _move_in_pace(self, target_ns: int, factor: float) -> None:
         began, began_ns = time.monotonic(), self._now_ns
