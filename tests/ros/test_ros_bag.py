@@ -10,15 +10,17 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from tests.core.links.ssh_server import SshServer
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Origin
-from robot_runner.core.links.robot import Encoding, GraphEndpoint
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.ros.bag_file import began_late, messages_in, new_bag
 from robot_runner.ros.bag_recorder import BagProgram
+from robot_runner.ros.recorded_bag import RecordedBag
 from robot_runner.ros.ros_bag import RosBag
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.type_catalogue import TypeCatalogue
@@ -53,9 +55,9 @@ def _robot(clock, *, is_simulated=False, link=HeardRobotLink):
 
 @pytest.fixture
 def record(tmp_path):
-    def execute(plugin, **how):
+    def execute(plugin, make=_robot, **how):
         clock = FakeClock(50.0)
-        context = make_context(tmp_path, plugin, links=FakeLinks(robot=_robot(clock, **how)), clock=clock)
+        context = make_context(tmp_path, plugin, links=FakeLinks(robot=make(clock, **how)), clock=clock)
         rehearse(context, plugin, mission=lambda: clock.sleep(2.0))
         return context
 
@@ -127,6 +129,50 @@ def test_a_bag_that_begins_after_the_mission_says_by_how_much(tmp_path):
     assert began_late(tmp_path, begin) == pytest.approx(0.25)
     assert began_late(tmp_path, begin + 300_000_000) == 0.0
     assert began_late(tmp_path / "nothing", begin) == 0.0
+
+
+def _qos_by_topic(path):
+    with AnyReader([path]) as reader:
+        return {connection.topic: connection.ext.offered_qos_profiles for connection in reader.connections}
+
+
+def test_others_can_play_what_was_recorded_with_the_qos_of_its_publishers(record, tmp_path):
+    def robot(clock, **how):
+        link = _robot(clock, **how)
+        link.known_publishers["/odom"] = [GraphEndpoint("/base", "nav_msgs/Odometry", qos=Qos.SENSOR_DATA)]
+        link.known_publishers["/voice"] = [GraphEndpoint("/a", "std_msgs/String", qos=Qos.TRANSIENT_LOCAL)]
+        return link
+
+    context = record(RosBag(["odom", "voice"], by="link"), make=robot)
+    folder = context.raw_data_folder
+    for path in (folder, folder / "bag.mcap"):  # by its metadata.yaml, and by the file alone
+        offered = _qos_by_topic(path)
+        ((odom,), (voice,)) = offered["/odom"], offered["/voice"]
+        assert (odom.reliability.name, odom.durability.name, odom.depth) == ("BEST_EFFORT", "VOLATILE", 5)
+        assert (voice.reliability.name, voice.durability.name, voice.depth) == ("RELIABLE", "TRANSIENT_LOCAL", 1)
+        assert odom.deadline == (9223372036, 854775807)
+    told = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (told["version"], told["storage_identifier"], told["relative_file_paths"]) == (5, "mcap", ["bag.mcap"])
+    assert (
+        told["message_count"]
+        == context.measures["BagMessages"]
+        == sum(each["message_count"] for each in told["topics_with_message_count"])
+    )
+    assert [*map(str, _read(folder))] == [*map(str, _read(folder / "bag.mcap"))]
+    with RecordedBag(folder) as bag:  # and so does our own player
+        assert {topic.name: topic.qos for topic in bag.chosen(None)} == {
+            "/odom": Qos.SENSOR_DATA, "/voice": Qos.TRANSIENT_LOCAL
+        }  # fmt: skip
+        assert bag.begin_ns == told["starting_time"]["nanoseconds_since_epoch"]
+        assert bag.end_ns - bag.begin_ns == told["duration"]["nanoseconds"]
+
+
+def test_a_bag_of_nothing_can_still_be_opened(tmp_path):
+    bag = new_bag(tmp_path, Encoding.CDR)
+    bag.add_topic('/odd " name: [', "std_msgs/String", "string data\n")
+    bag.close()
+    with AnyReader([tmp_path]) as reader:
+        assert (reader.message_count, [each.topic for each in reader.connections]) == (0, ['/odd " name: ['])
 
 
 def test_it_is_not_used_where_the_link_is_asked_for(record, programs):

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -12,7 +15,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from tests.ros.dds_domain import LOOPBACK, claim_domain
-from tests.ros.ros1_master import quiet_about_rospy
+from tests.ros.ros1_master import quiet_about_rospy, ros1_environment
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.ros.dds_link import open_dds_link
@@ -67,6 +70,8 @@ def _check(measures, context, published):
     with AnyReader([bag], default_typestore=get_typestore(Stores.EMPTY)) as reader:
         (connection,) = reader.connections
         assert connection.topic == "/odom"
+        if bag.suffix == ".mcap":  # a graph of ROS 2 tells how its publishers offer what they publish
+            assert [each.reliability.name for each in connection.ext.offered_qos_profiles] == ["RELIABLE"]
         stamps = [
             (stamp, reader.deserialize(data, connection.msgtype).header.stamp) for _, stamp, data in reader.messages()
         ]
@@ -124,3 +129,47 @@ def test_topics_bag_and_graph_over_ros_1(tmp_path, master_uri):
     assert measures["OdomDropped"] == 0
     label = node.strip("/").replace("/", "_")
     assert measures[f"CPU_{label}"] > 0.0  # the process of this test, found by the number that the node tells
+
+
+PUBLISHER = """
+import sys, time, rospy
+from sensor_msgs.msg import Image
+rospy.init_node("camera", disable_signals=True)
+publisher = rospy.Publisher("/image", Image, queue_size=200)
+publisher.publish(Image())
+sys.stdin.readline()
+image = Image(data=bytes(5_000_000))
+for _ in range(100):
+    image.header.stamp = rospy.Time.from_sec(time.time())
+    publisher.publish(image)
+    time.sleep(0.002)
+print("published", flush=True)
+sys.stdin.readline()
+"""
+
+
+@quiet_about_rospy
+def test_large_messages_that_had_not_arrived_by_the_window_s_end_are_no_0_losses(tmp_path, master_uri):
+    environment = os.environ | ros1_environment(master_uri, tmp_path)
+    camera = subprocess.Popen(
+        [sys.executable, "-c", PUBLISHER], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    plugin = RosTopics(["image"], losses=True, patience=60.0)
+    context = make_context(tmp_path, plugin, robot=f"ros1:master={master_uri}", clock=SystemClock())
+
+    def mission():
+        camera.stdin.write("go\n")
+        camera.stdin.flush()
+        camera.stdout.readline()
+
+    try:
+        measures = rehearse(context, plugin, mission=mission)
+    finally:
+        context.resources.close()
+        camera.kill()
+        camera.communicate()
+    arrived = measures["ImageRate"] * context.window.duration
+    assert arrived < 80
+    assert measures["ImageDropped"] is None
+    (doubt,) = context.broker.findings
+    assert "more were due when the window ended: it is not known whether they were lost" in doubt.problem

@@ -9,9 +9,10 @@ import pytest
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Origin
+from robot_runner.core.events.window import Window
 from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.ros_topics import RosTopics
-from robot_runner.ros.topic_statistics import HeaderReader, missed
+from robot_runner.ros.topic_statistics import HeaderReader, ReceivedTopic, missed
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, ProfilerContract, make_context, rehearse
 
 
@@ -66,7 +67,23 @@ def test_rate_bandwidth_age_and_jitter_are_those_of_the_measured_window(measure)
 
 
 def test_what_is_lost_is_not_known_in_ros_2(measure):
-    assert measure(RosTopics(["odom"], losses=True)).measures["OdomDropped"] is None
+    context = measure(RosTopics(["odom"], losses=True))
+    assert context.measures["OdomDropped"] is None
+    (finding,) = context.broker.findings
+    assert "nothing numbers the messages" in finding.problem
+
+
+def test_losses_between_two_windows_belong_to_one_of_them_and_those_that_may_come_later_to_none():
+    topic = ReceivedTopic("Odom", None)
+    for number in (1, 2, 3, 7, 8, 9, 10, 11, 12, 13):
+        topic.times.append(number * 0.1)
+        topic.ages.append(0.01)
+        topic.sizes.append(100)
+        topic.sequence.append(number)
+    windows = Window(0.0, 0.5), Window(0.5, 1.35)
+    assert [topic.over(window).dropped(window) for window in windows] == [0, 3]
+    late = Window(0.5, 3.0)
+    assert (topic.over(late).dropped(late), topic.over(late).underway(late)) == (None, 17)
 
 
 def test_a_topic_that_falls_silent_is_warned_of(measure):

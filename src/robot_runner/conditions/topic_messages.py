@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computer_state import ComputerBattery
 from robot_runner.conditions.computers import ComputerName
 from robot_runner.conditions.graph_presence import check_robot_named
-from robot_runner.core.errors import ConditionError, Finding, LinkError, did_you_mean
+from robot_runner.core.errors import ConditionError, Finding, LinkError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.links.connect import connect_robot, is_simulated
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.message_fields import field_of
 from robot_runner.core.words import one_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from contextlib import ExitStack
     from pathlib import Path
 
@@ -328,24 +328,11 @@ class _RobotBattery(_TopicField):
 
 
 def _number_at(message: Message, field: str, where: str) -> float:
-    found: Any = message
-    for name in field.split("."):
-        if isinstance(found, Mapping):
-            if name not in found:
-                fix = did_you_mean(name, map(str, found))
-                raise ConditionError(f"the message has no field {field!r}", where=where, fix=fix)
-            found = found[name]
-        else:
-            found = _item(found, name, field, where)
+    try:
+        found = field_of(message, field, where=where)
+    except LinkError as error:
+        raise ConditionError(error.problem, where=where, fix=error.fix) from error
     if isinstance(found, bool | int | float):
         return float(found)
     shown = one_line(repr(found))[:60]
     raise ConditionError(f"the field {field!r} is no number: {shown}", where=where, fix="Name a field that is one.")
-
-
-def _item(found: Any, name: str, field: str, where: str) -> Any:
-    try:
-        return found[int(name)]
-    except (TypeError, ValueError, IndexError, KeyError) as error:
-        fix = "Name a field with its numbers, as in 'ranges.0'."
-        raise ConditionError(f"the message has no field {field!r}", where=where, fix=fix) from error

@@ -1,25 +1,21 @@
-"""Treatments on their way into plugins: parameters that are bound to factors, and those that are set in vain."""
+"""Treatments on their way into plugins: parameters that are bound to factors."""
 
 from __future__ import annotations
 
 import inspect
-import sys
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from robot_runner.core.errors import PluginError, did_you_mean, nearest
+from robot_runner.core.errors import PluginError, did_you_mean
 from robot_runner.core.inactive import INACTIVE
+from robot_runner.core.vain_parameters import check_set, parameters_of
 
 if TYPE_CHECKING:
-    from types import FrameType
     from typing import Self
 
 __all__ = [
-    "CONFIG_MODULE",
     "Bindable",
     "Treatment",
     "bind",
@@ -28,13 +24,9 @@ __all__ = [
     "give_again",
     "given_to",
     "is_waiting",
-    "parameters_guarded",
     "treatment",
     "values_of",
 ]
-
-#: What the module of a config file is called while it is executed.
-CONFIG_MODULE = "robot_runner_config"
 
 _BINDING = "_robot_runner_binding"
 _WAITING = "_robot_runner_is_waiting"
@@ -241,10 +233,8 @@ class Bindable:
         Raises:
             PluginError: the code of a config sets a parameter.
         """
-        combination = _guarded.get()
         kind: Any = type(self)
-        if combination is not None and name in _parameters(kind) and _is_set_from_outside(kind, name):
-            raise _vain(kind.__name__, name, value, combination)
+        check_set(kind, name, value)
         super().__setattr__(name, value)
 
 
@@ -311,8 +301,8 @@ def give_again(plugin: Bindable, changed: Mapping[str, Any]) -> None:
     kind: Any = type(plugin)
     given, factors = given_to(plugin), factors_of(plugin)
     for name in changed:
-        if name not in _parameters(kind):
-            fix = did_you_mean(name, _parameters(kind))
+        if name not in parameters_of(kind):
+            fix = did_you_mean(name, parameters_of(kind))
             raise PluginError(f"it has no parameter {name!r}", where=kind.__name__, fix=fix)
         if name in factors:
             fix = "Leave it as it is, or vary it over other treatments."
@@ -323,82 +313,3 @@ def give_again(plugin: Bindable, changed: Mapping[str, Any]) -> None:
     made = kind(**{**given, **changed})
     vars(plugin).clear()
     vars(plugin).update(vars(made))
-
-
-# A parameter that the code of a config sets on a plugin that was built: most plugins never look at it again.
-
-#: While the code of a config is executed: the combination of the run, or nothing before there is one.
-_guarded: ContextVar[Iterable[str] | None] = ContextVar("guarded", default=None)
-
-
-@contextmanager
-def parameters_guarded(factors: Iterable[str] = ()) -> Iterator[None]:
-    """Have parameters of plugins refused that the code of a config sets, in this thread.
-
-    Args:
-        factors: the names among which the remedy looks for the one that is meant.
-    """
-    token = _guarded.set(factors)
-    try:
-        yield
-    finally:
-        _guarded.reset(token)
-
-
-@lru_cache
-def _parameters(kind: type) -> frozenset[str]:
-    """Return the names that can be given where a plugin is made; with `**keywords`, those of its parents as well."""
-    names: set[str] = set()
-    for each in kind.__mro__[:-1]:
-        if "__init__" not in vars(each):
-            continue
-        own = inspect.signature(vars(each)["__init__"]).parameters.values()
-        names |= {parameter.name for parameter in list(own)[1:] if parameter.kind not in _OPEN}
-        if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in own):
-            break
-    return frozenset(names)
-
-
-_OPEN = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-
-
-def _is_set_from_outside(kind: type, name: str) -> bool:
-    """Whether no code of the plugin's own sets an attribute at this moment; where in doubt, its own does."""
-    if hasattr(getattr(kind, name, None), "__set__"):  # a property: its author provides for it
-        return False
-    frame: FrameType | None = sys._getframe(2)  # noqa: SLF001 - who sets the attribute is told by nothing else
-    if frame is not None and _package(frame.f_globals.get("__name__", "")) in _packages(kind):
-        return False
-    own_names, own_code = _own_code(kind)
-    while frame is not None:
-        if frame.f_code in own_code or frame.f_code.co_qualname.startswith(own_names):
-            return False
-        frame = frame.f_back
-    return True
-
-
-def _package(module: str) -> str:
-    return module.partition(".")[0]
-
-
-def _packages(kind: type) -> set[str]:
-    return {_package(each.__module__) for each in kind.__mro__} - {CONFIG_MODULE}
-
-
-@lru_cache
-def _own_code(kind: type) -> tuple[tuple[str, ...], frozenset[object]]:
-    """Return how the names of a plugin's methods begin, and the code of those that were made without a name there."""
-    found = (getattr(value, "__func__", value) for each in kind.__mro__[:-1] for value in vars(each).values())
-    code = frozenset(each.__code__ for each in found if hasattr(each, "__code__"))
-    return tuple(f"{each.__qualname__}." for each in kind.__mro__[:-1]), code
-
-
-def _vain(kind: str, name: str, value: object, factors: Iterable[str]) -> PluginError:
-    known = list(factors)
-    factor = nearest(name, known) or (known[0] if len(known) == 1 else name.capitalize())
-    return PluginError(
-        f"{name} is a parameter of {kind}: changing it has no effect once it is built",
-        where=kind,
-        fix=f"To vary it, bind it: {kind}({name}=treatment({factor!r})). "
-        f"Otherwise give it where {kind} is made: {kind}({name}={value!r}).",
-    )

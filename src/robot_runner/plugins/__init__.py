@@ -31,8 +31,11 @@ if TYPE_CHECKING:
     from robot_runner.core.links.connect import connect_host as connect_host
     from robot_runner.core.links.connect import connect_robot as connect_robot
     from robot_runner.core.links.connect import open_serial_line as open_serial_line
+    from robot_runner.core.links.goals import ActionAborted as ActionAborted
+    from robot_runner.core.links.goals import ActionCanceled as ActionCanceled
     from robot_runner.core.links.graph_needs import GraphNeed as GraphNeed
     from robot_runner.core.links.measured_machine import Computer as Computer
+    from robot_runner.core.links.outside_run import open_robot as open_robot
     from robot_runner.core.plugin import Circumstances as Circumstances
     from robot_runner.core.plugin import Plugin as Plugin
     from robot_runner.core.plugin import Profiler as Profiler

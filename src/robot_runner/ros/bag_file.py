@@ -10,11 +10,12 @@ from itertools import islice, pairwise
 from statistics import median
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from robot_runner.core.errors import PluginError
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.ros.bag_metadata import Contents, offered_profiles
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.core.links.robot import RawMessage, RobotLink
@@ -47,6 +48,8 @@ def new_bag(folder: Path, encoding: Encoding) -> McapBag | Ros1Bag:
 class McapBag:
     """A bag of ROS 2, as one MCAP file (mcap.dev, profile `ros2`), at `path`.
 
+    Beside it, `metadata.yaml` makes its folder a bag that `ros2 bag play` and `ros2 bag info` take.
+
     Example:
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
@@ -66,25 +69,33 @@ class McapBag:
         self._file = path.open("wb")
         self._writer = Writer(self._file, compression=CompressionType.NONE)
         self._writer.start(profile="ros2", library="robot-runner")
-        self._counts: list[int] = [0]
+        self._contents = Contents(path.name)
 
-    def add_topic(self, topic: str, message_type: str, definition: str) -> int:
-        """Tell of a topic, by its full name, and return the number by which its messages are written."""
+    def add_topic(self, topic: str, message_type: str, definition: str, offers: Iterable[Qos] = ()) -> int:
+        """Tell of a topic, by its full name, and return the number by which its messages are written.
+
+        Args:
+            topic: its full name.
+            message_type: ROS name.
+            definition: of the type, with those that it is made of.
+            offers: the profiles of its publishers; a player offers the same.
+        """
         package, _, name = message_type.partition("/")
-        schema = self._writer.register_schema(f"{package}/msg/{name}", "ros2msg", definition.encode())
-        self._counts.append(0)
-        return self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": ""})
+        described = self._contents.add(topic, f"{package}/msg/{name}", offered_profiles(offers))
+        schema = self._writer.register_schema(described.message_type, "ros2msg", definition.encode())
+        return self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": described.offered})
 
     def write(self, topic: int, received_ns: int, data: bytes) -> None:
         """Write one message; `received_ns` is in ns since the epoch."""
-        self._counts[topic] += 1
-        self._writer.add_message(topic, received_ns, data, received_ns, self._counts[topic])
+        number = self._contents.count(topic, received_ns)
+        self._writer.add_message(topic, received_ns, data, received_ns, number)
 
     def close(self) -> None:
-        """Finish the file; closing twice does nothing."""
+        """Finish the file, and describe it; closing twice does nothing."""
         if not self._file.closed:
             self._writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
             self._file.close()
+            self._contents.write(self.path.parent)
 
 
 class Ros1Bag:
@@ -99,11 +110,14 @@ class Ros1Bag:
         self._topics: list[Any] = []
         self._is_closed = False
 
-    def add_topic(self, topic: str, message_type: str, definition: str) -> int:
+    def add_topic(self, topic: str, message_type: str, definition: str, offers: Iterable[Qos] = ()) -> int:
         """Tell of a topic, by its full name, and return the number by which its messages are written."""
+        latched = int(Qos.TRANSIENT_LOCAL in offers)
         package, _, name = message_type.partition("/")
         full = f"{package}/msg/{name}"
-        connection = self._writer.add_connection(topic, full, msgdef=definition, md5sum=_md5(full, definition))
+        connection = self._writer.add_connection(
+            topic, full, msgdef=definition, md5sum=_md5(full, definition), latching=latched
+        )
         self._topics.append(connection)
         return len(self._topics) - 1
 
@@ -154,6 +168,14 @@ def _read(folder: Path, look: Callable[[Any], _Found]) -> _Found | None:
             return look(reader)
     except (AnyReaderError, OSError):
         return None
+
+
+def _offers(link: RobotLink, topic: str) -> set[Qos]:
+    """Return the profiles that the publishers of a topic offer; none where the graph does not tell."""
+    try:
+        return {each.qos for each in link.publishers(topic) if each.qos is not None}
+    except LinkError:  # a rosbridge without rosapi
+        return set()
 
 
 def _md5(name: str, definition: str) -> str:
@@ -225,7 +247,8 @@ class LinkRecorder:
         return None if self._fault is None else f"the bag could not be written to its end: {self._fault}"
 
     def _subscribe(self, link: RobotLink, topic: TypedTopic) -> None:
-        number = self._bag.add_topic(topic.full_name, topic.message_type, link.definition(topic.message_type))
+        definition = link.definition(topic.message_type)
+        number = self._bag.add_topic(topic.full_name, topic.message_type, definition, _offers(link, topic.full_name))
 
         def receive(message: RawMessage) -> None:
             if self._is_recording:

@@ -175,6 +175,10 @@ class RosTopics(Profiler):
             for problem in received.doubts(quality):
                 fix = _CLOCKS_FIX if received.is_ahead else _FIX
                 context.doubt(f"topic {topic}: {problem}", fix=fix, measures=doubted)
+            unknown = received.loss_doubt(window) if self.losses else None
+            if unknown is not None:
+                fix = "Count the messages where they are published, and compare with the recorded ones."
+                context.doubt(f"topic {topic}: {unknown}", fix=fix, measures=[received.label + DROPPED])
         details = {"is_simulated": self._is_simulated, "topics": facts}
         write_quality(context.raw_data_folder / "quality.json", None, window, details, sampled=self._sampled)
 

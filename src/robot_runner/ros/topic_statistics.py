@@ -32,6 +32,7 @@ __all__ = [
     "TypedTopic",
     "found_topics",
     "missed",
+    "nearest_rank",
     "robot_findings",
     "topic_label",
 ]
@@ -160,6 +161,11 @@ _UINT32 = 1 << 32
 #: One publisher that is started anew lets the numbers fall once; more often than this, there are several.
 _STEPS_A_FALL = 100
 
+#: Share of a window's messages beyond which those that were on their way at its end leave it open what was lost: a few
+#: always are, and of large ones on a slow network most may be.
+_MOST_UNDERWAY = 0.1
+_FEW = 3
+
 #: So far may a stamp lie in the future, s, before clocks are said to differ: they are never quite one.
 _AHEAD = 0.001
 
@@ -181,6 +187,16 @@ def missed(sequence: Sequence[int]) -> int | None:
     return sum(step - 1 for step in steps if 1 < step < _UINT32 // 2)
 
 
+def nearest_rank(ordered: Sequence[float], share: float) -> float | None:
+    """Return a percentile of numbers in ascending order: the least that so large a share does not exceed.
+
+    Example:
+        >>> nearest_rank([0.1, 0.2, 0.3, 0.9], 0.5), nearest_rank([], 0.99)
+        (0.2, None)
+    """
+    return ordered[max(0, math.ceil(share * len(ordered)) - 1)] if ordered else None
+
+
 @dataclass(slots=True)
 class ReceivedTopic:
     """What was received of one topic while it was measured.
@@ -193,6 +209,7 @@ class ReceivedTopic:
         sizes: of each, bytes.
         ages: of each at its arrival, s; NaN where it has no stamp.
         sequence: the number of each; -1 where it has none.
+        before: the number of the last message before the window; None where it has none.
     """
 
     label: str
@@ -202,6 +219,7 @@ class ReceivedTopic:
     sizes: array[int] = field(default_factory=lambda: array("q"))
     ages: array[float] = field(default_factory=lambda: array("d"))
     sequence: array[int] = field(default_factory=lambda: array("q"))
+    before: int | None = None
 
     def take(self, time: float, message: RawMessage, header: HeaderReader) -> None:
         """Note a message that arrived at this time of the run's clock."""
@@ -214,8 +232,9 @@ class ReceivedTopic:
     def over(self, window: Window) -> ReceivedTopic:
         """Return what was received in a window; its end counts and its beginning does not, so that windows add up."""
         first, last = bisect_right(self.times, window.start), bisect_right(self.times, window.end)
-        times, sizes = self.times[first:last], self.sizes[first:last]
-        return replace(self, times=times, sizes=sizes, ages=self.ages[first:last], sequence=self.sequence[first:last])
+        times, sizes, sequence = self.times[first:last], self.sizes[first:last], self.sequence[first:last]
+        before = self.sequence[first - 1] if first and self.sequence[first - 1] >= 0 else None
+        return replace(self, times=times, sizes=sizes, ages=self.ages[first:last], sequence=sequence, before=before)
 
     @property
     def known_numbers(self) -> list[int]:
@@ -238,6 +257,30 @@ class ReceivedTopic:
         rate = self.rate or max(len(self.times), 1) / (window.duration or 1.0)
         return quality_of(self.times, window, rate)
 
+    def underway(self, window: Window) -> int:
+        """Return how many messages the publisher had sent by the window's end that had not arrived, by their rate.
+
+        What a stamp says counts as the moment of publishing, or else the arrival.
+        """
+        if len(self.times) < 2:  # noqa: PLR2004 - a rate needs two
+            return 0
+        delays = [age if math.isfinite(age) and not self.is_ahead else 0.0 for age in (self.ages[0], self.ages[-1])]
+        first, last = self.times[0] - delays[0], self.times[-1] - delays[1]
+        numbers = self.known_numbers
+        count = numbers[-1] - numbers[0] if len(numbers) == len(self.times) else len(self.times) - 1
+        return max(0, int((window.end - last) * count / (last - first))) if last > first else 0
+
+    def dropped(self, window: Window) -> int | None:
+        """Return how many messages were lost; None where it cannot be known.
+
+        That is so where nothing counts the messages, and where many were on their way when the window ended: they may
+        have been dropped, or have come later.
+        """
+        return None if self._is_behind(window) else missed([*_known(self.before), *self.known_numbers])
+
+    def _is_behind(self, window: Window) -> bool:
+        return self.underway(window) > max(_FEW, _MOST_UNDERWAY * len(self.times))
+
     def values(self, window: Window) -> Mapping[str, float | None]:
         """Return the measures of the window, without the topic's label."""
         ages = [] if self.is_ahead else self.known_ages
@@ -249,7 +292,7 @@ class ReceivedTopic:
             "Age": math.fsum(ages) / len(ages) if ages else None,
             "MaxAge": max(ages, default=None),
             "Jitter": None if jitter is None else jitter.p95,
-            DROPPED: missed(self.known_numbers),
+            DROPPED: self.dropped(window),
         }
 
     def columns(self) -> list[Column]:
@@ -272,3 +315,19 @@ class ReceivedTopic:
             yield from quality.warnings()
         if self.is_ahead:
             yield f"a message was stamped {-min(self.known_ages):.3f} s after it arrived, so ages are not known"
+
+    def loss_doubt(self, window: Window) -> str | None:
+        """Say why it is not known how many messages were lost; None where it is."""
+        if not self.times or self.dropped(window) is not None:
+            return None
+        if not self._is_behind(window):
+            return "nothing numbers the messages, so that it is not known how many were lost"
+        due, arrived = self.underway(window), len(self.times)
+        return (
+            f"{arrived} messages arrived, and by their rate about {due} more were due when the window ended: it is not "
+            "known whether they were lost or came later"
+        )
+
+
+def _known(number: int | None) -> list[int]:
+    return [] if number is None else [number]

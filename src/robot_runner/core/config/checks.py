@@ -34,7 +34,7 @@ from robot_runner.core.links.several_robots import Robots
 from robot_runner.core.storage.executed_runs import done_runs
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
-from robot_runner.core.treatments import parameters_guarded
+from robot_runner.core.vain_parameters import parameters_guarded
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:

@@ -19,7 +19,8 @@ from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableSpelling
-from robot_runner.core.treatments import CONFIG_MODULE, is_waiting, parameters_guarded
+from robot_runner.core.treatments import is_waiting
+from robot_runner.core.vain_parameters import CONFIG_MODULE, parameters_guarded
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

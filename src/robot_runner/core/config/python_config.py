@@ -17,7 +17,7 @@ from robot_runner.core.config.source import ConfigSource, read_source
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import recorded_subscriptions
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.treatments import parameters_guarded
+from robot_runner.core.vain_parameters import parameters_guarded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

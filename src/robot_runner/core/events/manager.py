@@ -12,7 +12,7 @@ from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ConfigError, did_you_mean
-from robot_runner.core.treatments import parameters_guarded
+from robot_runner.core.vain_parameters import parameters_guarded
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator

@@ -52,6 +52,7 @@ __all__ = [
     "open_serial_line",
     "preload_robot",
     "preload_simulation",
+    "resolved_robot",
     "robot_namespace",
 ]
 
@@ -75,7 +76,7 @@ def link_findings(robot: str | None) -> list[Finding]:
     if robot is None:
         return []
     try:
-        kind, name = _resolved(robot)
+        kind, name = resolved_robot(robot)
         return kind.findings(name)
     except (LinkError, PluginError) as error:
         return [error.as_finding()]
@@ -91,7 +92,7 @@ def begin_graph_look(robot: str, needs: Mapping[str, Sequence[GraphNeed]]) -> Ca
     Raises:
         LinkError: there is no such robot, or a name cannot be one.
     """
-    kind, name = _resolved(robot)
+    kind, name = resolved_robot(robot)
     if kind.is_simulated or not isinstance(kind, LooksAtGraph):
         return None
     full = {
@@ -159,7 +160,7 @@ def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
     """
     if robot is None:
         return SystemClock()
-    kind, name = _resolved(robot)
+    kind, name = resolved_robot(robot)
     return kind.open_clock(name, resources=resources, seed=seed)
 
 
@@ -170,7 +171,7 @@ def preload_robot(robot: str | None) -> None:
         LinkError: there is no such link.
     """
     if robot is not None:
-        kind, name = _resolved(robot)
+        kind, name = resolved_robot(robot)
         if isinstance(kind, Preloads):
             kind.preload(name)
 
@@ -311,16 +312,20 @@ def _robot_of(context: RobotRunnerContext) -> tuple[RobotLinkKind, RobotName]:
             where="robot",
             fix=f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}.",
         )
-    return _resolved(context.robot)
+    return resolved_robot(context.robot)
 
 
-def _resolved(robot: str) -> tuple[RobotLinkKind, RobotName]:
-    """Return the kind of link of a robot's name, and the name; what is to be looked for is found."""
+def resolved_robot(robot: str) -> tuple[RobotLinkKind, RobotName]:
+    """Return the kind of link of a robot's name, and the name; what is to be looked for is found.
+
+    Raises:
+        LinkError: there is no such link, or no robot was found.
+    """
     name = RobotName.parse(robot)
     kind = link_kind(name.link)
     if isinstance(kind, FindsRobot):
         if name.address is None:
-            return _resolved(kind.found_robot().name)
+            return resolved_robot(kind.found_robot().name)
     elif kind is not None:
         return kind, name if name.address is None or kind.takes_address else _named_on_graph(name)
     near = nearest(robot.partition(":")[0], installed_links())
@@ -349,7 +354,7 @@ def robot_namespace(context: RobotRunnerContext, namespace: str = "") -> str:
     Raises:
         LinkError: there is no such robot.
     """
-    own = "" if context.robot is None else _resolved(context.robot)[1].namespace
+    own = "" if context.robot is None else resolved_robot(context.robot)[1].namespace
     return f"{namespace_prefix(own)}{namespace_prefix(namespace)}" if own else namespace
 
 

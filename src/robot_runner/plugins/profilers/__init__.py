@@ -40,5 +40,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.ros_bag import RosBag as RosBag
     from robot_runner.ros.ros_graph import RosGraph as RosGraph
     from robot_runner.ros.ros_topics import RosTopics as RosTopics
+    from robot_runner.ros.topic_latency import TopicLatency as TopicLatency
 else:
     __getattr__, __dir__ = open_door(__name__)

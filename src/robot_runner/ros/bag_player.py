@@ -1,0 +1,240 @@
+"""Players of bags: our own over a link, which tells how late each message was, and the programs of ROS."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from array import array
+from collections import deque
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from heapq import merge
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.links.robot import Advertiser, Encoding
+from robot_runner.core.sampling.meter_process import MeterProcess
+from robot_runner.core.words import enumerated
+from robot_runner.ros.recorded_bag import RecordedMessage
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.ros.recorded_bag import RecordedBag, RecordedTopic
+
+__all__ = ["CLOCK", "PLAYERS", "LinkPlayer", "Played", "ProgramPlayer", "playing", "refuse_rivals"]
+
+#: The topic of the time that nodes live by where `use_sim_time` is set, and its type.
+CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"
+#: How often the time is told, Hz of real time, as `rosbag play` does.
+CLOCK_RATE = 100.0
+#: So many messages are read ahead at most while the next one is not due, and reading ends so long before that, s.
+_AHEAD, _MARGIN = 200, 0.002
+#: A message that is due within so little, s, is published at once: a sleep is no more precise than that.
+_SLEEP = 50e-6
+
+#: The program that plays messages of each generation of ROS, and what it takes for "end".
+PLAYERS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
+_END = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
+#: How long a program of ROS may take until its first message is heard, and to end once the bag is over, s.
+_STARTUP, _GRACE = 30.0, 10.0
+_LOOK = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """What was published of a bag, message by message.
+
+    Attributes:
+        times: when, s on the run's clock.
+        moments: when it was recorded, s since the bag's first message.
+        lateness: by how much it was published after it was due, s.
+    """
+
+    times: array[float] = field(default_factory=lambda: array("d"))
+    moments: array[float] = field(default_factory=lambda: array("d"))
+    lateness: array[float] = field(default_factory=lambda: array("d"))
+
+
+class LinkPlayer:
+    """Publishes the messages of a bag over a link, as far apart as they were recorded.
+
+    What was recorded is not changed: stamps in headers stay those of the recording.
+
+    Args:
+        bag: open for reading, until it is played.
+        topics: of it.
+        link: to the graph.
+        rate: how many seconds of the bag go by in one second.
+        has_clock: whether to publish the bag's time on `/clock`; what was recorded there is left out then.
+    """
+
+    def __init__(
+        self, bag: RecordedBag, topics: Sequence[RecordedTopic], link: RobotLink, *, rate: float, has_clock: bool
+    ) -> None:
+        self._bag, self._link, self._rate = bag, link, rate
+        self._topics = {topic.name: topic for topic in topics if not (has_clock and topic.name == CLOCK)}
+        self._has_clock = has_clock
+        self._messages: Iterator[RecordedMessage] = iter(())
+        self._ready: deque[RecordedMessage] = deque()
+
+    def advertise(self) -> None:
+        """Have the topics on the graph, and the first messages read, so that the first one is not late."""
+        if isinstance(self._link, Advertiser):
+            for topic in self._topics.values():
+                self._link.advertise(topic.name, topic.message_type, qos=topic.qos)
+        self._messages = self._bag.messages(list(self._topics.values()), self._link.encoding)
+        self._read_one()
+
+    def play(self, clock: Clock, played: Played) -> None:
+        """Publish everything, and note it; returns with the last message.
+
+        Raises:
+            PluginError: the bag breaks off, or has no message of these topics.
+            LinkError: a message cannot be published.
+        """
+        if not self._ready:
+            raise PluginError("the bag has no message of these topics", where=str(self._bag.path), fix="Name others.")
+        first_ns, begun = self._ready[0].stamp_ns, clock.now()
+        for each in merge(self._told_times(first_ns), self._all(), key=lambda event: event.stamp_ns):
+            moment = (each.stamp_ns - first_ns) * 1e-9
+            due = begun + moment / self._rate
+            self._read_ahead(clock, due)
+            if (left := due - clock.now()) > _SLEEP:
+                clock.sleep(left)
+            now = clock.now()
+            if each.topic == CLOCK and self._has_clock:
+                self._link.publish(CLOCK, _CLOCK_TYPE, each.message)
+                continue
+            topic = self._topics[each.topic]
+            self._link.publish(topic.name, topic.message_type, each.message, qos=topic.qos)
+            played.times.append(now)
+            played.moments.append(moment)
+            played.lateness.append(now - due)
+
+    def _told_times(self, first_ns: int) -> Iterator[RecordedMessage]:
+        step = round(1e9 * self._rate / CLOCK_RATE)
+        for stamp in range(first_ns, self._bag.end_ns + 1, step) if self._has_clock else ():
+            time = {"sec": stamp // 10**9, "nanosec": stamp % 10**9}
+            yield RecordedMessage(stamp, CLOCK, {"clock": time})
+
+    def _all(self) -> Iterator[RecordedMessage]:
+        while self._ready or self._read_one():
+            yield self._ready.popleft()
+
+    def _read_ahead(self, clock: Clock, due: float) -> None:
+        """Read while there is nothing to do; a thread would hold the interpreter just when a message is due."""
+        while len(self._ready) < _AHEAD and clock.now() < due - _MARGIN and self._read_one():
+            pass
+
+    def _read_one(self) -> bool:
+        message = next(self._messages, None)
+        if message is not None:
+            self._ready.append(message)
+        return message is not None
+
+
+class ProgramPlayer:
+    """A player of ROS' own, from its start until it has ended.
+
+    Args:
+        command: as `playing` returns it.
+        encoding: of the bag, which tells the generation of ROS.
+        folder: takes what it writes.
+        clock: the run's.
+
+    Raises:
+        PluginError: it cannot be started.
+    """
+
+    def __init__(self, command: Sequence[str], encoding: Encoding, folder: Path, clock: Clock) -> None:
+        self._encoding = encoding
+        self._clock = clock
+        self._process = MeterProcess(command, output=None, folder=folder, clock=clock)
+
+    def await_first(self, link: RobotLink, topics: Sequence[RecordedTopic]) -> None:
+        """Return once a message of one of these topics is received.
+
+        Raises:
+            PluginError: the program ended before that, or none came in time.
+        """
+        received = threading.Event()
+        with ExitStack() as subscriptions:
+            for topic in topics:
+                subscription = link.subscribe_raw(topic.name, topic.message_type, lambda _: received.set())
+                subscriptions.callback(subscription.close)
+            if self._process.wait(received.is_set, seconds=_STARTUP):
+                return
+        program = PLAYERS[self._encoding]
+        if not self._process.is_running:
+            raise self._failure()
+        fix = "See that it is on the same graph: ROS_DOMAIN_ID, ROS_MASTER_URI."
+        raise PluginError(f"nothing that {program} plays came within {_STARTUP:g} s", where="PlayBag", fix=fix)
+
+    def play(self) -> None:
+        """Return once it has ended by itself, with the bag.
+
+        Raises:
+            PluginError: it failed.
+        """
+        while self._process.is_running:
+            self._clock.sleep(_LOOK)
+        ending = self._process.stop(_END[self._encoding], grace=_GRACE)
+        if ending.exit_code != 0:
+            raise self._failure()
+
+    def close(self) -> None:
+        """End it, if it goes on; closing twice does nothing."""
+        self._process.stop(_END[self._encoding], grace=_GRACE)
+
+    def _failure(self) -> PluginError:
+        ending = self._process.stop(_END[self._encoding], grace=_GRACE)
+        program = PLAYERS[self._encoding]
+        problem = f"{program} ended with exit code {ending.exit_code}: {ending.complaint or 'it said nothing'}"
+        return PluginError(problem, where="PlayBag", fix="Execute it by hand to see why.")
+
+
+def playing(bag: RecordedBag, topics: Sequence[str] | None, *, rate: float, has_clock: bool) -> list[str]:
+    """Return the command that plays a bag with the program of its generation of ROS.
+
+    Args:
+        bag: what is played.
+        topics: full names; None for all.
+        rate: how many seconds of the bag go by in one second.
+        has_clock: whether it publishes the bag's time.
+    """
+    path = str(bag.path.absolute())
+    if bag.encoding is Encoding.ROS1:
+        clock = [f"--hz={CLOCK_RATE:g}", "--clock"] if has_clock else []
+        # What follows --topics is taken for topics, up to the next option.
+        chosen = ["--topics", *topics, "--bags"] if topics else []
+        return ["rosbag", "play", "--quiet", f"--rate={rate:g}", *clock, *chosen, path]
+    clock = ["--clock", f"{CLOCK_RATE:g}"] if has_clock else []
+    named = ["--topics", *topics] if topics else []
+    storage = {".mcap": ["--storage", "mcap"], ".db3": ["--storage", "sqlite3"]}.get(bag.path.suffix, [])
+    return ["ros2", "bag", "play", path, *storage, "--rate", f"{rate:g}", *clock, *named]
+
+
+def refuse_rivals(link: RobotLink, topics: Sequence[str], *, allowed: int = 0) -> None:
+    """See that nobody else publishes what is played: software under test would get both.
+
+    Args:
+        link: to the graph.
+        topics: full names.
+        allowed: how many others may publish each: the program that plays is one.
+
+    Raises:
+        PluginError: somebody does; all of them are its findings.
+    """
+    faults = []
+    for topic in topics:
+        others = [each for each in link.publishers(topic) if not each.is_own]
+        if len(others) > allowed:
+            named = enumerated(sorted(map(str, others)))
+            fix = "End it, or leave the topic out: topics=[...]."
+            faults.append(PluginError(f"{named} publishes {topic}, too", where="PlayBag", fix=fix))
+    if faults:
+        raise PluginError.of_findings([each.as_finding() for each in faults])

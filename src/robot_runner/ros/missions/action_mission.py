@@ -1,0 +1,316 @@
+"""The mission that is a goal of an action: navigation, an arm's trajectory, a plan that is executed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, GoalRejectedError, LinkError, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
+from robot_runner.core.links.goals import GoalStatus
+from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.message_fields import field_of
+from robot_runner.core.plugin import System
+from robot_runner.core.words import listed
+from robot_runner.ros.missions.cancelling import cancel_all_goals
+from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
+from robot_runner.ros.missions.way_measures import WayMeasures
+from robot_runner.ros.turtlebot3.motion import Wheels
+from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.goals import ActionResult
+    from robot_runner.core.links.robot import Goal, RobotLink
+    from robot_runner.core.plugin import Circumstances
+
+__all__ = ["ActionMission"]
+
+#: How often it is looked whether the goal is over, s.
+_LOOK = 0.02
+#: How often it is looked whether its server is still there, s.
+_LOOK_FOR_SERVER = 1.0
+#: How long the result may take once the goal is over, s.
+_RESULT_SECONDS = 5.0
+
+
+class _Failure(StrEnum):
+    FAIL = "fail"
+    MEASURE = "measure"
+
+
+_TIMED_OUT = "timed out"
+_MEASURES = (
+    Measure("Duration", "s", "From the goal's acceptance until it was over, on the run's clock."),
+    Measure("Success", "", "Whether the goal was reached."),
+    Measure("Outcome", "", "What became of the goal: succeeded, aborted, canceled, rejected or timed out."),
+)
+
+
+class ActionMission(System):
+    """Sends a goal to an action server and waits until it is over; the goal is cancelled when the mission breaks off.
+
+    Args:
+        action: the name of the action, relative to the robot's namespace unless it begins with `/`.
+        action_type: its ROS type, such as `nav2_msgs/NavigateToPose`.
+        goal: its fields; `treatment(...)` may stand for any of them, and what is left out has its ROS default.
+        result: measures that are fields of the result, by name: `{"ErrorCode": "error_code"}`; a `Measure` in the place
+            of the name tells its unit. Times and durations are in s.
+        feedback: measures of the feedback: `"count"`, or how and which field: `("last", "number_of_recoveries")`.
+        timeout_s: how long the goal may take, s of the run's clock; it is cancelled then.
+        failure: what a goal means that is rejected, aborted, cancelled by others or late: `fail` fails the run,
+            `measure` keeps it as a measure, as where the rate of success is what is studied.
+        success: fields of the result and what they have to be for a success, where the status alone does not tell:
+            `{"error_code": 0}`.
+        odometry: topic of `nav_msgs/Odometry` for the measure `PathLength`; None for none.
+        scan: topic of `sensor_msgs/LaserScan` for the measure `ClosestObstacle`; None for none.
+        stop_topic: topic of the robot's velocity commands, where a robot is told to stand still when the mission breaks
+            off and its server may not do so any more; None for none.
+        connect_timeout_s: how long the server may take to be found and to accept the goal, s.
+        cancel_timeout_s: how long a goal may take to end once it was cancelled, s.
+        name: tells several instances apart; the class's name if left out.
+        namespace: the robot's ROS namespace, such as `/alice`.
+
+    Raises:
+        PluginError: a parameter cannot be.
+
+    Example:
+        >>> mission = ActionMission(
+        ...     "navigate_to_pose",
+        ...     "nav2_msgs/NavigateToPose",
+        ...     {"pose": {"header": {"frame_id": "map"}, "pose": {"position": {"x": 1.5}, "orientation": {"w": 1.0}}}},
+        ...     feedback={"Recoveries": ("last", "number_of_recoveries")},
+        ...     odometry="odom",
+        ... )
+        >>> [measure.name for measure in mission.measures]
+        ['Duration', 'Success', 'Outcome', 'Recoveries', 'PathLength']
+    """
+
+    needs: ClassVar[str] = "A robot with an action server, or robot='simulated' with a node that offers one."
+    #: What it commands, for `Together`.
+    commands: Sequence[str] = ()
+
+    def __init__(  # noqa: PLR0913 - one keyword for each thing in which missions differ
+        self,
+        action: str,
+        action_type: str,
+        goal: Mapping[str, Any] | None = None,
+        *,
+        result: Mapping[str | Measure, str] | None = None,
+        feedback: Mapping[str | Measure, Any] | None = None,
+        timeout_s: float = 60.0,
+        failure: str = "fail",
+        success: Mapping[str, Any] | None = None,
+        odometry: str | None = None,
+        scan: str | None = None,
+        stop_topic: str | None = None,
+        connect_timeout_s: float = 5.0,
+        cancel_timeout_s: float = 5.0,
+        name: str | None = None,
+        namespace: str = "",
+    ) -> None:
+        super().__init__(name=name)
+        for parameter, mapping in (("goal", goal), ("success", success)):
+            if mapping is not None and not isinstance(mapping, Mapping):
+                fix = "Give a mapping by field: {'pose': {'pose': {'position': {'x': 1.0}}}}."
+                raise PluginError(f"{parameter} is {mapping!r}", where=self.name, fix=fix)
+        for parameter, value in (
+            ("timeout_s", timeout_s),
+            ("connect_timeout_s", connect_timeout_s),
+            ("cancel_timeout_s", cancel_timeout_s),
+        ):
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise PluginError(f"{parameter} is {value!r}", where=self.name, fix="Give a number of seconds above 0.")
+        if failure not in set(_Failure):
+            fix = did_you_mean(str(failure), list(_Failure)) or "Say 'fail' or 'measure'."
+            raise PluginError(f"failure is {failure!r}", where=self.name, fix=fix)
+        self.action, self.action_type, self.goal = action, action_type, goal or {}
+        self.timeout_s, self.failure, self.success = float(timeout_s), _Failure(failure), dict(success or {})
+        self.connect_timeout_s, self.cancel_timeout_s = float(connect_timeout_s), float(cancel_timeout_s)
+        self.stop_topic = stop_topic
+        self.namespace = namespace
+        self.commands = (action,)
+        self._of_result = ResultMeasures(result, where=self.name)
+        self._of_feedback = FeedbackMeasures(feedback, where=self.name)
+        self._of_way = WayMeasures(odometry, scan, where=self.name)
+        self.measures = (*_MEASURES, *self._of_result.measures, *self._of_feedback.measures, *self._of_way.measures)
+        self._check_names()
+        self._link: RobotLink | None = None
+        self._goal: Goal | None = None
+        self._values: dict[str, Any] | None = None
+        self._is_simulated = False
+        self._heartbeat: Heartbeat | None = None
+
+    def _check_names(self) -> None:
+        names = [measure.name for measure in self.measures]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            fix = f"Call it otherwise than {listed(name for name in dict.fromkeys(names))}."
+            raise PluginError(f"two of its measures are named {twice[0]!r}", where=self.name, fix=fix)
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot."""
+        if circumstances.robot is None:
+            yield Finding.error(
+                f"plugin {self.name}",
+                "the plugin sends goals to a robot, and the experiment names none",
+                "Name it in the config: robot = 'ros2'. Or: --set robot=ros2.",
+            )
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect, and see that what is measured beside arrives."""
+        self._goal = self._values = None
+        self._of_feedback.begin()
+        self._link = connect_robot(context, namespace=self.namespace)
+        self._is_simulated = is_simulation(self._link, robot_namespace(context, self.namespace))
+        if self.stop_topic is not None:
+            self._heartbeat = Heartbeat(self._link)
+        self._of_way.begin(self._link, context, timeout=self.connect_timeout_s)
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Send the goal and wait until it is over.
+
+        Raises:
+            LinkError: there is no such server, or it is gone; or the goal failed, and that fails the run; or it could
+                not be cancelled.
+        """
+        link = self._link
+        if link is None:
+            fix = "Emit start_run before launch_mission."
+            raise PluginError("the mission was launched before the run was started", where=self.name, fix=fix)
+        begun = context.clock.now()
+        self._of_way.begin_mission()
+        outcome, ended = self._executed(link, context)
+        values = {"Duration": context.clock.now() - begun, "Outcome": outcome}
+        values |= self._of_result.values(None if ended is None else ended.result)
+        values |= self._of_feedback.values() | self._of_way.end_mission(context)
+        reason = self._reason_of_failure(outcome, ended)
+        self._values = {**values, "Success": not reason}
+        if reason and self.failure is _Failure.FAIL:
+            fix = "Look at the log of its server; where the rate of success is what you study, say failure='measure'."
+            raise LinkError(reason, where=self._where, fix=fix)
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Leave; a goal that is not over is cancelled."""
+        del context
+        heartbeat, self._heartbeat = self._heartbeat, None
+        with ExitStack() as closing:
+            closing.callback(self._of_way.close)
+            if heartbeat is not None:
+                closing.callback(heartbeat.end)
+            self._cancel()
+            if heartbeat is not None:
+                heartbeat.end()
+                heartbeat.say_farewell()
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no values where the mission did not take place."""
+        if self._values is None:
+            context.doubt("the mission did not take place", fix="Look at the run's log.")
+        values = self._values or {}
+        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
+        for measure in self.measures:
+            context.publish(measure.name, values.get(measure.name), origin=origin)
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Cancel the goal, also in a process that did not send it, and command zero where a stop topic is named."""
+        link = connect_robot(context, namespace=self.namespace)
+        namespace = robot_namespace(context, self.namespace)
+        with ExitStack() as each:
+            if self.stop_topic is not None:  # first of all, and again when the goal is over
+                wheels = Wheels(link, namespace=namespace, topic=self.stop_topic)
+                wheels.command(0.0, 0.0)
+                each.callback(wheels.command, 0.0, 0.0)
+            if self._goal is not None:
+                self._cancel()
+            elif not link.is_simulated:
+                cancel_all_goals(link, self.action, full_name(namespace, self.action), timeout=self.cancel_timeout_s)
+
+    @property
+    def _where(self) -> str:
+        return f"{self.name}, action {self.action}"
+
+    def _executed(self, link: RobotLink, context: RobotRunnerContext) -> tuple[str, ActionResult | None]:
+        """Return what became of the goal, and its result where there is one."""
+        try:
+            self._goal = goal = link.send_goal(
+                self.action,
+                self.action_type,
+                self.goal,
+                on_feedback=self._of_feedback.take,
+                timeout=self.connect_timeout_s,
+            )
+        except GoalRejectedError as error:
+            if self.failure is _Failure.FAIL:
+                raise
+            context.warn(error.problem, fix=error.fix)
+            return GoalStatus.REJECTED.value, None
+        try:
+            is_over = self._await_end(goal, link, context)
+        except BaseException as fault:
+            self._cancel_after(fault)
+            raise
+        if not is_over:
+            self._cancel()
+            return _TIMED_OUT, None
+        ended = goal.result(timeout=_RESULT_SECONDS)
+        self._goal = None
+        return ended.status.value, ended
+
+    def _await_end(self, goal: Goal, link: RobotLink, context: RobotRunnerContext) -> bool:
+        """Wait until a goal is over, or return False where it takes too long.
+
+        Raises:
+            LinkError: its server is gone.
+        """
+        clock = context.clock
+        deadline, look_at = clock.now() + self.timeout_s, clock.now() + _LOOK_FOR_SERVER
+        name = full_name(robot_namespace(context, self.namespace), self.action)
+        is_listed = name in link.actions()
+        while not goal.status.is_over:
+            now = clock.now()
+            if now >= deadline:
+                return False
+            if is_listed and now >= look_at:
+                look_at = now + _LOOK_FOR_SERVER
+                if name not in link.actions() and not goal.status.is_over:
+                    fix = "Look at the log of its node, and start it again."
+                    raise LinkError("the action server is gone, and the goal is not over", where=self._where, fix=fix)
+            clock.sleep(min(_LOOK, deadline - now))
+        return True
+
+    def _reason_of_failure(self, outcome: str, ended: ActionResult | None) -> str:
+        """Return why the goal is no success; nothing where it is one."""
+        if outcome == _TIMED_OUT:
+            return f"the goal was not over within {self.timeout_s:g} s, and was cancelled"
+        if outcome != GoalStatus.SUCCEEDED:
+            said = f": {ended.text}" if ended is not None and ended.text else ""
+            return f"the goal was {outcome}{said}"
+        for field, expected in self.success.items():
+            found = field_of(ended.result if ended is not None else {}, field, where=self._where)
+            if found != expected:
+                return f"{field} of the result is {found!r}, where {expected!r} means success"
+        return ""
+
+    def _cancel(self) -> None:
+        goal, self._goal = self._goal, None
+        if goal is not None and not goal.status.is_over:
+            goal.cancel(timeout=self.cancel_timeout_s)
+
+    def _cancel_after(self, fault: BaseException) -> None:
+        """Cancel the goal; that this fails, too, does not hide what came first."""
+        try:
+            self._cancel()
+        except LinkError as error:
+            fault.add_note(f"The goal could not be cancelled: {error}")

@@ -1,0 +1,201 @@
+"""Measures that are fields of an action's result, or what became of a field of its feedback."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.message_fields import field_of, is_time
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from robot_runner.core.events.measure import MeasureValue
+    from robot_runner.core.links.robot import Message
+
+__all__ = ["FeedbackMeasures", "ResultMeasures"]
+
+_PREFIX = "result."
+_PAIR = 2
+_COUNT = "count"
+
+
+def _first(values: Sequence[Any]) -> Any:
+    return values[0]
+
+
+def _last(values: Sequence[Any]) -> Any:
+    return values[-1]
+
+
+#: How the values that a field of the feedback had make one.
+_OVER: Mapping[str, Callable[[Sequence[Any]], Any]] = MappingProxyType(
+    {"first": _first, "last": _last, "minimum": min, "maximum": max, "mean": fmean}
+)
+#: Those of numbers only.
+_OF_NUMBERS = frozenset({"minimum", "maximum", "mean"})
+
+
+@dataclass(frozen=True, slots=True)
+class _Taken:
+    """One measure, and where it comes from."""
+
+    measure: Measure
+    over: str
+    field: str
+
+
+class ResultMeasures:
+    """Measures that are fields of a result.
+
+    Args:
+        wanted: the field of each measure, by its name, or by a `Measure` that tells its unit.
+        where: the plugin, for errors.
+
+    Raises:
+        PluginError: one of them is no field.
+
+    Example:
+        >>> ResultMeasures({"ErrorCode": "error_code"}, where="Arm").values({"error_code": 0})
+        {'ErrorCode': 0}
+    """
+
+    def __init__(self, wanted: Mapping[str | Measure, str] | None, *, where: str) -> None:
+        self._where = where
+        self._taken = []
+        for name, field in _checked(wanted, "result", "{'ErrorCode': 'error_code'}", where):
+            if not isinstance(field, str) or not field.strip():
+                fix = "Name it with dots: {'ErrorCode': 'error_code'}."
+                raise PluginError(f"result[{str(name)!r}] is {field!r}, which is no field", where=where, fix=fix)
+            plain = field.strip().removeprefix(_PREFIX)
+            self._taken.append(_Taken(_as_measure(name, f"Field {plain!r} of the action's result."), "", plain))
+
+    @property
+    def measures(self) -> list[Measure]:
+        """What they are called."""
+        return [each.measure for each in self._taken]
+
+    def values(self, result: Message | None) -> dict[str, MeasureValue]:
+        """Return the value of each measure; None where there is no result.
+
+        Raises:
+            LinkError: the result has no such field, or it is neither a number nor a text.
+        """
+        return {
+            each.measure.name: None if result is None else _value_of(result, each.field, self._where)
+            for each in self._taken
+        }
+
+
+class FeedbackMeasures:
+    """Measures of the feedback of one goal.
+
+    Args:
+        wanted: for each measure `"count"` for how often feedback came, or how the values of a field make one, and the
+            field: `("last", "number_of_recoveries")`; `first`, `last`, `minimum`, `maximum` or `mean`.
+        where: the plugin, for errors.
+
+    Raises:
+        PluginError: one of them cannot be.
+
+    Example:
+        >>> feedback = FeedbackMeasures({"Recoveries": ("last", "number_of_recoveries")}, where="Navigation")
+        >>> feedback.take({"number_of_recoveries": 2})
+        >>> feedback.values()
+        {'Recoveries': 2}
+    """
+
+    def __init__(self, wanted: Mapping[str | Measure, Any] | None, *, where: str) -> None:
+        self._where = where
+        self._taken = [
+            _feedback(name, how, where)
+            for name, how in _checked(wanted, "feedback", "{'Recoveries': ('last', 'number_of_recoveries')}", where)
+        ]
+        self.begin()
+
+    @property
+    def measures(self) -> list[Measure]:
+        """What they are called."""
+        return [each.measure for each in self._taken]
+
+    def begin(self) -> None:
+        """Forget what came before."""
+        self._count = 0
+        self._came: dict[str, list[Any]] = {each.measure.name: [] for each in self._taken}
+
+    def take(self, message: Message) -> None:
+        """Take what was told.
+
+        Raises:
+            LinkError: it has no such field, or it is neither a number nor a text.
+        """
+        self._count += 1
+        for each in self._taken:
+            if each.over != _COUNT:
+                self._keep(each, self._came[each.measure.name], _value_of(message, each.field, self._where))
+
+    def values(self) -> dict[str, MeasureValue]:
+        """Return the value of each measure; None where no feedback came."""
+        return {each.measure.name: self._value(each) for each in self._taken}
+
+    def _keep(self, each: _Taken, came: list[Any], value: MeasureValue) -> None:
+        if each.over in _OF_NUMBERS and not isinstance(value, bool | int | float):
+            problem = f"the field {each.field!r} of the feedback is {value!r}, which has no {each.over}"
+            raise LinkError(problem, where=self._where, fix="Ask for its first or its last value.")
+        if each.over == "last":
+            came[:] = [value]
+        elif each.over != "first" or not came:
+            came.append(value)
+
+    def _value(self, each: _Taken) -> MeasureValue:
+        if each.over == _COUNT:
+            return self._count
+        came = self._came[each.measure.name]
+        value: MeasureValue = _OVER[each.over](came) if came else None
+        return value
+
+
+def _feedback(name: str | Measure, how: Any, where: str) -> _Taken:
+    if how == _COUNT:
+        return _Taken(_as_measure(name, "How often feedback came.", unit="1"), _COUNT, "")
+    if not isinstance(how, Sequence) or isinstance(how, str) or len(how) != _PAIR or not isinstance(how[1], str):
+        fix = "Say 'count', or how and which field: ('last', 'number_of_recoveries')."
+        raise PluginError(f"feedback[{str(name)!r}] is {how!r}", where=where, fix=fix)
+    over, field = how
+    if over not in _OVER:
+        fix = did_you_mean(str(over), _OVER) or f"Say one of {', '.join(_OVER)}."
+        raise PluginError(f"feedback[{str(name)!r}] asks for {over!r} of {field!r}", where=where, fix=fix)
+    described = f"{str(over).capitalize()} value of field {field!r} of the action's feedback."
+    return _Taken(_as_measure(name, described), over, field.removeprefix("feedback."))
+
+
+def _checked(
+    wanted: Mapping[str | Measure, Any] | None, parameter: str, example: str, where: str
+) -> Iterator[tuple[str | Measure, Any]]:
+    if wanted is not None and not isinstance(wanted, Mapping):
+        fix = f"Give a mapping from measure to field: {example}."
+        raise PluginError(f"{parameter} is {wanted!r}", where=where, fix=fix)
+    yield from (wanted or {}).items()
+
+
+def _as_measure(name: str | Measure, description: str, unit: str = "") -> Measure:
+    return name if isinstance(name, Measure) else Measure(name, unit, description)
+
+
+def _value_of(message: Message, field: str, where: str) -> MeasureValue:
+    """Return a field as a value of the run table: times in s, and None for what is not finite."""
+    found = field_of(message, field, where=where)
+    if is_time(found):
+        return float(found["sec"]) + float(found["nanosec"]) * 1e-9
+    if isinstance(found, bool | int | str):
+        return found
+    if isinstance(found, float):
+        return found if math.isfinite(found) else None
+    problem = f"the field {field!r} is neither a number nor a text, but {type(found).__name__}"
+    raise LinkError(problem, where=where, fix="Name a field of it, with a dot, or an element by its number.")

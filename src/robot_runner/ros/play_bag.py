@@ -1,0 +1,284 @@
+"""The system whose mission is a recorded bag: the same sensor data for each implementation under test."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from enum import StrEnum
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import connect_robot
+from robot_runner.core.links.robot import RobotName
+from robot_runner.core.plugin import System
+from robot_runner.core.sampling.quality import Column, write_quality, write_samples
+from robot_runner.ros.bag_player import CLOCK, PLAYERS, LinkPlayer, Played, ProgramPlayer, playing, refuse_rivals
+from robot_runner.ros.recorded_bag import RecordedBag, bag_at
+from robot_runner.ros.topic_statistics import nearest_rank, robot_findings
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_command
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.ros.recorded_bag import RecordedTopic
+
+__all__ = ["PlayBag"]
+
+_FIX = "Execute the run again with nothing else going on, or play the bag more slowly (rate)."
+
+
+class _By(StrEnum):
+    LINK = "link"
+    PROGRAM = "program"
+
+
+class PlayBag(System):
+    """Plays a recorded bag: its first message begins the mission, and its last one ends it, `settle_s` later.
+
+    The plugin itself publishes the messages over the link to the robot, as far apart as they were recorded, and tells
+    how late each was; or `rosbag play` or `ros2 bag play` does it. The stamps in the messages stay those of the
+    recording. A bag of one generation of ROS is played on a graph of the other, too, by the plugin itself.
+
+    Args:
+        path: a `.bag`, `.mcap` or `.db3` file, or the folder of a bag; `treatment(...)` may stand for it.
+        name: tells several instances apart; the class's name if left out.
+        topics: which of its topics, by the names in the bag; left out, all.
+        rate: how many seconds of the bag go by in one second.
+        clock: whether to publish the bag's time on `/clock`, for nodes with `use_sim_time`.
+        by: `link`, or `program` for the player of ROS.
+        settle_s: how long the mission goes on after the last message, for what that causes, s.
+        late_s: how late one message in a hundred may be published, s, before the run's values are doubted.
+
+    Raises:
+        PluginError: a parameter is out of its range.
+
+    Example:
+        >>> [measure.name for measure in PlayBag("hall.mcap", rate=0.5).measures]
+        ['PlayTime', 'PlayedMessages', 'PlayLateness', 'MaxPlayLateness']
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("PlayTime", "s", "From the bag's first message until its last one was published."),
+        Measure("PlayedMessages", "1", "Messages of the bag that were published."),
+        Measure("PlayLateness", "s", "How late messages of the bag were published: 99 % were no later than this."),
+        Measure("MaxPlayLateness", "s", "How late messages of the bag were published: maximum."),
+    )
+    needs: ClassVar[str] = "A ROS graph, and the extra `bag`."
+    bytes_per_run: int = 500_000  # three numbers a message, of 100 messages a second for 100 s
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        name: str | None = None,
+        topics: Sequence[str] | None = None,
+        rate: float = 1.0,
+        clock: bool = False,
+        by: str = "link",
+        settle_s: float = 0.1,
+        late_s: float = 0.01,
+    ) -> None:
+        super().__init__(name=name)
+        if isinstance(topics, str) or (topics is not None and not topics):
+            fix = "Give a list of names, such as ['/scan', '/odom'], or leave it out."
+            raise PluginError(f"topics is {topics!r}", where=self.name, fix=fix)
+        for parameter, value in (("rate", rate), ("late_s", late_s)):
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+                raise PluginError(f"{parameter} is {value!r}", where=self.name, fix="Give a number above 0.")
+        if isinstance(settle_s, bool) or not isinstance(settle_s, int | float) or not 0 <= settle_s < math.inf:
+            raise PluginError(f"settle_s is {settle_s!r}", where=self.name, fix="Give a number of seconds.")
+        if by not in set(_By):
+            raise PluginError(f"by is {by!r}", where=self.name, fix=did_you_mean(str(by), list(_By)))
+        self.path = Path(path)
+        self.topics = None if topics is None else tuple(dict.fromkeys(topics))
+        self.rate = float(rate)
+        self.has_clock = clock
+        self.by = _By(by)
+        self.settle_s = settle_s
+        self.late_s = late_s
+        if self.by is _By.PROGRAM:  # it does not tell when it publishes what
+            self.measures = type(self).measures[:1]
+        self._bag: RecordedBag | None = None
+        self._link_player: LinkPlayer | None = None
+        self._program: ProgramPlayer | None = None
+        self._chosen: Sequence[RecordedTopic] = ()
+        self._played = Played()
+        self._span: float | None = None
+        self._is_simulated = False
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Yield what stands in the way: no robot, no such bag, nothing in it to play, no program, two clocks."""
+        yield from robot_findings(self.name, circumstances)
+        try:
+            with RecordedBag(self.path) as bag:
+                bag.chosen(self.topics)
+                if self.by is _By.PROGRAM and shutil.which(PLAYERS[bag.encoding]) is None:
+                    problem = f"the program {PLAYERS[bag.encoding]!r}, which plays this bag, is not there"
+                    yield Finding.error(self._where, problem, "Source the setup file of ROS, or say by='link'.")
+        except PluginError as error:
+            yield from (Finding.error(self._where, each.problem, each.fix) for each in error.findings)
+        if self.has_clock and circumstances.robot is not None and _lives_by_graph(circumstances.robot):
+            problem = f"the run lives by the time on {CLOCK} (robot = {circumstances.robot!r}), which this plugin tells"
+            fix = "Leave clock=graph out of robot: the run takes this machine's time, and the nodes the bag's."
+            yield Finding.error(self._where, problem, fix)
+
+    def duration_s(self, combination: Mapping[str, Any]) -> float | None:
+        """Return how long the bag takes, s; None where it cannot be read, which `check` says."""
+        del combination
+        try:
+            file = bag_at(self.path)
+            return _seconds(file, file.stat().st_mtime_ns) / self.rate + self.settle_s
+        except (PluginError, OSError):
+            return None
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Open the bag, and have its topics on the graph.
+
+        Raises:
+            PluginError: the bag cannot be played, or somebody else publishes one of its topics.
+            LinkError: the robot cannot be reached, or does not know one of its types.
+        """
+        self._played, self._span, self._program = Played(), None, None
+        self._bag = context.resources.open(f"bag {self.name}", lambda: RecordedBag(self.path))
+        self._chosen = self._bag.chosen(self.topics)
+        link = connect_robot(context)
+        self._is_simulated = link.is_simulated
+        refuse_rivals(link, self._names)
+        if self.by is _By.PROGRAM:
+            self._require_program(link)
+            return
+        self._link_player = LinkPlayer(self._bag, self._chosen, link, rate=self.rate, has_clock=self.has_clock)
+        self._link_player.advertise()
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Play the bag, and return once what its last message causes had its time.
+
+        Raises:
+            PluginError: the bag breaks off, or the program fails.
+        """
+        link = connect_robot(context)
+        if self.by is _By.PROGRAM:
+            self._play_by_program(context, link)
+        elif self._link_player is not None:
+            self._link_player.play(context.clock, self._played)
+            self._doubt_rivals(context, link, allowed=0)
+        context.clock.sleep(self.settle_s)
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """End what plays, and have a robot that was driven stand still."""
+        self.make_safe(context)
+        bag, self._bag, self._link_player = self._bag, None, None
+        if bag is not None:
+            self._write(context, bag)
+            bag.close()
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """End what plays; where velocities were recorded, command zero, also in a process not connected before."""
+        program, self._program = self._program, None
+        if program is not None:
+            program.close()
+        if not self._chosen and context.robot is not None:
+            self._chosen = self._readable_topics()
+        for topic in self._chosen:
+            if topic.message_type in VELOCITY_COMMANDS:
+                still = velocity_command(topic.message_type, 0.0, 0.0)
+                connect_robot(context).publish(topic.name, topic.message_type, still, qos=topic.qos)
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures."""
+        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
+        late = sorted(self._played.lateness)
+        p99 = nearest_rank(late, 0.99)
+        if self.by is _By.LINK:
+            times = self._played.times
+            self._span = times[-1] - times[0] if times else None
+            context.publish("PlayedMessages", len(times), origin=origin)
+            context.publish("PlayLateness", p99, origin=origin)
+            context.publish("MaxPlayLateness", late[-1] if late else None, origin=origin)
+        context.publish("PlayTime", self._span, origin=origin)
+        if p99 is not None and p99 > self.late_s:
+            figures = (
+                f"99 % of the messages were published up to {p99 * 1e3:.1f} ms late, and one {late[-1] * 1e3:.1f} ms"
+            )
+            context.doubt(f"the bag was not played as it was recorded: {figures}", fix=_FIX)
+
+    @property
+    def _where(self) -> str:
+        return f"plugin {self.name}"
+
+    @property
+    def _names(self) -> list[str]:
+        names = [topic.name for topic in self._chosen]
+        return names if CLOCK in names or not self.has_clock else [*names, CLOCK]
+
+    def _require_program(self, link: RobotLink) -> None:
+        if self._bag is not None and (link.encoding is not self._bag.encoding or link.is_simulated):
+            problem = f"{PLAYERS[self._bag.encoding]} cannot play this bag on the graph of this robot"
+            raise PluginError(problem, where=self.name, fix="Say by='link'.")
+
+    def _play_by_program(self, context: RobotRunnerContext, link: RobotLink) -> None:
+        if self._bag is None:
+            return
+        command = playing(self._bag, self.topics, rate=self.rate, has_clock=self.has_clock)
+        self._program = ProgramPlayer(command, self._bag.encoding, context.raw_data_folder, context.clock)
+        self._program.await_first(link, self._chosen)
+        context.begin_window()  # the program takes a second until it plays
+        begun = context.clock.now()
+        self._doubt_rivals(context, link, allowed=1)  # the program itself
+        self._program.play()
+        self._span = context.clock.now() - begun
+
+    def _doubt_rivals(self, context: RobotRunnerContext, link: RobotLink, *, allowed: int) -> None:
+        try:
+            refuse_rivals(link, self._names, allowed=allowed)
+        except PluginError as error:
+            context.doubt(f"while the bag was played, {error.problem}", fix=error.fix)
+
+    def _readable_topics(self) -> Sequence[RecordedTopic]:
+        try:
+            with RecordedBag(self.path) as bag:
+                return bag.chosen(self.topics)
+        except PluginError:  # nothing of it was ever played
+            return ()
+
+    def _write(self, context: RobotRunnerContext, bag: RecordedBag) -> None:
+        facts = {
+            "bag": str(bag.path),
+            "messages": bag.count,
+            "seconds": bag.seconds,
+            "begin_ns": bag.begin_ns,
+            "topics": {topic.name: topic.count for topic in self._chosen},
+        }
+        folder, played = context.raw_data_folder, self._played
+        write_quality(folder / "bag.json", None, context.window, facts)
+        if self.by is _By.LINK:
+            columns = [
+                Column("time_s", played.times),
+                Column("moment_s", played.moments),
+                Column("late_s", played.lateness),
+            ]
+            write_samples(folder / "played.csv", columns)
+
+
+def _lives_by_graph(robot: str) -> bool:
+    return RobotName.parse(robot).options.get("clock") == "graph"
+
+
+@lru_cache(maxsize=32)
+def _seconds(path: Path, changed_ns: int) -> float:
+    """Return how long a bag takes, s; read once for each state of its file."""
+    del changed_ns
+    with RecordedBag(path) as bag:
+        return bag.seconds

@@ -1,0 +1,273 @@
+"""A bag that somebody recorded, of either generation of ROS: what is in it, and its messages in their order."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+from robot_runner.core.errors import PluginError, did_you_mean, nearest
+from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.ros.graph_transport import nearest_profile
+from robot_runner.ros.message_codec import MessageCodec
+from robot_runner.ros.shapes import plain_type
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.links.robot import Message
+
+__all__ = ["RecordedBag", "RecordedMessage", "RecordedTopic", "bag_at"]
+
+_INSTALL = "Install it: pip install 'robot-runner[bag]'."
+_SUFFIXES = (".bag", ".mcap", ".db3")
+_METADATA = "metadata.yaml"
+_LOOK = "Record it anew, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` mends some."
+#: What rosbags raises beside its own errors where the bytes of a bag are not what they should be.
+_BROKEN = (OSError, ValueError, AssertionError, IndexError, KeyError, struct.error, sqlite3.Error)
+#: The fields of a header in ROS 1; ROS 2 has no `seq`.
+_ROS1_HEADER = frozenset({"seq", "stamp", "frame_id"})
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """A topic of a bag.
+
+    Attributes:
+        name: its full name, as it was recorded.
+        message_type: ROS name without a generation.
+        count: how many messages of it there are.
+        qos: the profile that comes nearest to what its publishers offered.
+        problem: why its messages cannot be read; empty where they can.
+    """
+
+    name: str
+    message_type: str
+    count: int
+    qos: Qos
+    problem: str = ""
+
+
+class RecordedMessage(NamedTuple):
+    """A message of a bag.
+
+    Attributes:
+        stamp_ns: when it was recorded, ns since the epoch.
+        topic: its full name.
+        message: as a mapping that follows its definition.
+    """
+
+    stamp_ns: int
+    topic: str
+    message: Message
+
+
+class RecordedBag:
+    """A bag that is open for reading; it is closed as a context manager.
+
+    Args:
+        path: a `.bag`, `.mcap` or `.db3` file, or the folder of a bag.
+
+    Attributes:
+        encoding: of its messages, which tells its generation of ROS.
+        topics: by their full names.
+        begin_ns, end_ns: when its first and its last message were recorded, ns since the epoch.
+        count: how many messages there are.
+
+    Raises:
+        PluginError: there is no bag, it cannot be read, or the library that reads it is not installed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = bag_at(path)
+        self._opened = ExitStack()
+        rosbags = _rosbags()
+        # Bags of ROS 2 before Iron, as sqlite3 files, do not hold the definitions of their types.
+        known = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
+        with _told_as_broken(self.path):
+            reader = rosbags.AnyReader([self.path], default_typestore=known)
+            self._reader: Any = self._opened.enter_context(reader)
+        self.encoding = Encoding.CDR if self._reader.is2 else Encoding.ROS1
+        self._codec = MessageCodec(self._reader.typestore, signed_bytes=self.encoding is Encoding.ROS1)
+        self.count: int = self._reader.message_count
+        # rosbags' end lies one nanosecond behind the last message.
+        self.begin_ns: int = self._reader.start_time if self.count else 0
+        self.end_ns: int = self._reader.end_time - 1 if self.count else 0
+        self.topics: Mapping[str, RecordedTopic] = {each.name: each for each in self._described()}
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the file."""
+        self.close()
+
+    @property
+    def seconds(self) -> float:
+        """From its first to its last message, s."""
+        return (self.end_ns - self.begin_ns) * 1e-9
+
+    def close(self) -> None:
+        """Close the file; closing twice does nothing."""
+        self._opened.close()
+
+    def chosen(self, names: Sequence[str] | None) -> list[RecordedTopic]:
+        """Return the topics of these names, all that have messages where none are named.
+
+        Raises:
+            PluginError: it has no such topic, or none that can be read; all that are wrong are its findings.
+        """
+        there = {name: topic for name, topic in self.topics.items() if topic.count}
+        if not there:
+            raise PluginError("the bag has no messages", where=str(self.path), fix="Record it anew.")
+        faults = []
+        for name in names or ():
+            if name not in there:
+                near = did_you_mean(name, there)
+                problem = f"the bag has no messages on {name!r}"
+                faults.append(PluginError(problem, where=str(self.path), fix=near))
+        topics = [there[name] for name in (names or there) if name in there]
+        for topic in topics:
+            if topic.problem:
+                fix = f"Leave {topic.name} out (topics=...), or record a bag that holds the definition."
+                faults.append(PluginError(topic.problem, where=str(self.path), fix=fix))
+        if faults:
+            raise PluginError.of_findings([each.as_finding() for each in faults])
+        return topics
+
+    def messages(self, topics: Sequence[RecordedTopic], encoding: Encoding) -> Iterator[RecordedMessage]:
+        """Yield the messages of topics, in the order in which they were recorded.
+
+        Args:
+            topics: of this bag.
+            encoding: of the link that they are for; one of the other generation takes headers without numbers.
+
+        Raises:
+            PluginError: the bag breaks off, or a message does not follow its definition.
+        """
+        names = {topic.name for topic in topics}
+        connections = [each for each in self._reader.connections if each.topic in names]
+        is_other = encoding is not self.encoding
+        with _told_as_broken(self.path):
+            for connection, stamp, data in self._reader.messages(connections):
+                message = self._decoded(connection.msgtype, data)
+                yield RecordedMessage(stamp, connection.topic, _without_numbers(message) if is_other else message)
+
+    def _decoded(self, message_type: str, data: bytes) -> dict[str, Any]:
+        return self._codec.as_mapping(message_type, self._reader.deserialize(data, message_type))
+
+    def _described(self) -> Iterator[RecordedTopic]:
+        found: dict[str, list[Any]] = {}
+        for connection in self._reader.connections:
+            found.setdefault(connection.topic, []).append(connection)
+        for name, connections in found.items():
+            types = sorted({plain_type(each.msgtype) for each in connections})
+            count = sum(each.msgcount for each in connections)
+            problem = self._unreadable(connections) if count else ""
+            if len(types) > 1:
+                problem = f"{name} has messages of {' and '.join(types)}"
+            yield RecordedTopic(name, types[0], count, _offered(connections[0].ext), problem)
+
+    def _unreadable(self, connections: Sequence[Any]) -> str:
+        """Say why the first message of a topic cannot be read; nothing where it can."""
+        first = connections[0]
+        if first.msgtype not in self._reader.typestore.fielddefs:
+            return f"nobody knows the type {plain_type(first.msgtype)} of {first.topic}: the bag holds no definition"
+        try:
+            for connection, _, data in self._reader.messages(connections):
+                self._decoded(connection.msgtype, data)
+                return ""
+        except _faults() as error:
+            return f"the first message on {first.topic} is no {plain_type(first.msgtype)}: {_reason(error)}"
+        return ""
+
+
+def bag_at(path: Path) -> Path:
+    """Return the file or folder that a reader of bags opens: a folder of ROS 2, or the one bag in any other folder.
+
+    Raises:
+        PluginError: there is none, or more than one.
+    """
+    path = path.expanduser()
+    if not path.exists():
+        beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+        near = nearest(path.name, beside)
+        fix = (
+            f"Did you mean {str(path.with_name(near))!r}?" if near else "Name a .bag, .mcap or .db3 file, or a folder."
+        )
+        raise PluginError(f"there is no bag {str(path)!r}", where=str(path), fix=fix)
+    if path.is_file() and path.suffix not in _SUFFIXES:
+        fix = "Name a .bag, .mcap or .db3 file, or the folder of a bag."
+        raise PluginError(f"{path.name!r} is no bag", where=str(path), fix=fix)
+    if path.is_file() or (path / _METADATA).is_file():
+        return path
+    found = sorted(each for each in path.iterdir() if each.suffix in _SUFFIXES)
+    found += sorted(each.parent for each in path.glob(f"*/{_METADATA}"))
+    if len(found) == 1:
+        return found[0]
+    fix = f"Name one of them: {', '.join(each.name for each in found)}." if found else "Name the folder of a bag."
+    raise PluginError(f"there are {len(found) or 'no'} bags in {str(path)!r}", where=str(path), fix=fix)
+
+
+class _Rosbags(NamedTuple):
+    """What is used of the library."""
+
+    AnyReader: Any
+    Stores: Any
+    get_typestore: Any
+    errors: tuple[type[Exception], ...]
+
+
+def _rosbags() -> _Rosbags:
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415  # an extra
+        from rosbags.rosbag1 import ReaderError as Ros1Error  # noqa: PLC0415  # an extra
+        from rosbags.rosbag2 import ReaderError as Ros2Error  # noqa: PLC0415  # an extra
+        from rosbags.serde import SerdeError  # noqa: PLC0415  # an extra
+        from rosbags.typesys import Stores, TypesysError, get_typestore  # noqa: PLC0415  # an extra
+    except ModuleNotFoundError as error:
+        problem = f"bags cannot be read: {error.name} cannot be imported"
+        raise PluginError(problem, where="PlayBag", fix=_INSTALL) from error
+    errors = (AnyReaderError, Ros1Error, Ros2Error, SerdeError, TypesysError)
+    return _Rosbags(AnyReader, Stores, get_typestore, errors)
+
+
+def _faults() -> tuple[type[Exception], ...]:
+    return (*_BROKEN, *_rosbags().errors)
+
+
+@contextmanager
+def _told_as_broken(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except _faults() as error:
+        raise PluginError(f"the bag cannot be read: {_reason(error)}", where=str(path), fix=_LOOK) from error
+
+
+def _reason(error: Exception) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0][:200]
+
+
+def _offered(ext: Any) -> Qos:
+    """Return the profile to publish with: of ROS 2 what was offered, of ROS 1 whether it was latched."""
+    if hasattr(ext, "latching"):
+        return Qos.TRANSIENT_LOCAL if ext.latching else Qos.DEFAULT
+    offers = ext.offered_qos_profiles
+    return nearest_profile(
+        is_reliable=all(offer.reliability.name != "BEST_EFFORT" for offer in offers),
+        is_kept=bool(offers) and all(offer.durability.name == "TRANSIENT_LOCAL" for offer in offers),
+    )
+
+
+def _without_numbers(value: Any) -> Any:
+    """Return a message without the numbers that headers have in ROS 1 alone: a link of ROS 1 gives its own."""
+    if isinstance(value, dict):
+        is_header = value.keys() == _ROS1_HEADER
+        return {name: _without_numbers(each) for name, each in value.items() if not (is_header and name == "seq")}
+    if isinstance(value, list) and value and isinstance(value[0], dict):
+        return [_without_numbers(each) for each in value]
+    return value

@@ -1,0 +1,67 @@
+"""The navigation example on a real graph: an action server of its own on the embedded robot, and two planners."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.process.graph_simulation import simulated_robot
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.ros1_master import RUDE, needs_ros1
+
+if TYPE_CHECKING:
+    from pytest import FixtureRequest, MonkeyPatch
+
+pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
+
+CONFIG = Path(__file__).parents[2] / "examples" / "navigation" / "navigation.py"
+#: Two runs of 27 simulated seconds each, at this pace.
+FACTOR = "6"
+PATIENCE = 120.0
+#: From home to behind the pillar, m: as the crow flies, and what is long for it.
+DIRECT, LONG = 2.1, 3.5
+
+
+@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
+def graph(request: FixtureRequest, monkeypatch: MonkeyPatch) -> str:
+    """How a robot on a graph of this test run is reached."""
+    if request.param == "ros1":
+        request.getfixturevalue("master_uri")
+        return "ros1"
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    return f"dds:domain={claim_domain()}"
+
+
+def test_both_planners_arrive_and_success_and_path_length_are_measured(graph: str, tmp_path: Path) -> None:
+    robot = graph if graph == "ros1" else f"{graph},clock=graph"
+    words = [str(CONFIG), "--set", f"results_output_path={tmp_path}", "--set", "repetitions=1"]
+    with simulated_robot(graph, "--use-sim-time", "--real-time-factor", FACTOR):
+        done = subprocess.run(
+            [sys.executable, "-m", "robot_runner", *words],
+            env=os.environ | {"NAVIGATION_ROBOT": robot},
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
+        )
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said + _logs(tmp_path)
+    with (tmp_path / "navigation" / "run_table.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["Planner"] for row in rows} == {"straight", "astar"}
+    for row in rows:
+        for mission in ("Out", "Back"):
+            assert row[f"{mission}.Outcome"] == "succeeded", said + _logs(tmp_path)
+            assert row[f"{mission}.Success"] == "True"
+            assert DIRECT < float(row[f"{mission}.PathLength"]) < LONG
+            assert float(row[f"{mission}.Left"]) < 0.2
+            assert 0.1 < float(row[f"{mission}.ClosestObstacle"]) < 0.6
+
+
+def _logs(folder: Path) -> str:
+    return "".join(each.read_text(encoding="utf-8") for each in folder.rglob("*.txt"))

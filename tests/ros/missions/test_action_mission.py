@@ -1,0 +1,176 @@
+"""A goal of any action as the mission, with real action servers on the embedded robot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.ros.missions.drive_action import ACTION, ACTION_TYPE, goal_at, offered
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.plugins import Circumstances, Measure, treatment
+from robot_runner.plugins.systems import ActionMission, Together
+from robot_runner.testing import SystemContract, make_context, rehearse
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from robot_runner.core.events.context import RobotRunnerContext
+
+_RECOVERIES = ("last", "number_of_recoveries")
+
+
+def _mission(x: Any = 0.5, **more: Any) -> ActionMission:
+    return ActionMission(ACTION, ACTION_TYPE, goal_at(x), **more)
+
+
+class TestActionMission(SystemContract):
+    """Half a metre ahead, by an action server."""
+
+    breaking_points = 4
+
+    def make_plugin(self) -> ActionMission:
+        recoveries = Measure("Recoveries", "1", "How often the robot recovered.")
+        return _mission(feedback={recoveries: _RECOVERIES}, odometry="odom", scan="scan", stop_topic="cmd_vel")
+
+    def make_context(self, folder: Path, plugin: Any, *, run_seed: int = 1) -> RobotRunnerContext:
+        context = super().make_context(folder, plugin, run_seed=run_seed)
+        offered(context)
+        return context
+
+
+@pytest.fixture
+def contexts(tmp_path: Path) -> Iterator[Any]:
+    """Return what makes the context of a run; it is closed afterwards."""
+    made: list[RobotRunnerContext] = []
+
+    def make(plugin: Any, **more: Any) -> RobotRunnerContext:
+        made.append(make_context(tmp_path / str(len(made)), plugin, **more))
+        return made[-1]
+
+    yield make
+    for context in made:
+        context.resources.close()
+
+
+def test_fields_of_the_goal_are_bound_to_treatments_and_what_comes_back_is_measured(contexts: Any) -> None:
+    mission = _mission(
+        treatment("Ahead"),
+        feedback={
+            Measure("Left", "m", "The least distance that was left."): ("minimum", "distance_remaining"),
+            "FirstLeft": ("first", "distance_remaining"),
+            "Recoveries": _RECOVERIES,
+            "Told": "count",
+        },
+        odometry="odom",
+        scan="scan",
+    )
+    for ahead in (0.3, 0.6):
+        context = contexts(mission, combination={"Ahead": ahead})
+        server = offered(context)
+        measured = rehearse(context, mission)
+        assert server.goals == [ahead]
+        assert measured["Success"] is True
+        assert measured["Outcome"] == "succeeded"
+        assert measured["Duration"] == pytest.approx(ahead / 0.2, abs=0.7)
+        assert measured["PathLength"] == pytest.approx(ahead, abs=0.05)
+        assert measured["FirstLeft"] == pytest.approx(ahead, abs=0.02)
+        assert measured["Left"] < 0.03
+        assert measured["Recoveries"] == 2
+        assert measured["Told"] > 10
+        assert 1.0 < measured["ClosestObstacle"] < 1.6  # the pillar, or the wall behind
+
+
+@pytest.mark.parametrize(
+    ("server", "timeout_s", "outcome", "said"),
+    [
+        ({"aborts_at": 0.1}, 30.0, "aborted", "the goal was aborted"),
+        ({"accept": lambda _: False}, 30.0, "rejected", "reject"),
+        ({}, 1.0, "timed out", "was not over within 1 s, and was cancelled"),
+    ],
+)
+def test_a_goal_that_is_not_reached_fails_the_run_or_is_a_measure(
+    contexts: Any, server: dict[str, Any], timeout_s: float, outcome: str, said: str
+) -> None:
+    failing = _mission(timeout_s=timeout_s)
+    context = contexts(failing)
+    offered(context, **server)
+    with pytest.raises(LinkError, match=said):
+        rehearse(context, failing)
+    measuring = _mission(timeout_s=timeout_s, failure="measure", odometry="odom", result={"ErrorCode": "error_code"})
+    context = contexts(measuring)
+    offered(context, **server)
+    measured = rehearse(context, measuring)
+    assert measured["Success"] is False
+    assert measured["Outcome"] == outcome
+    assert measured["PathLength"] < 0.4
+    assert measured["ErrorCode"] == {"aborted": 208}.get(outcome)
+
+
+def test_a_server_that_is_missing_or_has_another_type_fails_the_run_in_its_deadline(contexts: Any) -> None:
+    context = contexts(mission := _mission(failure="measure", connect_timeout_s=1.0))
+    with pytest.raises(LinkError, match="there is no action '/navigate_to_pose'"):
+        rehearse(context, mission)
+    other = ActionMission(ACTION, "example_interfaces/Fibonacci", {"order": 3}, connect_timeout_s=1.0)
+    context = contexts(other)
+    offered(context)
+    with pytest.raises(LinkError, match="of the type nav2_msgs/NavigateToPose"):
+        rehearse(context, other)
+    wrong = ActionMission(ACTION, ACTION_TYPE, {"poses": []})
+    context = contexts(wrong)
+    offered(context)
+    with pytest.raises(LinkError, match="'poses'"):
+        rehearse(context, wrong)
+
+
+def test_a_goal_that_goes_on_after_it_was_cancelled_fails_the_run_whatever_the_policy(contexts: Any) -> None:
+    stubborn = _mission(9.0, timeout_s=0.5, cancel_timeout_s=0.3, failure="measure")
+    context = contexts(stubborn)
+    offered(context, obeys=False)
+    with pytest.raises(LinkError, match="does not end within"):
+        rehearse(context, stubborn)
+
+
+def test_what_ends_the_mission_cancels_the_goal(contexts: Any) -> None:
+    mission = _mission(3.0)
+    context = contexts(mission)
+    server = offered(context)
+    context.clock.call_every(1.0, lambda: _raise(LookupError("the operator went home")))
+    with pytest.raises(LookupError, match="went home"):
+        rehearse(context, mission)
+    assert server.cancelled == 1
+
+
+def _raise(error: Exception) -> None:
+    raise error
+
+
+def test_two_robots_reach_their_goals_at_the_same_time(contexts: Any) -> None:
+    pair = Together(*(_mission(0.6, name=name, namespace=f"/{name}") for name in ("alice", "bob")))
+    context = contexts(pair)
+    for name in ("alice", "bob"):
+        offered(context, namespace=f"/{name}")
+    measured = rehearse(context, pair)
+    assert measured["alice.Outcome"] == measured["bob.Outcome"] == "succeeded"
+    assert context.window.end - context.window.start == pytest.approx(measured["alice.Duration"], abs=0.5)
+    one_robot = Together(_mission(name="alice"), _mission(name="bob"))
+    found = list(one_robot.check(Circumstances(robot="simulated")))
+    assert "alice and bob command the same robot" in found[0].problem
+
+
+@pytest.mark.parametrize(
+    ("given", "complaint"),
+    [
+        ({"failure": "mesure"}, "failure is 'mesure'"),
+        ({"timeout_s": 0}, "timeout_s is 0"),
+        ({"goal": [1.0]}, r"goal is \[1\.0\]"),
+        ({"result": {"Error": 3}}, "which is no field"),
+        ({"feedback": {"Recoveries": "last"}}, r"feedback\['Recoveries'\] is 'last'"),
+        ({"feedback": {"Recoveries": ("newest", "x")}}, "asks for 'newest' of 'x'"),
+        ({"result": {"Duration": "total"}}, "two of its measures are named 'Duration'"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused(given: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(PluginError, match=complaint):
+        ActionMission(ACTION, ACTION_TYPE, **given)

@@ -1,0 +1,322 @@
+"""Bags as missions: over links that are faked, over DDS, over a real ROS 1, and by the players of ROS."""
+
+from __future__ import annotations
+
+import csv
+import os
+import shlex
+import shutil
+import sys
+import time
+from itertools import pairwise
+
+import pytest
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.recordings import BEGIN_NS, PERIOD_NS, scans_of_ros1, scans_of_ros2
+from tests.ros.ros1_master import quiet_about_rospy
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
+from robot_runner.core.plugin import Circumstances
+from robot_runner.plugins import treatment
+from robot_runner.ros.bag_file import new_bag
+from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.play_bag import PlayBag
+from robot_runner.ros.ros1_link import open_ros1_link
+from robot_runner.ros.shapes import completed
+from robot_runner.ros.type_catalogue import TypeCatalogue
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
+
+SCAN = "sensor_msgs/LaserScan"
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    """One bag of 20 scans of each kind, by name."""
+    folder = tmp_path_factory.mktemp("bags")
+    return {
+        "bag": scans_of_ros1(folder / "hall.bag", others=("/note",)),
+        "mcap": scans_of_ros2(folder / "hall", others=("/note",)),
+        "sqlite": scans_of_ros2(folder / "hall_sqlite", sqlite=True, best_effort=True),
+        "empty": scans_of_ros2(folder / "nothing", count=0),
+    }
+
+
+@pytest.fixture
+def play(tmp_path):
+    """Play a bag on a graph that is faked; return the link and the context."""
+
+    def execute(*positional, prepare=lambda _: None, **options):
+        clock = FakeClock(10.0)
+        link, plugin = FakeRobotLink(clock), PlayBag(*positional, **options)
+        prepare(link)
+        context = make_context(tmp_path, plugin, links=FakeLinks(robot=link), clock=clock)
+        rehearse(context, plugin)
+        return link, context
+
+    return execute
+
+
+def problems(*positional, robot="dds", **options):
+    plugin = PlayBag(*positional, **options)
+    return [(each.problem, each.fix) for each in plugin.check(Circumstances(robot=robot, plugins=[plugin]))]
+
+
+class TestABagThatDrivesARobot(SystemContract):
+    """A velocity that was recorded is commanded: the robot stands still whatever happens."""
+
+    @pytest.fixture(autouse=True)
+    def driven(self, tmp_path_factory):
+        types = TypeCatalogue.of(2)
+        bag = new_bag(tmp_path_factory.mktemp("driven"), Encoding.CDR)
+        topic = bag.add_topic("/cmd_vel", "geometry_msgs/Twist", types.definition("geometry_msgs/Twist"))
+        message = completed(types.shape("geometry_msgs/Twist"), {"linear": {"x": 0.1}}, where="")
+        data = types.serialise("geometry_msgs/Twist", message, Encoding.CDR)
+        for number in range(21):
+            bag.write(topic, BEGIN_NS + number * 100_000_000, data)
+        bag.close()
+        self.path = bag.path
+
+    def make_plugin(self):
+        return PlayBag(self.path)
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap", "sqlite"])
+def test_messages_are_as_far_apart_as_they_were_recorded_whatever_recorded_them(play, scans, kind):
+    link, context = play(scans[kind], topics=["/scan"], rate=2.0)
+    sent = [each for each in link.publications if each.topic == "/scan"]
+    assert [each.time - sent[0].time for each in sent] == pytest.approx([number * 0.025 for number in range(20)])
+    stamps = [each.message["header"]["stamp"] for each in sent]
+    assert [each["sec"] * 10**9 + each["nanosec"] for each in stamps] == [
+        BEGIN_NS + number * PERIOD_NS for number in range(20)
+    ]
+    assert "seq" not in sent[0].message["header"]  # the link is one of ROS 2
+    assert sent[3].message["ranges"][0] == 3.5
+    assert {each.qos for each in sent} == {Qos.SENSOR_DATA if kind == "sqlite" else Qos.DEFAULT}
+    assert context.measures["PlayedMessages"] == 20
+    assert context.measures["PlayTime"] == pytest.approx(19 * 0.025)
+    assert context.window.duration == pytest.approx(19 * 0.025 + 0.1)
+    assert context.measures["MaxPlayLateness"] == pytest.approx(0.0, abs=1e-9)
+    with (context.raw_data_folder / "played.csv").open() as file:
+        assert [float(row["moment_s"]) for row in csv.DictReader(file)][-1] == pytest.approx(19 * 0.05)
+
+
+def test_the_time_of_the_bag_is_told_on_clock_before_what_was_recorded_then(play, scans):
+    link, _ = play(scans["mcap"], rate=0.5, clock=True)
+    told = [each for each in link.publications if each.topic == "/clock"]
+    assert (link.publications[0].topic, told[0].message_type) == ("/clock", "rosgraph_msgs/Clock")
+    times = [each.message["clock"]["sec"] * 10**9 + each.message["clock"]["nanosec"] for each in told]
+    assert times[0] == BEGIN_NS
+    assert {later - sooner for sooner, later in pairwise(times)} == {5_000_000}  # 100 Hz at half speed
+    assert told[-1].time - told[0].time == pytest.approx(1.9, abs=0.011)
+    assert "/clock" not in {each.topic for each in play(scans["mcap"])[0].publications}
+
+
+def test_messages_that_come_late_make_the_run_doubtful_by_the_figure(tmp_path, scans):
+    class Slow(FakeRobotLink):
+        def publish(self, *arguments, **options):
+            super().publish(*arguments, **options)
+            clock.sleep(0.08)  # longer than the time between two messages
+
+    clock = FakeClock(0.0)
+    plugin = PlayBag(scans["mcap"], topics=["/scan"])
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=Slow(clock)), clock=clock)
+    measures = rehearse(context, plugin)
+    assert measures["PlayLateness"] == measures["MaxPlayLateness"] == pytest.approx(19 * 0.03)
+    (finding,) = context.broker.findings
+    assert finding.problem.endswith("99 % of the messages were published up to 570.0 ms late, and one 570.0 ms")
+
+
+def test_what_stands_in_the_way_is_found_before_anything_moves(tmp_path, scans):
+    ((missing, fix),) = problems(scans["bag"].with_name("hal.bag"))
+    assert missing.startswith("there is no bag")
+    assert "hall.bag" in fix
+    assert problems(scans["mcap"], topics=["/scann", "/gps/xyz"]) == [
+        ("the bag has no messages on '/scann'", "Did you mean '/scan'?"),
+        ("the bag has no messages on '/gps/xyz'", "Choose one of: '/scan', '/note'."),
+    ]
+    assert problems(scans["empty"])[0][0] == "the bag has no messages"
+    assert problems(scans["mcap"], robot=None)[0][0].endswith("and the experiment names none")
+    ((clocks, _),) = problems(scans["mcap"], clock=True, robot="ros2:clock=graph")
+    assert "which this plugin tells" in clocks
+    assert problems(scans["mcap"], robot="ros2:clock=graph") == []
+    (tmp_path / "note.txt").write_text("no bag")
+    assert problems(tmp_path / "note.txt")[0][0] == "'note.txt' is no bag"
+    assert problems(tmp_path)[0][0].startswith("there are no bags in")
+    assert problems(scans["bag"].parent)[0][1].startswith("Name one of them: ")
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.98])
+def test_a_bag_that_was_cut_off_is_an_error_and_no_traceback(tmp_path, scans, kind, share):
+    whole = scans[kind] if kind == "bag" else next(scans[kind].glob("*.mcap"))
+    cut = tmp_path / f"cut{whole.suffix}"
+    data = whole.read_bytes()
+    cut.write_bytes(data[: round(share * len(data))])
+    ((problem, fix),) = problems(cut)
+    assert problem.startswith("the bag cannot be read: ")
+    assert "Record it anew" in fix
+
+
+def test_a_type_that_nobody_knows_is_named_and_the_rest_can_be_played(tmp_path, play):
+    import sqlite3
+
+    path = scans_of_ros2(tmp_path / "custom", others=("/note",), sqlite=True)
+    for line in (
+        "std_msgs/msg/String",
+    ):  # as a bag of Humble, whose sqlite3 holds no definition, names a type of yours
+        metadata = path / "metadata.yaml"
+        metadata.write_text(metadata.read_text().replace(line, "my_msgs/msg/Note"))
+        (file,) = path.glob("*.db3")
+        with sqlite3.connect(file) as database:
+            database.execute("UPDATE topics SET type = 'my_msgs/msg/Note' WHERE type = ?", (line,))
+            database.execute("DELETE FROM message_definitions")
+    ((problem, fix),) = problems(path)
+    assert problem == "nobody knows the type my_msgs/Note of /note: the bag holds no definition"
+    assert fix.startswith("Leave /note out (topics=...)")
+    assert problems(path, topics=["/scan"]) == []
+    assert play(path, topics=["/scan"])[1].measures["PlayedMessages"] == 20
+
+
+def test_who_else_publishes_a_topic_of_the_bag_stops_the_run_before_it_is_played(play, scans):
+    def sensor(link):
+        link.known_topics["/scan"] = SCAN
+        link.known_publishers["/scan"] = [GraphEndpoint("/laser_driver", SCAN)]
+
+    with pytest.raises(PluginError, match="/laser_driver publishes /scan, too"):
+        play(scans["mcap"], prepare=sensor)
+    assert play(scans["mcap"], topics=["/note"], prepare=sensor)[1].measures["PlayedMessages"] == 1
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"rate": 0},
+        {"rate": -1.0},
+        {"rate": True},
+        {"topics": []},
+        {"topics": "/scan"},
+        {"by": "lnik"},
+        {"settle_s": -1},
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(wrong):
+    with pytest.raises(PluginError, match=f"{next(iter(wrong))} is"):
+        PlayBag("hall.mcap", **wrong)
+
+
+def test_a_bag_for_each_treatment_takes_as_long_as_it_is(scans):
+    plugin = PlayBag(treatment("Bag"), rate=2.0)
+    from robot_runner.core.treatments import built_with
+
+    assert built_with(plugin, {"Bag": scans["mcap"]}).duration_s({}) == pytest.approx(0.575)
+    assert built_with(plugin, {"Bag": "nowhere.bag"}).duration_s({}) is None
+
+
+def _heard(link, robot, plugin, folder):
+    """Play for real; return what another participant of the graph heard: arrival (s) and message."""
+    heard = []
+    link.subscribe("/scan", SCAN, lambda message: heard.append((time.monotonic(), message)))
+    time.sleep(0.5)
+    context = make_context(folder, plugin, robot=robot, clock=SystemClock())
+    try:
+        measures = rehearse(context, plugin)
+        deadline = time.monotonic() + 20.0
+        while len(heard) < 20 and time.monotonic() < deadline:
+            time.sleep(0.02)
+    finally:
+        context.resources.close()
+        link.close()
+    return heard, measures, context
+
+
+def _check_heard(heard, measures):
+    assert [message["header"]["stamp"]["nanosec"] for _, message in heard] == [
+        number * PERIOD_NS % 10**9 for number in range(20)
+    ]
+    assert heard[7][1]["ranges"][0] == 7.5
+    assert heard[-1][0] - heard[0][0] == pytest.approx(0.475, abs=0.1)
+    assert measures["PlayedMessages"] == 20
+    assert 0.475 <= measures["PlayTime"] < 0.7
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_another_participant_hears_the_bag_over_dds(tmp_path, monkeypatch, scans, kind):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    domain = claim_domain()
+    plugin = PlayBag(scans[kind], topics=["/scan"], rate=2.0)
+    listener = open_dds_link({"domain": str(domain), "distro": "jazzy"}, SystemClock())
+    heard, measures, _ = _heard(listener, f"dds:domain={domain},distro=jazzy", plugin, tmp_path)
+    _check_heard(heard, measures)
+
+
+@quiet_about_rospy
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_a_node_hears_the_bag_over_ros_1(tmp_path, master_uri, scans, kind):
+    plugin = PlayBag(scans[kind], topics=["/scan"], rate=2.0)
+    listener = open_ros1_link({"master": master_uri}, SystemClock(), "")
+    heard, measures, _ = _heard(listener, f"ros1:master={master_uri}", plugin, tmp_path)
+    _check_heard(heard, measures)
+
+
+@quiet_about_rospy
+@pytest.mark.skipif(shutil.which("rosbag") is None, reason="rosbag is not installed")
+def test_rosbag_play_plays_it_and_its_end_ends_the_mission(tmp_path, master_uri, scans):
+    plugin = PlayBag(scans["bag"], topics=["/scan"], rate=2.0, by="program")
+    listener = open_ros1_link({"master": master_uri}, SystemClock(), "")
+    heard, measures, context = _heard(listener, f"ros1:master={master_uri}", plugin, tmp_path)
+    assert len(heard) == 20
+    assert list(measures) == ["PlayTime"]
+    assert 0.3 < measures["PlayTime"] == pytest.approx(context.window.duration - 0.1, abs=0.1)
+    assert not context.broker.findings
+
+
+def test_the_player_of_ros_2_gets_its_words_and_its_failure_is_told(tmp_path, monkeypatch, scans):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    domain = claim_domain()
+    program, said = tmp_path / "ros2", tmp_path / "words.txt"
+    script = f"""
+import sys, time
+from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.core.events.context import SystemClock
+open({str(said)!r}, "w").write(" ".join(sys.argv[1:]))
+link = open_dds_link({{"domain": "{domain}", "distro": "jazzy"}}, SystemClock())
+for number in range(20):
+    link.publish("/scan", "{SCAN}", {{"header": {{"stamp": {{"sec": 1, "nanosec": number}}}}}})
+    time.sleep(0.02)
+link.close()
+sys.exit("no storage plugin" if "--clock" in sys.argv else 0)
+"""
+    (tmp_path / "player.py").write_text(script)
+    program.write_text(f'#!/bin/sh\nexec {shlex.join([sys.executable, str(tmp_path / "player.py")])} "$@"\n')
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    robot = f"dds:domain={domain},distro=jazzy"
+    plugin = PlayBag(scans["mcap"], topics=["/scan"], rate=0.5, by="program")
+    assert list(plugin.check(Circumstances(robot=robot))) == []
+    context = make_context(tmp_path / "one", plugin, robot=robot, clock=SystemClock())
+    measures = rehearse(context, plugin)
+    context.resources.close()
+    assert said.read_text() == f"bag play {scans['mcap']} --rate 0.5 --topics /scan"
+    assert 0.2 < measures["PlayTime"] < 5.0
+    failing = PlayBag(scans["mcap"], topics=["/scan"], by="program", clock=True)
+    context = make_context(tmp_path / "two", failing, robot=robot, clock=SystemClock())
+    with pytest.raises(PluginError, match="ros2 ended with exit code 1: no storage plugin"):
+        rehearse(context, failing)
+    context.resources.close()
+
+
+def test_a_type_that_the_graph_does_not_know_fails_the_attempt_before_the_mission(tmp_path, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    bag = new_bag(tmp_path, Encoding.CDR)
+    topic = bag.add_topic("/note", "my_msgs/Note", "string text\n")
+    bag.write(topic, BEGIN_NS, b"\0\1\0\0\3\0\0\0hi\0")
+    bag.close()
+    plugin = PlayBag(bag.path)
+    robot = f"dds:domain={claim_domain()},distro=jazzy"
+    assert list(plugin.check(Circumstances(robot=robot))) == []
+    context = make_context(tmp_path, plugin, robot=robot, clock=SystemClock())
+    with pytest.raises(LinkError, match="my_msgs/Note"):
+        rehearse(context, plugin)
+    context.resources.close()
