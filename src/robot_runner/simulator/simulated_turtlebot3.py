@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from robot_runner.simulator.rooms import Obstacle, Pose, Room
+    from robot_runner.simulator.simulated_actions import SimulatedAction
 
 __all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
 
@@ -218,6 +219,7 @@ class Simulation:
         room: where they live.
         real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
         offers: the services that others than the robots offer, by full name: their types and what answers.
+        actions: the actions that are offered, by full name.
 
     Example:
         >>> simulation = Simulation(seed=1)
@@ -239,6 +241,7 @@ class Simulation:
         self.room = room
         self._seed = seed
         self.offers: dict[str, tuple[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]] = {}
+        self.actions: dict[str, SimulatedAction] = {}
         self._robots: dict[str, SimulatedTurtlebot3] = {}
         self._is_closed = False
 

@@ -45,6 +45,9 @@ def stage(graph, tmp_path):
     begun = []
 
     def make(simulator, *, pace=1.0, faults=(), **parameters):
+        gone = time.monotonic() + 20.0
+        while (own.services() or its.services()) and time.monotonic() < gone:  # of the simulator before
+            time.sleep(0.02)
         made = FaithfulSimulator(its, simulator, pace=pace, faults=faults)
         begun.append(made)
         plugin = Simulation(simulator, **{"timeout_s": 2.0, **parameters})

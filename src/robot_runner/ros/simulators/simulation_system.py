@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.plugin import System
 from robot_runner.ros.graph_links import follows_graph_clock
 from robot_runner.ros.simulators.simulator_dialects import dialect_of
@@ -126,6 +127,18 @@ class Simulation(System):
                 "the embedded robot begins each run anew: nothing is reset, and its time has no pace of its own",
                 "Leave the plugin out, or reach a simulator on a graph: --set robot=dds.",
             )
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Need where the robot stands, and the services whose names are known beforehand."""
+        del circumstances
+        if self._reset is not None:
+            fix = "Name the topic that tells where the robot stands: pose_topic='odom'."
+            yield GraphNeed.published(self.pose_topic, fix=fix)
+        pausing = (self._dialect.pause, self._dialect.unpause) if self.pauses else ()
+        for demand in (self._reset, self._place, *pausing):
+            if demand is not None and len(demand.services) == 1:
+                fix = f"Start what offers it: {self._dialect.hint}."
+                yield GraphNeed.service(demand.services[0], demand.service_type, fix=fix)
 
     def before_run(self, context: RobotRunnerContext) -> None:
         """Let the simulator go on where the run lives by its time: a run cannot begin while that stands still."""

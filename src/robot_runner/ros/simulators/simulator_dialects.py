@@ -23,6 +23,8 @@ Spot = tuple[float, float, float]
 
 _EMPTY = "std_srvs/Empty"
 _LOOK = 0.02
+#: A graph on which no service is seen for so long, s, does not tell its services.
+_SILENT = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +59,13 @@ class Demand:
 
     def _awaited(self, link: RobotLink, namespace: str, deadline: float) -> str:
         """Return the name of the service; a graph that was just joined takes a moment to be discovered."""
+        silent_until = min(deadline, time.monotonic() + _SILENT)
         while True:
             try:
                 return self._found(link, namespace)
             except LinkError:
+                if time.monotonic() > silent_until and not link.services():  # a graph that does not tell its services
+                    return full_name(namespace, self.services[0])
                 if time.monotonic() > deadline:
                     raise
                 time.sleep(_LOOK)
@@ -69,8 +74,8 @@ class Demand:
         names = [full_name(namespace, each) for each in self.services]
         known = link.services()
         there = [each for each in names if each in known]
-        if there or not known:  # a graph that does not tell its services is asked straight away
-            return (there or names)[0]
+        if there:
+            return there[0]
         end = "/" + names[0].rpartition("/")[2]
         alike = [name for name, kind in known.items() if name.endswith(end) and kind in {self.service_type, "*"}]
         if len(alike) == 1:
