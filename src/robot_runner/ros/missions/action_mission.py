@@ -13,14 +13,17 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.message_fields import field_of
 from robot_runner.core.plugin import System
 from robot_runner.core.words import listed
 from robot_runner.ros.missions.cancelling import cancel_all_goals
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
+from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -167,6 +170,16 @@ class ActionMission(System):
                 "the plugin sends goals to a robot, and the experiment names none",
                 "Name it in the config: robot = 'ros2'. Or: --set robot=ros2.",
             )
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Return the action, and the topics that are named."""
+        del circumstances
+        fix = "Start the node that offers it, or correct its name or the plugin's namespace."
+        yield GraphNeed.action(self.action, plain_type(self.action_type), fix=fix)
+        yield from self._of_way.required()
+        if self.stop_topic is not None:
+            fix = "Start the robot's bringup, or leave stop_topic out."
+            yield GraphNeed.subscribed(self.stop_topic, *sorted(VELOCITY_COMMANDS), fix=fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, and see that what is measured beside arrives."""
