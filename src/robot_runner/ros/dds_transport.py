@@ -17,6 +17,7 @@ from robot_runner.ros.dds_reception import delete, topic_wire_type
 from robot_runner.ros.dds_services import OfferedService, ServiceClient
 from robot_runner.ros.dds_session import Session
 from robot_runner.ros.graph_transport import ReceivedBytes, check_type
+from robot_runner.ros.ros2_actions import Ros2Actions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -59,6 +60,7 @@ class DdsTransport:
         self._session = Session(settings)
         self._session.graph.on_writer = self._adapt
         self.types = self._session.types
+        self.actions = Ros2Actions(self)
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
         """Return a publisher, once the readers that are there already are matched."""
@@ -128,7 +130,7 @@ class DdsTransport:
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; in a callback, what arrives meanwhile is received within it."""
-        self._session.reception.wait_for(event.is_set, seconds)
+        self._session.reception.wait_event(event, seconds)
 
     def close(self) -> None:
         """Leave the graph."""

@@ -6,10 +6,12 @@ import os
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.ros.rosbridge_security import SECURITY_OPTIONS, RosbridgeSecurity
 from robot_runner.ros.type_store import ROS1_DISTROS, ROS2_DISTROS
 
 if TYPE_CHECKING:
@@ -28,7 +30,10 @@ _MOST_PARTICIPANTS = 32
 _SCHEME = "rosbridge"
 #: Where a rosbridge server listens, if not started elsewhere.
 _DEFAULT_PORT = 9090
-_ROSBRIDGE_OPTIONS = ("ros", "distro", "types")
+#: The ports of a rosbridge behind TLS: by our own name of it, and by that of any WebSocket.
+_TLS_PORTS = MappingProxyType({"rosbridge+tls": _DEFAULT_PORT, "wss": 443})
+_OPEN = RosbridgeSecurity()
+_ROSBRIDGE_OPTIONS = ("ros", "distro", "types", *SECURITY_OPTIONS)
 
 
 def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int:
@@ -128,10 +133,13 @@ class RosbridgeAddress:
         generation: of the robot's ROS, 1 or 2; None to ask the robot.
         distro: the robot's distribution; None to ask the robot.
         types: files and folders with further message types.
+        security: how the connection is secured; `rosbridge+tls://` and `wss://` are of TLS.
 
     Example:
         >>> RosbridgeAddress.parse("rosbridge://robot?distro=humble").uri
         'ws://robot:9090/'
+        >>> RosbridgeAddress.parse("rosbridge+tls://robot:443").uri
+        'wss://robot:443/'
     """
 
     host: str
@@ -140,6 +148,7 @@ class RosbridgeAddress:
     generation: int | None = None
     distro: str | None = None
     types: tuple[Path, ...] = ()
+    security: RosbridgeSecurity = _OPEN
 
     @classmethod
     def parse(cls, text: str) -> RosbridgeAddress:
@@ -153,18 +162,24 @@ class RosbridgeAddress:
             host, port = parts.hostname, parts.port
         except ValueError as error:
             raise _malformed(text) from error
-        if parts.scheme != _SCHEME or not host or parts.fragment:
+        if parts.username is not None or parts.password is not None:
+            problem = f"the address of the rosbridge at {host} has a user or a password in it, which would be recorded"
+            fix = "Name the variable that holds it: rosbridge+tls://host?user=NAME&password_env=VARIABLE."
+            raise LinkError(problem, where=_WHERE, fix=fix)
+        if parts.scheme not in {_SCHEME, *_TLS_PORTS} or not host or parts.fragment:
             raise _malformed(text)
         options = _options(parts)
         distro = options.get("distro")
         generation = _generation(options.get("ros"), distro)
-        return cls(host, port or _DEFAULT_PORT, parts.path or "/", generation, distro, _paths(options))
+        security = RosbridgeSecurity.of(options, is_tls=parts.scheme in _TLS_PORTS)
+        port = port or _TLS_PORTS.get(parts.scheme, _DEFAULT_PORT)
+        return cls(host, port, parts.path or "/", generation, distro, _paths(options), security)
 
     @property
     def uri(self) -> str:
         """The address of its WebSocket."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"ws://{host}:{self.port}{self.path}"
+        return f"{'wss' if self.security.is_tls else 'ws'}://{host}:{self.port}{self.path}"
 
 
 def _options(parts: SplitResult) -> dict[str, str]:

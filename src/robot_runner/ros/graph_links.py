@@ -33,6 +33,7 @@ __all__ = [
     "ROS1",
     "ROS2",
     "ROSBRIDGE",
+    "ROSBRIDGE_TLS",
     "GraphLinkKind",
     "clock_fix",
     "follows_graph_clock",
@@ -206,10 +207,18 @@ ROSBRIDGE = GraphLinkKind(
     takes_address=True,
     client=("robot_runner.ros.rosbridge_transport",),
 )
+ROSBRIDGE_TLS = replace(ROSBRIDGE, description="ROS 1 or 2 through a rosbridge behind TLS, with no ROS installed")
 AUTO = _FoundRobot()
 
 GRAPH_LINKS: Mapping[str, GraphLinkKind] = MappingProxyType(
-    {"ros1": ROS1, "ros2": ROS2, "dds": DDS, "rosbridge": ROSBRIDGE}
+    {
+        "ros1": ROS1,
+        "ros2": ROS2,
+        "dds": DDS,
+        "rosbridge": ROSBRIDGE,
+        "rosbridge+tls": ROSBRIDGE_TLS,
+        "wss": ROSBRIDGE_TLS,
+    }
 )
 
 

@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import Finding, LinkError, Severity, nearest
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot import RobotLink, RobotName
 from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_links import GRAPH_LINKS, clock_fix
+from robot_runner.ros.parameter_access import ServerParameters, parameters_of
+from robot_runner.ros.parameter_values import from_json
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import (
     is_told,
@@ -46,6 +48,11 @@ _INFRASTRUCTURE = frozenset(
     {"/rosout", "/rosout_agg", "/parameter_events", "/client_count", "/connected_clients", "/clock"}
 )
 _LISTED = 5
+#: How long a node may take to tell of its parameters, s; it is one of many questions.
+_PARAMETER_SECONDS = 1.5
+_SERVICES = frozenset({GraphPart.SERVICE, GraphPart.PARAMETERS})
+#: How the names of services begin that are there without any robot: a rosbridge's, and those of this very look.
+_BRIDGE = ("/rosapi", "/rosbridge", "/robot_runner")
 _ROBOT = "robot"
 
 
@@ -121,8 +128,8 @@ def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], sec
 
 
 def _findings(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> Iterator[Finding]:
-    if not set(link.topics()) - _INFRASTRUCTURE:
-        names = [need.name for wanted in needs.values() for need in wanted]
+    if not set(link.topics()) - _INFRASTRUCTURE and not _has_services(link, needs):
+        names = list(dict.fromkeys(need.name for wanted in needs.values() for need in wanted))
         shown = [*names[:_LISTED], *([f"{len(names) - _LISTED} more"] if len(names) > _LISTED else [])]
         problem = "no robot is on the graph: no node publishes or subscribes anything there"
         needed = f", and the plugins need {enumerated(shown)}" if names else ""
@@ -132,6 +139,12 @@ def _findings(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> I
     for where, wanted in needs.items():
         for need in wanted:
             yield from need_findings(link, need, where)
+
+
+def _has_services(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> bool:
+    """Whether services are needed and a robot offers any: one that publishes nothing yet may be there all the same."""
+    wanted = {need.part for each in needs.values() for need in each} & _SERVICES
+    return bool(wanted) and any(not service.startswith(_BRIDGE) for service in link.services())
 
 
 def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
@@ -149,6 +162,8 @@ def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[F
             yield from offer_findings("service", link.services(), need, where)
         case GraphPart.ACTION:
             yield from _action(link, need, where)
+        case GraphPart.PARAMETERS:
+            yield from _parameters(link, need, where)
 
 
 def _published(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
@@ -180,6 +195,22 @@ def _action(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding
         yield Finding.warning(where, f"whether the action {need.name!r} is offered was not seen: the link lists none")
     else:
         yield from offer_findings("action", actions(), need, where)
+
+
+def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
+    if not isinstance(link, RobotLink):
+        return
+    access = parameters_of(link, timeout=_PARAMETER_SECONDS)
+    values = {name: from_json(stored) for name, stored in json.loads(need.values).items()}
+    try:
+        errors = access.objections(need.name, values)
+        doubts = access.doubts(need.name, list(values)) if isinstance(access, ServerParameters) else []
+    except LinkError as error:
+        errors, doubts = [error], []
+    for each in errors:
+        yield Finding.error(where, f"{each.where}: {each.problem}", f"{need.fix} {each.fix}".strip())
+    for problem, fix in doubts:
+        yield Finding.warning(where, problem, fix)
 
 
 def offer_findings(what: str, offered: Mapping[str, str], need: GraphNeed, where: str) -> Iterator[Finding]:

@@ -55,6 +55,10 @@ class ParameterAccess(Protocol):
         """Return the values that these parameters have; None for one without a value."""
         ...
 
+    def objections(self, node: str, values: Mapping[str, Any]) -> Sequence[LinkError]:
+        """Return why these values cannot be set, as far as that is known beforehand; nothing is set by asking."""
+        ...
+
     def change(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node; None takes the value of one away.
 
@@ -145,15 +149,13 @@ class NodeParameters:
         self._check_known(node, names, [int(each["type"]) for each in told])
         return {name: from_wire(each) for name, each in zip(names, told, strict=True)}
 
+    def objections(self, node: str, values: Mapping[str, Any]) -> list[LinkError]:
+        """Return why these values cannot be set, as far as the node tells beforehand; nothing is set by asking."""
+        return self._checked(node, values)[1]
+
     def change(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node, all of which are looked at before."""
-        described = self.described(node, list(values))
-        wire, errors = [], []
-        for name, value in values.items():
-            try:
-                wire.append({"name": name, "value": _checked(value, described[name], self._where(node, name))})
-            except LinkError as error:
-                errors.append(error)
+        wire, errors = self._checked(node, values)
         all_at_once(errors, where=self._full(node))
         results = self._call(node, "SetParameters", {"parameters": wire})["results"]
         if len(results) != len(wire):
@@ -161,6 +163,17 @@ class NodeParameters:
         answers = zip(values, results, strict=True)
         refused = [self._refused(node, name, told["reason"]) for name, told in answers if not told["successful"]]
         all_at_once(refused, where=self._full(node))
+
+    def _checked(self, node: str, values: Mapping[str, Any]) -> tuple[list[dict[str, Any]], list[LinkError]]:
+        """Return what is sent to the node, and what speaks against it."""
+        described = self.described(node, list(values))
+        wire, errors = [], []
+        for name, value in values.items():
+            try:
+                wire.append({"name": name, "value": _checked(value, described[name], self._where(node, name))})
+            except LinkError as error:
+                errors.append(error)
+        return wire, errors
 
     def _call(self, node: str, service: str, request: Message) -> Any:
         what, kind = "node that has parameters:", f"rcl_interfaces/{service}"
@@ -216,16 +229,13 @@ class ServerParameters:
         """Return the values that are set; None where nothing is, and the node takes its own default."""
         return {name: self._value(self._key(node, name)) for name in names}
 
+    def objections(self, node: str, values: Mapping[str, Any]) -> list[LinkError]:
+        """Return why these values cannot be set; nothing is set by asking."""
+        return self._fitted(node, values)[1]
+
     def change(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters for a node; None has it take its own default when it starts the next time."""
-        described = self.described(node, list(values))
-        fits, errors = {}, []
-        for name, value in values.items():
-            key = self._key(node, name)
-            try:
-                fits[key] = None if value is None else _fitting_server(value, described[name].kind, key)
-            except LinkError as error:
-                errors.append(error)
+        fits, errors = self._fitted(node, values)
         all_at_once(errors, where=node)
         for key, value in fits.items():
             if value is not None:
@@ -251,6 +261,18 @@ class ServerParameters:
             problem = f"{full} is running already, and a node of ROS 1 reads most of its parameters when it starts"
             found.append((problem, "Start it after they are set: list its RosLaunch after RosParameters."))
         return found
+
+    def _fitted(self, node: str, values: Mapping[str, Any]) -> tuple[dict[str, ParameterValue], list[LinkError]]:
+        described = self.described(node, list(values))
+        fits: dict[str, ParameterValue] = {}
+        errors = []
+        for name, value in values.items():
+            key = self._key(node, name)
+            try:
+                fits[key] = None if value is None else _fitting_server(value, described[name].kind, key)
+            except LinkError as error:
+                errors.append(error)
+        return fits, errors
 
     def _key(self, node: str, name: str) -> str:
         return f"{full_node(self._link, node).rstrip('/')}/{name}"

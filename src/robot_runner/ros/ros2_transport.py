@@ -23,6 +23,7 @@ from robot_runner.ros.graph_transport import (
     silent_publishers,
     wrong_service_type,
 )
+from robot_runner.ros.ros2_actions import Ros2Actions
 from robot_runner.ros.ros2_node import Graph, GraphNode, join_graph
 from robot_runner.ros.ros2_types import Ros2Types, as_mapping, as_message, message_class, service_class
 
@@ -66,6 +67,7 @@ class Ros2Transport:
 
     def __init__(self, domain: int | None, now_ns: Callable[[], int], *, use_sim_time: bool) -> None:
         self.types = Ros2Types()
+        self.actions = Ros2Actions(self)
         self._now_ns = now_ns
         self._lock = threading.Lock()
         self._clients: dict[tuple[str, str], _Client] = {}

@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.ros.parameter_access import ServerParameters, parameters_of
-from robot_runner.ros.parameter_values import normal
+from robot_runner.ros.parameter_values import normal, to_json
 from robot_runner.ros.restored_settings import RestoredSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.kept_settings import Settings
     from robot_runner.ros.parameter_values import ParameterValue
 
@@ -59,6 +61,13 @@ class RosParameters(RestoredSettings):
         if not isinstance(parameters, Mapping) or not parameters:
             raise PluginError(f"parameters is {parameters!r}", where=self.name, fix=_FIX)
         self.settings = {node: self._checked(node, values) for node, values in parameters.items()}
+
+    def required_graph(self, circumstances: Circumstances) -> Iterator[GraphNeed]:
+        """Yield the nodes, with the values that they are to have; `/` of ROS 1 is no node."""
+        del circumstances
+        for node, values in self.settings.items():
+            if node != "/":
+                yield GraphNeed.parameters(node, {name: to_json(value) for name, value in values.items()})
 
     def read(self, link: RobotLink, node: str, names: Sequence[str]) -> Mapping[str, ParameterValue]:
         """Return the values of parameters."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import queue
+import socket
 import threading
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -90,6 +91,7 @@ class Session:
         ]
         for thread in self._threads:
             thread.start()
+        self._authenticate(address)
         self._greet()
 
     @property
@@ -209,6 +211,22 @@ class Session:
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join(ANSWER)
+
+    def _authenticate(self, address: RosbridgeAddress) -> None:
+        """Say who we are by rosauth, where the address names its secret; a server that refuses it hangs up."""
+        operation = address.security.authentication(socket.gethostname(), address.host)
+        if operation is None:
+            return
+        self.send(operation)
+        try:
+            self.flush(where=self.where)
+        except LinkError as error:
+            self.close()
+            raise LinkError(
+                f"the rosbridge does not take our authentication by rosauth: {error.problem}",
+                where=self.where,
+                fix="See that the secret is the one of rosauth's file on the robot, and that both clocks agree to 5 s.",
+            ) from error
 
     def _greet(self) -> None:
         """See that it speaks the protocol."""

@@ -12,6 +12,8 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
+from robot_runner.ros.ros1_actions import Ros1Actions
+from robot_runner.ros.ros2_actions import Ros2Actions
 from robot_runner.ros.rosapi_parameters import RosapiParameters
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from robot_runner.core.links.robot import GraphEndpoint, Message
+    from robot_runner.ros.action_calls import ActionDialect
     from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.shapes import Shape
@@ -67,6 +70,7 @@ class RosbridgeTransport:
         except LinkError:
             self._session.close()
             raise
+        self.actions: ActionDialect = Ros1Actions(self) if self.types.generation == 1 else Ros2Actions(self)
         self._session.on_message = self._take_message
         self._session.on_request = self._take_request
 

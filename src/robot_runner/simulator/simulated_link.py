@@ -11,6 +11,7 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, RawMessage
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
 from robot_runner.ros.shapes import Field, Shape, plain_type
+from robot_runner.simulator.simulated_actions import SimulatedActions
 from robot_runner.simulator.simulated_clock import STEP_NS
 
 if TYPE_CHECKING:
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
 __all__ = ["SimulatedRobotLink", "SimulatedTransport"]
 
 _STEP = STEP_NS / 1e9
+#: The shortest time that a simulated clock knows, s.
+_LEAST = 1e-9
 _NODE = "turtlebot3_node"
 
 # The types that the embedded robot takes and answers with are known without any ROS package.
@@ -101,6 +104,7 @@ class SimulatedTransport:
 
     def __init__(self, simulation: Simulation, namespace: str) -> None:
         self.types = SimulatedTypes()
+        self.actions = SimulatedActions(simulation.clock, simulation.actions, self.types)
         self._simulation = simulation
         self._robot: SimulatedRobot = simulation.robot(namespace)
         self._has_started_task = False
@@ -188,7 +192,8 @@ class SimulatedTransport:
         clock = self._simulation.clock
         deadline = clock.now() + seconds
         while not event.is_set() and clock.now() < deadline:
-            clock.sleep(min(_STEP, deadline - clock.now()))
+            # What is left may round to no time at all, in which nothing would ever come.
+            clock.sleep(max(_LEAST, min(_STEP, deadline - clock.now())))
 
     def close(self) -> None:
         """Stop the robot's task, if one was started here.

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from robot_runner.simulator.modelled_robot import ModelledRobot, RobotModel
     from robot_runner.simulator.rooms import Obstacle, Pose, Room
+    from robot_runner.simulator.simulated_actions import SimulatedAction
 
     SimulatedRobot: TypeAlias = "SimulatedTurtlebot3 | ModelledRobot"
 
@@ -231,6 +232,7 @@ class Simulation:
         model: what its robots are made of instead of a TurtleBot3; None for those.
         real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
         offers: the services that others than the robots offer, by full name: their types and what answers.
+        actions: the actions that are offered, by full name.
 
     Example:
         >>> simulation = Simulation(seed=1)
@@ -254,6 +256,7 @@ class Simulation:
         self.model = model
         self._seed = seed
         self.offers: dict[str, tuple[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]] = {}
+        self.actions: dict[str, SimulatedAction] = {}
         self._robots: dict[str, SimulatedRobot] = {}
         self._is_closed = False
 

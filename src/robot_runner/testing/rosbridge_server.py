@@ -5,6 +5,7 @@ Source: rosbridge v2.0 protocol specification.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import logging
@@ -31,6 +32,7 @@ from robot_runner.testing.rosbridge_graph import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
+    from ssl import SSLContext
 
     from robot_runner.core.links.robot import Message
     from robot_runner.testing.rosbridge_graph import ServedTopic
@@ -56,6 +58,7 @@ class ServedClient:
         self._compressions: dict[str, str] = {}
         self._fragment_sizes: dict[str, int] = {}
         self._open_requests: dict[str, tuple[ServedClient, Any]] = {}
+        self._is_authenticated = False
 
     def serve(self) -> None:
         """Take operations until the connection ends."""
@@ -117,6 +120,14 @@ class ServedClient:
             "service_response": self._pass_on,
             "set_level": lambda _: None,
         }
+        if self._server.secret and not self._is_authenticated:
+            # As rosauth: the SHA-512 of the secret and all that the client says, in this order.
+            said = "".join(str(operation.get(name)) for name in ("client", "dest", "rand", "t", "level", "end"))
+            mac = hashlib.sha512((self._server.secret + said).encode()).hexdigest()
+            self._is_authenticated = operation["op"] == "auth" and operation.get("mac") == mac
+            if not self._is_authenticated:
+                self.close()
+            return
         try:
             with self._server.lock:
                 taker = takers.get(operation["op"])
@@ -223,6 +234,9 @@ class RosbridgeServer:
         tells: whether it sends status messages, as the protocol says; today's servers only write them to their log.
         compressions: that it knows; a server sends JSON where it does not know one.
         types: files and folders with message types that the robot has beyond the standard ones.
+        tls: by which it proves who it is; None for a server without TLS.
+        authorization: the HTTP header without which it answers 401; empty for a server that asks for none.
+        secret: by which clients authenticate themselves as rosauth has it, or are hung up on; empty for none.
 
     Attributes:
         graph: topics and services behind it.
@@ -248,6 +262,9 @@ class RosbridgeServer:
         tells: bool = False,
         compressions: Sequence[str] = _ALL,
         types: Sequence[Path] = (),
+        tls: SSLContext | None = None,
+        authorization: str = "",
+        secret: str = "",
     ) -> None:
         from websockets.sync.server import serve  # noqa: PLC0415  # an extra
 
@@ -259,7 +276,19 @@ class RosbridgeServer:
         nodes = ["/rosbridge_websocket", *(["/rosapi"] if has_rosapi else [])]
         self._rosapi = ServedRosapi(self.graph, generation, _DISTROS[generation], nodes) if has_rosapi else None
         self._clients: list[ServedClient] = []
-        self._server = serve(self._serve, "127.0.0.1", 0, max_size=None, compression=None, logger=_quiet())
+        self._scheme = "rosbridge" if tls is None else "rosbridge+tls"
+        self.secret = secret
+        self._authorization = authorization
+        self._server = serve(
+            self._serve,
+            "127.0.0.1",
+            0,
+            ssl=tls,
+            process_request=self._judge,
+            max_size=None,
+            compression=None,
+            logger=_quiet(),
+        )
         self._thread = threading.Thread(target=self._server.serve_forever, name="rosbridge server", daemon=True)
         self._thread.start()
 
@@ -271,7 +300,7 @@ class RosbridgeServer:
     @property
     def url(self) -> str:
         """What `robot` is set to, to reach it."""
-        return f"rosbridge://127.0.0.1:{self.port}"
+        return f"{self._scheme}://127.0.0.1:{self.port}"
 
     @property
     def encoding(self) -> Encoding:
@@ -344,6 +373,11 @@ class RosbridgeServer:
 
     def _spelt_type(self, name: str, kind: str) -> str:
         return name if self.generation == 1 else name.replace("/", f"/{kind}/", 1)
+
+    def _judge(self, connection: Any, request: Any) -> Any:
+        if self._authorization in {"", request.headers.get("Authorization")}:
+            return None
+        return connection.respond(401, "who are you?")
 
     def _serve(self, connection: Any) -> None:
         client = ServedClient(self, connection)

@@ -8,10 +8,10 @@ from contextlib import ExitStack
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, GoalRejectedError, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.links.goals import GoalRejected, GoalStatus
+from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.message_fields import field_of
 from robot_runner.core.plugin import System
@@ -251,7 +251,7 @@ class ActionMission(System):
                 on_feedback=self._of_feedback.take,
                 timeout=self.connect_timeout_s,
             )
-        except GoalRejected as error:
+        except GoalRejectedError as error:
             if self.failure is _Failure.FAIL:
                 raise
             context.warn(error.problem, fix=error.fix)
