@@ -162,6 +162,8 @@ _STEPS_A_FALL = 100
 
 #: So far may a stamp lie in the future, s, before clocks are said to differ: they are never quite one.
 _AHEAD = 0.001
+#: Of so many messages the rate is shown to who watches.
+_RECENT = 20
 
 
 def missed(sequence: Sequence[int]) -> int | None:
@@ -216,6 +218,12 @@ class ReceivedTopic:
         first, last = bisect_right(self.times, window.start), bisect_right(self.times, window.end)
         times, sizes = self.times[first:last], self.sizes[first:last]
         return replace(self, times=times, sizes=sizes, ages=self.ages[first:last], sequence=self.sequence[first:last])
+
+    @property
+    def recent_rate(self) -> float | None:
+        """How many messages a second came lately, Hz, for who watches; None of fewer than two."""
+        recent = self.times[-_RECENT:]
+        return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 and recent[-1] > recent[0] else None
 
     @property
     def known_numbers(self) -> list[int]:
