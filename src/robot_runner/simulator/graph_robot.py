@@ -14,7 +14,6 @@ from robot_runner.core.links.connect import SIMULATION_TOPIC
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, RELEASE_SERVICE, RELEASE_TYPE, Watchdog
 from robot_runner.simulator.simulated_devices import MeterTerminal
-from robot_runner.simulator.simulated_turtlebot3 import COMMAND_TOPICS, SERVICES
 
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, RobotLink
@@ -27,6 +26,9 @@ _SECOND_NS = 1_000_000_000
 _TRANSFORM_TYPE = "tf2_msgs/TFMessage"
 #: Best effort, as of the robot's own drivers; all else is reliable.
 _QOS = {"scan": Qos.SENSOR_DATA, "imu": Qos.SENSOR_DATA}
+
+_VELOCITY = "cmd_vel"
+_STANDSTILL = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
 
 _logger = logging.getLogger(__name__)
 
@@ -91,7 +93,7 @@ class GraphRobot:
         """Be the robot of this simulation from now on; its topics go on."""
         self._listening.close()
         self._clock = simulation.clock
-        self._robot = simulation.turtlebot3(self._namespace)
+        self._robot = simulation.robot(self._namespace)
         for name, topic in self._robot.topics.items():
             publish = partial(self._publish, name, topic.message_type, _QOS.get(name, Qos.DEFAULT))
             self._listening.callback(topic.listen(publish).close)
@@ -105,7 +107,7 @@ class GraphRobot:
     def watch(self) -> None:
         """Stop where the run that drives it has fallen silent."""
         if self._watchdog.must_stop(time.monotonic()):
-            self._robot.drive(0.0, 0.0)
+            self._stop()
 
     def close(self) -> None:
         """End all offers and subscriptions; closing twice does nothing."""
@@ -113,13 +115,13 @@ class GraphRobot:
         self._closing.close()
 
     def _offer(self) -> None:
-        for name, service_type in SERVICES.items():
+        for name, service_type in self._robot.services.items():
             self._keep(self._link.offer(name, service_type, partial(self._call, name)))
         self._keep(self._link.offer(RELEASE_SERVICE, RELEASE_TYPE, self._release))
 
     def _subscribe(self) -> None:
-        for topic, message_type in COMMAND_TOPICS.items():
-            self._keep(self._link.subscribe(topic, message_type, self._drive))
+        for topic, message_type in self._robot.command_topics.items():
+            self._keep(self._link.subscribe(topic, message_type, partial(self._command, topic)))
         self._keep(self._link.subscribe(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, self._take_heartbeat))
 
     def _keep(self, subscription: Any) -> None:
@@ -134,11 +136,19 @@ class GraphRobot:
     def _stamp(self) -> dict[str, int]:
         return stamp(self._clock.now_ns if self._is_clock else time.time_ns())
 
-    def _drive(self, message: Message) -> None:
-        speed, rate = float(message["linear"]["x"]), float(message["angular"]["z"])
+    def _command(self, topic: str, message: Message) -> None:
+        is_moving = topic != _VELOCITY or bool(message["linear"]["x"] or message["angular"]["z"])
         with self._lock:
-            self._watchdog.hear_command(is_moving=bool(speed or rate), now=time.monotonic())
-            self._robot.drive(speed, rate)
+            self._watchdog.hear_command(is_moving=is_moving, now=time.monotonic())
+            try:
+                self._robot.command(topic, message)
+            except LinkError as error:  # somebody's mistake on the graph is not the simulation's end
+                _logger.warning("a command was not carried out: %s", error)
+
+    def _stop(self) -> None:
+        """Stop the wheels; joints stay where they were told to go."""
+        if _VELOCITY in self._robot.command_topics:
+            self._robot.command(_VELOCITY, _STANDSTILL)
 
     def _take_heartbeat(self, message: Message) -> None:
         with self._lock:

@@ -14,6 +14,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.simulator.graph_robot import GraphRobot, stamp
+from robot_runner.simulator.modelled_robot import RobotModel
 from robot_runner.simulator.room_file import read_room
 from robot_runner.simulator.rooms import DEFAULT_ROOM
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -208,6 +209,7 @@ class SimulatedPlace:
         is_clock: whether its time is published on `/clock`.
         has_watchdog: whether it stops once the run that drives it has fallen silent.
         room: a file that describes where it lives; None for the usual room.
+        model: an MJCF file that describes it; None for a TurtleBot3.
 
     Example:
         >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
@@ -221,6 +223,7 @@ class SimulatedPlace:
     is_clock: bool = False
     has_watchdog: bool = True
     room: Path | None = None
+    model: Path | None = None
 
 
 def check_pace(place: SimulatedPlace) -> None:
@@ -255,7 +258,8 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
     if name.link not in GRAPH_LINKS:
         fix = did_you_mean(name.link, GRAPH_LINKS)
         raise LinkError(f"no robot can be put on {name.link!r}", where="the simulated robot", fix=fix)
-    room = DEFAULT_ROOM if place.room is None else read_room(place.room)
+    room = None if place.room is None else read_room(place.room)
+    model = None if place.model is None else RobotModel(place.model, room)
     namespaces = _namespaces(place, room)
     with ExitStack() as closing:
         links = []
@@ -264,11 +268,11 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
             closing.callback(links[-1].close)
         graph = GraphSimulation(
             dict(zip(namespaces, links, strict=True)),
-            lambda seed: Simulation(seed, room=room),
+            lambda seed: Simulation(seed, room=room or DEFAULT_ROOM, model=model),
             seed=place.seed,
             is_clock=place.is_clock,
             real_time_factor=place.real_time_factor,
-            has_meter=True,
+            has_meter=model is None,
             has_watchdog=place.has_watchdog,
         )
         closing.callback(graph.close)
@@ -277,9 +281,9 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
         yield graph
 
 
-def _namespaces(place: SimulatedPlace, room: Room) -> list[str]:
+def _namespaces(place: SimulatedPlace, room: Room | None) -> list[str]:
     """Return the robots to put on the graph."""
-    if not room.robots:
+    if room is None or not room.robots or place.model is not None:
         return [place.namespace]
     if place.namespace:
         raise LinkError(

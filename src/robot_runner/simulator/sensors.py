@@ -14,6 +14,8 @@ from robot_runner.simulator.supply import CELLS
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    import numpy.typing as npt
+
     from robot_runner.simulator.cut_off import ProtectedDrive
     from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
     from robot_runner.simulator.rooms import Obstacle, Pose
@@ -35,6 +37,7 @@ __all__ = [
     "laser_scan",
     "odometry",
     "published_topics",
+    "scan_of",
     "seen_by_scanner",
 ]
 
@@ -43,6 +46,8 @@ Message = dict[str, Any]
 
 _SECOND_NS = 1_000_000_000
 _UNKNOWN_COVARIANCE = [0.0] * 36
+
+_WHEEL_JOINTS = ("wheel_left_joint", "wheel_right_joint")
 
 # Constants of sensor_msgs/BatteryState.
 _DISCHARGING = 2
@@ -139,11 +144,13 @@ def battery_state(
     }
 
 
-def joint_state(now_ns: int, *, positions: list[float], velocities: list[float]) -> Message:
-    """Return a sensor_msgs/JointState of the two wheels, left and right."""
+def joint_state(
+    now_ns: int, *, positions: list[float], velocities: list[float], names: Sequence[str] = _WHEEL_JOINTS
+) -> Message:
+    """Return a sensor_msgs/JointState; left out, the joints are the two wheels', left and right."""
     return {
         "header": _header(now_ns, "base_link"),
-        "name": ["wheel_left_joint", "wheel_right_joint"],
+        "name": list(names),
         "position": positions,
         "velocity": velocities,
         "effort": [],
@@ -224,6 +231,16 @@ _SCANNER_X = -0.032  # ROBOTIS' URDF: scan_joint
 _SCANNER_HEIGHT = 0.182  # above the floor (ROBOTIS' URDF: base_joint and scan_joint)
 
 
+def scan_of(
+    true: npt.NDArray[np.float64], noise: npt.NDArray[np.float64], parameters: Turtlebot3Parameters
+) -> list[float]:
+    """Return what a scanner reads of true distances (m): with its noise, and infinite where nothing is in range."""
+    read = true * (1 + parameters.scan_deviation / 100 * noise)
+    is_in_range = (read >= parameters.scan_minimum) & (read <= parameters.scan_maximum)
+    ranges: list[float] = np.where(is_in_range, read, np.inf).tolist()
+    return ranges
+
+
 def seen_by_scanner(obstacles: Sequence[Obstacle]) -> tuple[Obstacle, ...]:
     """Return the obstacles that are high enough for the scanner's level."""
     return tuple(each for each in obstacles if each.height >= _SCANNER_HEIGHT)
@@ -277,11 +294,9 @@ class SensorBoard:
         y = pose.y + _SCANNER_X * math.sin(pose.yaw)
         true = ray_distances(self.surroundings(), x, y, pose.yaw + _RAY_ANGLES)
         noise = self.scan_noise.at(self.clock.step)[0]
-        read = true * (1 + parameters.scan_deviation / 100 * noise)
-        is_in_range = (read >= parameters.scan_minimum) & (read <= parameters.scan_maximum)
         return laser_scan(
             self.clock.now_ns,
-            ranges=np.where(is_in_range, read, np.inf).tolist(),
+            ranges=scan_of(true, noise, parameters),
             rate=parameters.scan_rate,
             nearest=parameters.scan_minimum,
             farthest=parameters.scan_maximum,

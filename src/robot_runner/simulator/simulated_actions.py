@@ -6,7 +6,7 @@ import itertools
 from functools import partial
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import GoalRejectedError, LinkError
+from robot_runner.core.errors import GoalRejectedError
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.ros.action_calls import missing_action
 from robot_runner.ros.graph_transport import already_offered

@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 __all__ = ["add_arguments", "execute"]
 
 _ROBOTS = ("turtlebot3",)
+_MODEL = ".xml"
 
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    parser.add_argument("robot", metavar="ROBOT", help="the robot to offer: turtlebot3")
+    parser.add_argument("robot", metavar="ROBOT", help="the robot to offer: turtlebot3, or an MJCF file (robot.xml)")
     parser.add_argument(
         "--link",
         metavar="LINK",
@@ -67,7 +68,8 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Let the robot live on the graph until it is stopped."""
-    if arguments.robot not in _ROBOTS:
+    model = Path(arguments.robot) if arguments.robot.endswith(_MODEL) else None
+    if model is None and arguments.robot not in _ROBOTS:
         fix = did_you_mean(arguments.robot, _ROBOTS)
         raise UsageError(f"there is no simulated {arguments.robot!r}", where="robot-runner simulate", fix=fix)
     findings = link_findings(SIMULATED)
@@ -83,6 +85,7 @@ def execute(arguments: Namespace) -> int:
         is_clock=arguments.use_sim_time,
         has_watchdog=not arguments.no_watchdog,
         room=arguments.room,
+        model=model,
     )
     check_pace(place)
     console = output()
