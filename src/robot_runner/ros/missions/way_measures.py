@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.measure import Measure
-from robot_runner.ros.turtlebot3.odometry import Odometer
+from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY, Odometer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import Message, RobotLink
@@ -20,6 +21,7 @@ __all__ = ["WayMeasures"]
 
 PATH_LENGTH = Measure("PathLength", "m", "Way covered during the mission, by odometry.", low=0.0)
 CLOSEST_OBSTACLE = Measure("ClosestObstacle", "m", "The shortest range of the laser scanner during the mission.")
+_SCAN = "sensor_msgs/LaserScan"
 _FIX = "Look whether the robot publishes it, or leave the parameter out."
 
 
@@ -48,6 +50,13 @@ class WayMeasures:
         self._scans = 0
         self._closing = ExitStack()
 
+    def required(self) -> Iterable[GraphNeed]:
+        """Return the topics that are followed."""
+        if self._odometry is not None:
+            yield GraphNeed.published(self._odometry, ODOMETRY, fix=_FIX)
+        if self._scan is not None:
+            yield GraphNeed.published(self._scan, _SCAN, fix=_FIX)
+
     def begin(self, link: RobotLink, context: RobotRunnerContext, *, timeout: float) -> None:
         """Subscribe, and wait for the first odometry, s.
 
@@ -59,11 +68,11 @@ class WayMeasures:
         if self._odometry is not None:
             # However fast the robot is: what it could drive is its own affair here.
             odometer = Odometer(context.clock, timeout=math.inf, where=self._where, fastest=math.inf)
-            self._closing.callback(link.subscribe(self._odometry, "nav_msgs/Odometry", odometer.take).close)
+            self._closing.callback(link.subscribe(self._odometry, ODOMETRY, odometer.take).close)
             odometer.wait(timeout)
             self._odometer = odometer
         if self._scan is not None:
-            self._closing.callback(link.subscribe(self._scan, "sensor_msgs/LaserScan", self._take_scan).close)
+            self._closing.callback(link.subscribe(self._scan, _SCAN, self._take_scan).close)
 
     def begin_mission(self) -> None:
         """Measure from now on."""
