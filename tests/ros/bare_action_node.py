@@ -1,8 +1,8 @@
 """An action server and an action client as rmw_cyclonedds makes them, of cyclonedds and types written by hand.
 
 Nothing of what it is to test. It offers /count (example_interfaces/Fibonacci): of an order it counts up, one number
-each 20 ms. Order 0 is rejected, 13 is never answered, and who asks for the end of order 99 is refused. It sends a goal to
-/ours as soon as that is there, and says what comes of it. Argument: the domain.
+each 20 ms. Order 0 is rejected, 13 is never answered, and who asks for the end of order 99 is refused. It sends a goal
+to /ours as soon as that is there, and says what comes of it. Argument: the domain.
 """
 # Without deferred annotations: cyclonedds does not find built-in types in them.
 
