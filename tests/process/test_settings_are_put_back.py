@@ -99,7 +99,7 @@ def test_each_run_has_its_treatment_and_whoever_is_killed_the_parameter_is_put_b
 
     following = experiment(robot, seconds=0, speeds=(0.5, 1.5))
     assert following.end() == 0, following.output
-    assert "which was killed; they were put back before this run" in " ".join(following.output.split())
+    assert "which did not put them back; that was done before this run" in " ".join(following.output.split())
     assert speed() == 0.2
     for row in following.table:
         facts = json.loads(
