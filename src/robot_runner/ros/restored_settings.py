@@ -257,8 +257,8 @@ def check_left_settings(where: str, parameters: Parameters, plugins: Sequence[Pl
 
 
 def _left(kept: KeptSettings) -> str:
-    nodes = enumerated(kept.before)
-    return f"{kept.kind} of {nodes} are still as {kept.plugin} set them in process {kept.owner[0]}, which did not put them back"
+    what, who = f"{kept.kind} of {enumerated(kept.before)}", f"{kept.plugin} set them in process {kept.owner[0]}"
+    return f"{what} are still as {who}, which did not put them back"
 
 
 def _is_among(value: ParameterValue, *others: ParameterValue) -> bool:
