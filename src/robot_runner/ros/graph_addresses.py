@@ -65,8 +65,8 @@ class DdsSettings:
         domain: DDS domain id, 0 to 232.
         distro: distribution of ROS 2 on the robot; None to tell from the graph.
         types: files and folders with further message types.
-        is_local: whether only this machine is reached: `ROS_LOCALHOST_ONLY=1`, or the discovery range LOCALHOST.
-        peers: computers that are asked for the graph as well, from `ROS_STATIC_PEERS`.
+        is_local: whether nobody is looked for in the network: `ROS_LOCALHOST_ONLY=1`, or the discovery range LOCALHOST.
+        peers: computers that are asked for the graph as well, from `ROS_STATIC_PEERS`; ROS_LOCALHOST_ONLY leaves none.
 
     Example:
         >>> DdsSettings.of({"domain": "7", "distro": "humble"}, {}).domain
@@ -94,8 +94,10 @@ class DdsSettings:
         if distro is None and variables.get("ROS_DISTRO") in ROS2_DISTROS:
             distro = variables["ROS_DISTRO"]
         _check_distro(distro, ROS2_DISTROS, "ROS 2")
-        peers = tuple(filter(None, map(str.strip, variables.get("ROS_STATIC_PEERS", "").split(";"))))
-        return cls(domain_id(options, variables), distro, _paths(options), _is_local(variables), peers)
+        is_local, takes_peers = _discovery(variables)
+        named = variables.get("ROS_STATIC_PEERS", "") if takes_peers else ""
+        peers = tuple(filter(None, map(str.strip, named.split(";"))))
+        return cls(domain_id(options, variables), distro, _paths(options), is_local, peers)
 
     def cyclone_configuration(self) -> str | None:
         """Return what Cyclone DDS is to be told of that, as XML; None where its defaults will do.
@@ -108,18 +110,38 @@ class DdsSettings:
         """
         if not self.is_local and not self.peers:
             return None
-        addresses = ["localhost", *(() if self.is_local else self.peers)]
-        peers = "".join(f"<Peer address='{escape(address)}'/>" for address in addresses)
-        interface = '<NetworkInterface address="127.0.0.1" multicast="true"/>' if self.is_local else ""
-        general = f"<General><Interfaces>{interface}</Interfaces></General>" if interface else ""
+        peers = "".join(f"<Peer address='{escape(address)}'/>" for address in ("localhost", *self.peers))
+        general = ""
+        if self.is_local and self.peers:  # as rmw_cyclonedds_cpp: nobody is looked for but on these computers
+            general = "<General><AllowMulticast>false</AllowMulticast></General>"
+        elif self.is_local:
+            interface = '<NetworkInterface address="127.0.0.1" multicast="true"/>'
+            general = f"<General><Interfaces>{interface}</Interfaces></General>"
         index = f"<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}"
         discovery = f"<Discovery>{index}</MaxAutoParticipantIndex><Peers>{peers}</Peers></Discovery>"
         return f"<CycloneDDS><Domain>{general}{discovery}</Domain></CycloneDDS>"
 
 
-def _is_local(variables: Mapping[str, str]) -> bool:
-    discovery_range = variables.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip().upper()
-    return variables.get("ROS_LOCALHOST_ONLY", "").strip() == "1" or discovery_range == "LOCALHOST"
+#: What ROS_AUTOMATIC_DISCOVERY_RANGE may say, since Iron (rmw: rmw_automatic_discovery_range_t).
+_RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+
+
+def _discovery(variables: Mapping[str, str]) -> tuple[bool, bool]:
+    """Return whether nobody is looked for in the network, and whether computers that are named are asked all the same.
+
+    Raises:
+        LinkError: nobody is to be discovered at all, or there is no such range.
+    """
+    if variables.get("ROS_LOCALHOST_ONLY", "").strip() == "1":  # Humble's, which goes before the range
+        return True, False
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    told = variables.get(name, "").strip().upper()
+    if told == "OFF":
+        fix = f"Set it to SUBNET, or to LOCALHOST with the robot in ROS_STATIC_PEERS; or unset {name}."
+        raise LinkError("discovery is off, so that no robot can be found", where=name, fix=fix)
+    if told and told not in _RANGES:
+        raise LinkError(f"the range of discovery is {told!r}", where=name, fix=did_you_mean(told, _RANGES))
+    return told == "LOCALHOST", told != "SYSTEM_DEFAULT"  # which leaves peers to the middleware
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from robot_runner.ros.sent_goal import SentGoal
     from robot_runner.ros.shapes import Shape
 
-__all__ = ["Ros2ActionTypes", "Ros2Actions"]
+__all__ = ["GOAL_NUMBERS", "GOAL_STATES", "STATUS_TOPIC", "STATUS_TYPE", "Ros2ActionTypes", "Ros2Actions"]
 
 _logger = logging.getLogger(__name__)
 
 _SEND, _CANCEL, _RESULT = "/_action/send_goal", "/_action/cancel_goal", "/_action/get_result"
-_FEEDBACK, _STATUS = "/_action/feedback", "/_action/status"
-_CANCEL_TYPE, _STATUS_TYPE = "action_msgs/CancelGoal", "action_msgs/GoalStatusArray"
+_FEEDBACK, STATUS_TOPIC = "/_action/feedback", "/_action/status"
+_CANCEL_TYPE, STATUS_TYPE = "action_msgs/CancelGoal", "action_msgs/GoalStatusArray"
 #: action_msgs/GoalStatus.
-_STATES: Mapping[int, GoalStatus] = MappingProxyType(
+GOAL_STATES: Mapping[int, GoalStatus] = MappingProxyType(
     {
         0: GoalStatus.UNKNOWN,
         1: GoalStatus.ACCEPTED,
@@ -49,7 +49,7 @@ _STATES: Mapping[int, GoalStatus] = MappingProxyType(
         6: GoalStatus.ABORTED,
     }
 )
-_NUMBERS: Mapping[GoalStatus, int] = MappingProxyType({status: number for number, status in _STATES.items()})
+GOAL_NUMBERS: Mapping[GoalStatus, int] = MappingProxyType({status: number for number, status in GOAL_STATES.items()})
 #: action_msgs/CancelGoal: why a server does not cancel.
 _NOT_REFUSED, _IS_OVER = 0, 3
 _REFUSALS = {1: "the server refuses", 2: "the server does not know the goal"}
@@ -137,7 +137,9 @@ class _Client:
         self._goals: dict[str, SentGoal] = {}
         self._fetched: set[str] = set()
         self._lock = threading.Lock()
-        self._status = transport.subscribe(action + _STATUS, _STATUS_TYPE, self._take_status, qos=None, is_raw=False)
+        self._status = transport.subscribe(
+            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=None, is_raw=False
+        )
         self._feedback = transport.subscribe(
             action + _FEEDBACK, f"{action_type}_FeedbackMessage", self._take_feedback, qos=None, is_raw=False
         )
@@ -182,7 +184,7 @@ class _Client:
         for told in reception.message()["status_list"]:
             goal = self._find(told["goal_info"])
             if goal is not None:
-                self._note(goal, _STATES.get(told["status"], GoalStatus.UNKNOWN))
+                self._note(goal, GOAL_STATES.get(told["status"], GoalStatus.UNKNOWN))
 
     def _note(self, goal: SentGoal, status: GoalStatus) -> None:
         if status.is_over:
@@ -207,7 +209,7 @@ class _Client:
             return
         finally:
             self._forget(goal)
-        told = _STATES.get(answer["status"], GoalStatus.UNKNOWN)
+        told = GOAL_STATES.get(answer["status"], GoalStatus.UNKNOWN)
         goal.finish(ActionResult(told if told.is_over else status, answer["result"]))
 
     def _drop(self, goal: SentGoal) -> None:
@@ -236,7 +238,7 @@ class _Served:
         try:
             self._feedback = transport.advertise(action + _FEEDBACK, f"{action_type}_FeedbackMessage", Qos.DEFAULT)
             self._open.append(self._feedback)
-            self._status = transport.advertise(action + _STATUS, _STATUS_TYPE, Qos.TRANSIENT_LOCAL)
+            self._status = transport.advertise(action + STATUS_TOPIC, STATUS_TYPE, Qos.TRANSIENT_LOCAL)
             self._open.append(self._status)
             server.connect(self)
             # What is asked for first comes last: whoever finds it finds all of the action.
@@ -259,7 +261,7 @@ class _Served:
         self._feedback.publish({"goal_id": uuid_of(execution.key), "feedback": message})
 
     def tell_status(self, executions: Sequence[Execution]) -> None:
-        told = [{"goal_info": _info(each), "status": _NUMBERS[each.status]} for each in executions]
+        told = [{"goal_info": _info(each), "status": GOAL_NUMBERS[each.status]} for each in executions]
         self._status.publish({"status_list": told})
 
     def tell_result(self, execution: Execution, result: ActionResult) -> None:
@@ -294,7 +296,7 @@ class _Served:
             return {"status": 0, "result": {}}
         execution.over.wait()
         result = execution.result
-        return {"status": _NUMBERS[execution.status], "result": {} if result is None else result.result}
+        return {"status": GOAL_NUMBERS[execution.status], "result": {} if result is None else result.result}
 
     def _leave(self) -> None:
         for opened in reversed(self._open):

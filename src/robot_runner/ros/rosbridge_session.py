@@ -65,6 +65,8 @@ class Session:
     Attributes:
         on_message: called, in the thread that receives, with a topic's name and one of its messages.
         on_request: called, in the same thread, with an operation that calls a service that is offered here.
+        on_action: called, in the same thread, with an operation about a goal of an action.
+        on_lost: called once with the error that the connection is lost.
 
     Raises:
         LinkError: it cannot be reached, or is no rosbridge.
@@ -74,6 +76,8 @@ class Session:
         self.where = f"rosbridge at {address.host}:{address.port}"
         self.on_message: Callable[[str, Any], None] = lambda _topic, _message: None
         self.on_request: Callable[[Mapping[str, Any]], None] = lambda _operation: None
+        self.on_action: Callable[[Mapping[str, Any]], None] = lambda _operation: None
+        self.on_lost: Callable[[LinkError], None] = lambda _error: None
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._pending: dict[str, _Pending] = {}
@@ -136,8 +140,7 @@ class Session:
         name = operation.get("id") or self.fresh_id(operation["op"])
         self.send({**operation, "id": name})
         self.flush(where=where)
-        with self._lock:
-            complaint = self._complaints.pop(name, None)
+        complaint = self.complaint(name)
         if complaint is not None:
             raise LinkError(f"the rosbridge refuses it: {complaint}", where=where, fix="Correct what it says.")
 
@@ -195,6 +198,11 @@ class Session:
             self._lose(f"callbacks are too slow: {count:,} messages of {waiting >> 20:,} MiB wait for them")
             return
         self._todo.put((todo, size))
+
+    def complaint(self, name: str) -> str | None:
+        """Return what the server has against an operation of this id, if it has sent it."""
+        with self._lock:
+            return self._complaints.pop(name, None)
 
     def fresh_id(self, what: str) -> str:
         """Return a name that no operation of this session has."""
@@ -283,6 +291,8 @@ class Session:
                 self._take_response(operation)
             case "call_service":
                 self.on_request(operation)
+            case "action_feedback" | "action_result" | "send_action_goal" | "cancel_action_goal":
+                self.on_action(operation)
             case "status":
                 self._take_status(operation)
             case other:
@@ -317,9 +327,12 @@ class Session:
 
     def _lose(self, reason: str) -> None:
         with self._lock:
-            if self._lost is None and not self._is_closed:
+            is_news = self._lost is None and not self._is_closed
+            if is_news:
                 self._lost = self._loss(reason)
             events = [*self._waiting]
+        if is_news and self._lost is not None:
+            self.on_lost(self._lost)
         for event in events:
             event.set()
 

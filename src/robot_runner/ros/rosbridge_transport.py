@@ -13,11 +13,11 @@ from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
 from robot_runner.ros.ros1_actions import Ros1Actions
-from robot_runner.ros.ros2_actions import Ros2Actions
 from robot_runner.ros.rosapi_parameters import RosapiParameters
+from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
-from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi
+from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, is_hidden
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -70,7 +70,11 @@ class RosbridgeTransport:
         except LinkError:
             self._session.close()
             raise
-        self.actions: ActionDialect = Ros1Actions(self) if self.types.generation == 1 else Ros2Actions(self)
+        self.actions: ActionDialect = (
+            Ros1Actions(self)
+            if self.types.generation == 1
+            else RosbridgeActions(self, self._session, self._rosapi, address)
+        )
         self._session.on_message = self._take_message
         self._session.on_request = self._take_request
 
@@ -193,7 +197,8 @@ class RosbridgeTransport:
         operation = {"op": "subscribe", "id": request_id, "topic": name, "type": self.types.wire_name(message_type)}
         try:
             self._session.request({**operation, "compression": topic.compression}, where=name)
-            self._rosapi.confirm_subscription(name, message_type)
+            if not is_hidden(name):
+                self._rosapi.confirm_subscription(name, message_type)
         except LinkError:
             del self._topics[name]
             raise

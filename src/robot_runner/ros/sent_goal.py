@@ -62,6 +62,11 @@ class SentGoal:
         return self._status
 
     @property
+    def fault(self) -> LinkError | None:
+        """Why nothing will come of it, where that is so."""
+        return self._fault
+
+    @property
     def is_over(self) -> bool:
         """Whether there is a result, or there will be none."""
         return self._is_over.is_set()

@@ -19,5 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.subjects.compose_project import ComposeProject as ComposeProject
     from robot_runner.subjects.program import Program as Program
     from robot_runner.subjects.ros_launch import RosLaunch as RosLaunch
+    from robot_runner.subjects.ros_node import RosNode as RosNode
 else:
     __getattr__, __dir__ = open_door(__name__)
