@@ -44,7 +44,7 @@ bench: ## Measure the promised figures, each beside its floor (minutes; a quiet 
 soak: ## Execute the long-running tests, and search all properties at random (hours).
 	@sh scripts/set_up.sh test
 	@sh scripts/system_packages.sh
-	@$(BIN)/pytest -n auto --dist worksteal -m "soak or hypothesis" --hypothesis-profile soak --timeout 3600
+	@$(BIN)/python scripts/execute_tests.py -m "soak or hypothesis" --hypothesis-profile soak --timeout 3600
 
 docs: ## Build the documentation into site/.
 	@sh scripts/set_up.sh test

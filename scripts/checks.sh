@@ -44,14 +44,8 @@ if [ "$which" = all ]; then
     } >.make/slow-steps 2>&1 &
     beside=$!
     trap 'kill "$beside"; exit 130' INT TERM
-    # What pytest makes of the tests' code is kept, so that it is not made anew by each of the workers.
-    [ -d tests/__pycache__ ] || "$bin/pytest" -q --collect-only >.make/collected 2>&1 || :
-    # For the same reason three at once on two cores; eight at most.
-    workers=$(((3 * $(getconf _NPROCESSORS_ONLN) + 1) / 2))
-    [ "$workers" -le 8 ] || workers=8
-    # worksteal: tests of one file stay with one worker, and share what the file sets up, as long as both have work.
     tests=
-    "$bin/pytest" -q -n "$workers" --dist worksteal -m "not soak" || tests=", tests"
+    "$bin/python" scripts/execute_tests.py -m "not soak" || tests=", tests"
     wait "$beside" || tests="$tests, steps beside the tests"
     cat .make/slow-steps
     failed="$(cat .make/failed-steps)$tests"

@@ -8,4 +8,4 @@ old=.make/lower-bounds
 
 .venv/bin/uv venv --quiet --clear --seed --python .venv/bin/python "$old"
 .venv/bin/uv pip install --quiet --python "$old/bin/python" --resolution lowest-direct --editable '.[dev]'
-"$old/bin/pytest" -q -n 2 -m "not soak" --override-ini filterwarnings=default "$@"
+"$old/bin/python" scripts/execute_tests.py -m "not soak" --override-ini filterwarnings=default "$@"

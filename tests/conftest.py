@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import importlib.util
 import os
@@ -17,12 +16,16 @@ from hypothesis import HealthCheck, settings
 from hypothesis.internal.conjecture import providers
 from tests.command_line import PROGRAM, program, robot_runner, terminal
 from tests.headless_browser import browser
+from tests.made_once import made_once
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 __all__ = ["browser", "program", "robot_runner", "terminal"]
 _FIXED, _SOAK = "fixed", "soak"
+
+# Each of several processes has one core at most: OpenBLAS' threads would burn it while they wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Without a clock and with a fixed seed, what passes on one machine passes on every machine, however busy it is.
 settings.register_profile(
@@ -129,23 +132,17 @@ def write_config(tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture(scope="session")
 def executed_demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder in which `robot-runner demo` was executed, once for all tests and all workers; read it only.
+    """Return the folder in which `robot-runner demo` was executed, once for all tests; read it only.
 
     `answer.txt` in it is what the program said.
     """
-    own = tmp_path_factory.getbasetemp()
-    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
-    folder = shared / "demo"
-    with (shared / "demo.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (folder / "answer.txt").exists():
-            folder.mkdir()
-            answer = subprocess.run(
-                [PROGRAM, "demo"], cwd=folder, check=True, capture_output=True, text=True, timeout=250
-            )
-            assert answer.stderr == ""
-            (folder / "answer.txt").write_text(answer.stdout, encoding="utf-8")
-    return folder
+    return made_once(tmp_path_factory, "demo", _execute_demo)
+
+
+def _execute_demo(folder: Path) -> None:
+    answer = subprocess.run([PROGRAM, "demo"], cwd=folder, check=True, capture_output=True, text=True, timeout=250)
+    assert answer.stderr == ""
+    (folder / "answer.txt").write_text(answer.stdout, encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

@@ -36,8 +36,8 @@ PUBLISHED = {
 #: Triples, likewise. 3^4, 4^6 and 5^6 are orthogonal arrays (Bush, 1952): as many rows as the product of the three
 #: largest numbers of symbols, below which there is nothing. 12 rows for up to 11 columns of two symbols: Johnson &
 #: Entringer (1989), in Lawrence, Kacker, Lei, Kuhn & Forbes, A survey of binary covering arrays (2011). The others are
-#: of Cohen, Gibbons, Mugridge & Colbourn (2003), ICSE, by simulated annealing, which takes longer than a config may take
-#: to be loaded. The last figure is how many times as many ours has at most.
+#: of Cohen, Gibbons, Mugridge & Colbourn (2003), ICSE, by simulated annealing, which takes longer than loading a config
+#: may. The last figure is how many times as many ours has at most.
 PUBLISHED_TRIPLES = {
     "3^4": ([3] * 4, 27, 1.0),
     "4^6": ([4] * 6, 64, 1.0),

@@ -1,14 +1,14 @@
-"""The documentation as it is built, once for all workers of a session."""
+"""The documentation as it is built, once for all tests."""
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.made_once import made_once
 
 ROOT = Path(__file__).parents[2]
 
@@ -16,15 +16,7 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the built documentation; what mkdocs warns of fails whoever needs it."""
-    base = tmp_path_factory.getbasetemp()
-    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    folder = shared / "site"
-    with (shared / "site.lock").open("w", encoding="utf-8") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (shared / "site.built").exists():
-            _build(folder)
-            (shared / "site.built").touch()
-    return folder
+    return made_once(tmp_path_factory, "site", _build)
 
 
 def _build(folder: Path) -> None:

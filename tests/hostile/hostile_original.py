@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
-import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tests.command_line import PROGRAM
+from tests.made_once import made_once
 
 if TYPE_CHECKING:
     import pytest
@@ -68,27 +66,21 @@ class Original:
 
 
 def original_of_session(factory: pytest.TempPathFactory) -> Original:
-    """Return the original, which is executed once for all workers."""
-    own = factory.getbasetemp()
-    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
-    with (shared / "hostile.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        return made_original(shared / "hostile")
+    """Return the original, which is executed once for all tests."""
+    folder = made_once(factory, "hostile", _make_original)
+    return Original(folder / "study", folder / "small.zip")
 
 
-def made_original(folder: Path) -> Original:
-    """Execute the experiment and pack it, unless that was done."""
+def _make_original(folder: Path) -> None:
+    """Execute the experiment and pack it."""
     original = Original(folder / "study", folder / "small.zip")
-    if not original.package.exists():
-        shutil.rmtree(folder, ignore_errors=True)
-        original.study.mkdir(parents=True)
-        (original.study / original.config).write_text(CONFIG, encoding="utf-8")
-        results = str(original.folder)
-        for words in (
-            ["preregister", str(original.config)],
-            [str(original.config), "--plain", "--no-probe"],
-            ["exclude", results, "r_4", "--reason", "the door was open"],
-            ["pack", results, "--to", "../small.zip", "--no-wheels", "--no-hashes"],
-        ):
-            subprocess.run([PROGRAM, *words], cwd=original.study, check=True, capture_output=True, timeout=200)
-    return original
+    original.study.mkdir()
+    (original.study / original.config).write_text(CONFIG, encoding="utf-8")
+    results = str(original.folder)
+    for words in (
+        ["preregister", str(original.config)],
+        [str(original.config), "--plain", "--no-probe"],
+        ["exclude", results, "r_4", "--reason", "the door was open"],
+        ["pack", results, "--to", "../small.zip", "--no-wheels", "--no-hashes"],
+    ):
+        subprocess.run([PROGRAM, *words], cwd=original.study, check=True, capture_output=True, timeout=200)

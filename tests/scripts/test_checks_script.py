@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
 TOOLS = ("ruff", "mypy", "lint-imports", "python", "pytest", "shellcheck")
+#: What tools do beside noting their call: the script that executes the tests is the real one, and calls pytest.
+SUCCESS = {
+    "python": '[ "$1" != scripts/execute_tests.py ] || exec .venv/bin/real-python "$@"',
+    "pytest": "echo 1 passed in 1s",
+}
 
 
 @pytest.fixture
@@ -18,9 +24,13 @@ def clone(tmp_path: Path) -> Path:
     tools = tmp_path / ".venv" / "bin"
     tools.mkdir(parents=True)
     (tmp_path / "scripts").mkdir()
-    shutil.copy(ROOT / "scripts" / "checks.sh", tmp_path / "scripts")
+    for script in ("checks.sh", "execute_tests.py"):
+        shutil.copy(ROOT / "scripts" / script, tmp_path / "scripts")
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "tests" / "test_nothing.py").touch()
     for tool in TOOLS:
-        _write_tool(tmp_path, tool, "exit 0")
+        _write_tool(tmp_path, tool, SUCCESS.get(tool, "exit 0"))
+    (tools / "real-python").symlink_to(sys.executable)
     return tmp_path
 
 
@@ -51,7 +61,7 @@ def test_the_quick_checks_execute_no_tests(clone: Path) -> None:
 
 
 def test_types_are_checked_while_the_tests_are_executed(clone: Path) -> None:
-    wait = "for _ in $(seq 200); do [ -e {other} ] && exit 0; sleep 0.05; done; exit 1"
+    wait = "for _ in $(seq 200); do [ -e {other} ] && echo 1 passed && exit 0; sleep 0.05; done; exit 1"
     for tool, other in (("pytest", "mypy"), ("mypy", "pytest")):
         _write_tool(clone, tool, f"touch begun-{tool}; {wait.format(other=f'begun-{other}')}")
     answer = _checks(clone, "all")
@@ -61,7 +71,7 @@ def test_types_are_checked_while_the_tests_are_executed(clone: Path) -> None:
 
 @pytest.mark.parametrize("tool", TOOLS)
 def test_any_step_that_fails_fails_the_whole_and_the_rest_is_still_done(clone: Path, tool: str) -> None:
-    _write_tool(clone, tool, "echo what went wrong; exit 1")
+    _write_tool(clone, tool, f"{SUCCESS.get(tool, ':')}\necho what went wrong; exit 1")
     answer = _checks(clone, "all")
     assert answer.returncode == 1
     assert "what went wrong" in answer.stdout

@@ -14,7 +14,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.action_calls import missing_action
@@ -208,7 +208,8 @@ class _Client:
     def _take_result(self, sent: SentGoal, operation: Mapping[str, Any]) -> None:
         if operation.get("result") is False:
             problem = f"the goal failed: {operation.get('values')}"
-            sent.lose(LinkError(problem, where=self._action, fix="Look at the log of the action's node."))
+            kind = GoalRejectedError if "reject" in problem else LinkError
+            sent.lose(kind(problem, where=self._action, fix="Look at the log of the action's node."))
         else:
             told = GOAL_STATES.get(operation.get("status", 0), GoalStatus.UNKNOWN)
             if not told.is_over:  # servers before 2.0 leave it out

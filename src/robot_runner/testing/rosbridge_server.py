@@ -28,6 +28,7 @@ from robot_runner.testing.rosbridge_graph import (
     received,
     with_typed_arrays,
 )
+from robot_runner.testing.served_actions import ACTION_OPERATIONS, ServedActions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -107,6 +108,10 @@ class ServedClient:
         response = {"op": "service_response", "id": number, "service": service, "values": values, "result": is_good}
         self._send(self._server.spelt(response))
 
+    def send(self, operation: dict[str, Any]) -> None:
+        """Send an operation."""
+        self._send(self._server.spelt(operation))
+
     def _take(self, operation: dict[str, Any]) -> None:
         takers: dict[str, Callable[[dict[str, Any]], None]] = {
             "advertise": self._advertise,
@@ -119,6 +124,7 @@ class ServedClient:
             "unadvertise_service": self._unadvertise_service,
             "service_response": self._pass_on,
             "set_level": lambda _: None,
+            **{name: lambda op: self._server.actions.take(op, self) for name in ACTION_OPERATIONS},
         }
         if self._server.secret and not self._is_authenticated:
             # As rosauth: the SHA-512 of the secret and all that the client says, in this order.
@@ -187,6 +193,7 @@ class ServedClient:
 
     def _leave(self) -> None:
         with self._server.lock:
+            self._server.actions.forget(self)
             self._server.graph.forget(self)
             for caller, number in self._open_requests.values():
                 caller.respond(number, "", "the service's node is gone", is_good=False)
@@ -240,6 +247,7 @@ class RosbridgeServer:
 
     Attributes:
         graph: topics and services behind it.
+        actions: actions behind it, where it is a bridge to ROS 2.
         lock: to be held while the graph is used.
 
     Example:
@@ -272,6 +280,7 @@ class RosbridgeServer:
         self.tells = tells
         self.compressions = tuple(compressions)
         self.graph = Graph(TypeCatalogue.of(generation, _DISTROS[generation], tuple(types)))
+        self.actions = ServedActions(self.graph, is_known=generation > 1)
         self.lock = threading.RLock()
         nodes = ["/rosbridge_websocket", *(["/rosapi"] if has_rosapi else [])]
         self._rosapi = ServedRosapi(self.graph, generation, _DISTROS[generation], nodes) if has_rosapi else None

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.measure import MeasureValue
     from robot_runner.core.links.goals import ActionResult
     from robot_runner.core.links.robot import Goal, RobotLink
     from robot_runner.core.plugin import Circumstances
@@ -146,7 +147,7 @@ class ActionMission(System):
         self._check_names()
         self._link: RobotLink | None = None
         self._goal: Goal | None = None
-        self._values: dict[str, Any] | None = None
+        self._values: dict[str, MeasureValue] | None = None
         self._is_simulated = False
         self._heartbeat: Heartbeat | None = None
 
@@ -205,9 +206,10 @@ class ActionMission(System):
         begun = context.clock.now()
         self._of_way.begin_mission()
         outcome, ended = self._executed(link, context)
-        values = {"Duration": context.clock.now() - begun, "Outcome": outcome}
+        values: dict[str, MeasureValue] = {"Duration": context.clock.now() - begun, "Outcome": outcome}
         values |= self._of_result.values(None if ended is None else ended.result)
-        values |= self._of_feedback.values() | self._of_way.end_mission(context)
+        values.update(self._of_feedback.values())
+        values.update(self._of_way.end_mission(context))
         reason = self._reason_of_failure(outcome, ended)
         self._values = {**values, "Success": not reason}
         if reason and self.failure is _Failure.FAIL:

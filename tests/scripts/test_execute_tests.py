@@ -1,0 +1,99 @@
+"""What executes the tests forgets no file, tells of each test that fails, and keeps the processes small."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from scripts.execute_tests import batches_of
+
+ROOT = Path(__file__).parents[2]
+PASSES, FAILS = "def test_it() -> None:\n    assert True\n", "def test_it() -> None:\n    assert 1 == 2, 'no'\n"
+NEVER = "import pytest\n\n\n@pytest.mark.soak\ndef test_it() -> None:\n    raise AssertionError\n"
+#: It takes part in what one of two processes makes, and the other finds.
+SHARES = """\
+import os
+from pathlib import Path
+
+from made_once import made_once
+
+
+def test_it(tmp_path_factory):
+    made = made_once(tmp_path_factory, "thing", lambda folder: (folder / "maker").write_text(str(os.getpid())))
+    with Path("makers").open("a") as file:
+        file.write(f"{(made / 'maker').read_text()} {os.getpid()}\\n")
+"""
+
+
+def write_tests(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        path = folder / "tests" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    (folder / "pytest.ini").write_text("[pytest]\nmarkers = soak\naddopts = --import-mode=importlib\npythonpath = .\n")
+
+
+def execute(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "scripts" / "execute_tests.py"), "--processes", "2", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_each_test_file_is_in_one_batch_and_no_batch_has_files_of_two_rooms() -> None:
+    batches = batches_of(ROOT / "tests")
+    count = Counter(file for batch in batches for file in batch.files)
+    assert set(count) == set((ROOT / "tests").rglob("test_*.py"))
+    assert set(count.values()) == {1}
+    assert all(len({file.relative_to(ROOT).parts[1] for file in batch.files}) == 1 for batch in batches)
+    assert len({batch.name for batch in batches}) == len(batches)
+    assert [batch.size for batch in batches] == sorted((batch.size for batch in batches), reverse=True)
+
+
+def test_what_fails_is_shown_and_the_rest_is_executed_and_counted(tmp_path: Path) -> None:
+    write_tests(tmp_path, {"room/test_a.py": PASSES, "hall/test_b.py": FAILS, "shed/test_c.py": NEVER})
+    answer = execute(tmp_path, "-m", "not soak")
+    assert answer.returncode == 1, answer.stdout
+    assert "ok      tests/room: 1 passed" in answer.stdout
+    assert "FAILED  tests/hall: 1 failed" in answer.stdout
+    assert "AssertionError: no" in answer.stdout
+    assert "ok      tests/shed: 1 deselected" in answer.stdout
+    assert answer.stdout.splitlines()[-1] == "1 failed, 1 passed"
+
+
+@pytest.mark.parametrize(
+    ("files", "words", "status"),
+    [
+        ({"room/test_a.py": PASSES}, (), 0),
+        ({"room/test_a.py": "import no_such_module\n"}, (), 1),
+        ({"room/test_a.py": "import os\n\n\ndef test_it():\n    os._exit(0)\n", "hall/test_b.py": PASSES}, (), 1),
+        ({"room/test_a.py": NEVER}, ("-m", "not soak"), 1),
+    ],
+    ids=["all is well", "not importable", "ended by a test", "nothing executed"],
+)
+def test_only_tests_that_were_executed_and_passed_are_a_success(
+    tmp_path: Path, files: dict[str, str], words: tuple[str, ...], status: int
+) -> None:
+    write_tests(tmp_path, files)
+    assert execute(tmp_path, *words).returncode == status
+
+
+def test_skipped_tests_are_told_with_their_reason(tmp_path: Path) -> None:
+    skipped = "import pytest\n\n\ndef test_it():\n    pytest.skip('no robot here')\n"
+    write_tests(tmp_path, {"room/test_a.py": PASSES, "room/test_b.py": skipped})
+    answer = execute(tmp_path, "-ra")
+    assert answer.returncode == 0
+    assert "no robot here" in answer.stdout
+    assert answer.stdout.splitlines()[-1] == "1 passed, 1 skipped"
+
+
+def test_what_is_made_once_is_made_by_one_process_for_all(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "tests" / "made_once.py", tmp_path)
+    write_tests(tmp_path, {"room/test_a.py": SHARES, "hall/test_b.py": SHARES})
+    answer = execute(tmp_path)
+    assert answer.returncode == 0, answer.stdout
+    makers, processes = zip(*(line.split() for line in (tmp_path / "makers").read_text().splitlines()), strict=True)
+    assert len(set(processes)) == 2
+    assert len(set(makers)) == 1
