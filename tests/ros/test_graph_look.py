@@ -35,6 +35,8 @@ class Gripper(System):
 
     def required_graph(self, circumstances):
         yield GraphNeed.service("close", "std_srvs/Trigger", fix="Start the gripper.")
+        yield GraphNeed.action("/pick", "example_interfaces/Fibonacci")
+        yield GraphNeed.action("place", "example_interfaces/Fibonacci")
 
 
 class Bringup(System):
@@ -60,6 +62,7 @@ def findings(write_config, robot, *plugins):
 def be_a_robot(link, *, services):
     link.publish("odom", "nav_msgs/Odometry", {})
     link.subscribe("cmd_vel", "geometry_msgs/Twist", lambda _: None)
+    link.offer_action("pick", "example_interfaces/Fibonacci", lambda _: {})
     for name, kind in services.items():
         link.offer(name, kind, lambda _: {})
 
@@ -81,7 +84,7 @@ class GraphLook:
         with closing(GRAPH_LINKS[name.link].open(name, SystemClock())) as link:
             be_a_robot(link, services=services | {"task/video/stop": "std_srvs/Empty"})
             found = findings(write_config, robot, "BasicTurtlebot3()", "Gripper()")
-            assert len(found) == 3
+            assert len(found) == 4
             assert found[0].startswith(
                 "! plugin BasicTurtlebot3: the service '/task/video/stop' is of the type std_srvs/E"
             )
@@ -89,6 +92,7 @@ class GraphLook:
                 "! plugin BasicTurtlebot3: there is no service '/task/stop' → Start the robot's task"
             )
             assert found[2].startswith("! plugin Gripper: there is no service '/arm/close' → Start the gripper.")
+            assert found[3].startswith("! plugin Gripper: there is no action '/arm/place' ")
             with pytest.raises(LinkError, match="'/task/video/stop' is of the type std_srvs/Empty"):
                 TaskServices(link).check(Task.VIDEO, where="test")  # as a run does before it drives
             link.offer("task/stop", TRIGGER, lambda _: {})
