@@ -8,16 +8,17 @@ import time
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.words import enumerated
 from robot_runner.ros.sent_goal import SentGoal
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
-    from robot_runner.core.links.robot import Message, Subscription
+    from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
     from robot_runner.ros.action_server import ActionTypes, GoalServer
 
-__all__ = ["ActionClient", "ActionDialect", "LinkGoals", "missing_action"]
+__all__ = ["ActionClient", "ActionDialect", "LinkGoals", "check_one_server", "missing_action"]
 
 _logger = logging.getLogger(__name__)
 
@@ -79,6 +80,22 @@ def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> L
     near = nearest(action, known)
     fix = f"Did you mean {near!r}?" if near else "Start the node that offers it."
     return LinkError(f"there is no action {action!r}", where=action, fix=fix)
+
+
+def check_one_server(action: str, servers: Iterable[GraphEndpoint]) -> None:
+    """Raise a `LinkError` where several nodes offer an action: each of them would execute the goal.
+
+    Args:
+        action: full name of the action.
+        servers: who tells the states of its goals.
+
+    Example:
+        >>> check_one_server("/dock", [])
+    """
+    names = sorted(map(str, servers))
+    if len(names) > 1:
+        problem = f"{len(names)} nodes offer the action: {enumerated(names)}"
+        raise LinkError(problem, where=action, fix="End all but one, or give the robots namespaces of their own.")
 
 
 class LinkGoals:
