@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
@@ -140,7 +141,11 @@ class LinkGoals:
         """
         deadline = time.monotonic() + CLOSING_SECONDS
         faults: list[LinkError] = []
-        for goal in self._goals:
+        open_goals = [goal for goal in self._goals if not goal.is_over]
+        for goal in open_goals:  # all are asked before any is waited for
+            with suppress(LinkError):  # it is asked again, and said then
+                goal.ask_for_end(CLOSING_SECONDS)
+        for goal in open_goals:
             try:
                 goal.cancel(timeout=max(0.1, deadline - time.monotonic()))
             except LinkError as error:
