@@ -1,4 +1,4 @@
-"""The configs of the pages on missions without code are checked as a user would; the one without a real robot is executed."""
+"""The configs of the pages on missions are checked as a user would; the one that needs no real robot is executed."""
 
 from __future__ import annotations
 
