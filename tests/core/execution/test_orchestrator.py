@@ -10,6 +10,8 @@ from tests.core.execution.conftest import execute_in
 from robot_runner.core.errors import ExecutionError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.core.execution.conftest import Executed
 
 Execute = Callable[..., Any]
