@@ -1,4 +1,4 @@
-"""The configs of the pages on missions without code are checked as a user would; the one without a real robot is executed."""
+"""The configs of the pages on missions are checked as a user would; the one that needs no real robot is executed."""
 
 from __future__ import annotations
 
@@ -29,9 +29,7 @@ def test_the_config_of_a_page_is_well_formed(page: str, tmp_path: Path, capsys: 
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
-def test_two_robots_at_once_are_executed_as_the_page_says(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_two_robots_at_once_are_executed_as_the_page_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [str(_config("two-robots-at-once.md", tmp_path)), "--plain", "--only", "r_1", "--only", "r_2"]
     assert main(["run", *words, "--set", f"results_output_path={tmp_path}"]) == 0, capsys.readouterr().out
     with (tmp_path / "convoy" / "run_table.csv").open(encoding="utf-8", newline="") as file:

@@ -347,6 +347,7 @@ def test_it_is_legible_and_can_be_used_by_keyboard(
         assert browser.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
         assert browser.evaluate(CONTRAST) == []
         assert browser.evaluate(NAMELESS) == []
+        assert browser.inaccessible() == []
         assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
     finally:
         browser.is_dark(False)

@@ -84,7 +84,7 @@ def generated(name, **fields):
     """Return a class as ROS 2 generates one: fields with their kinds, by name."""
 
     def fill(self):
-        vars(self).update({field: 0 for field in fields})
+        vars(self).update(dict.fromkeys(fields, 0))
 
     kinds = tuple(SimpleNamespace(typename=kind) for kind in fields.values())
     members = {"SLOT_TYPES": kinds, "get_fields_and_field_types": classmethod(lambda _: dict(fields)), "__init__": fill}
@@ -92,7 +92,7 @@ def generated(name, **fields):
 
 
 def test_the_classes_of_an_action_of_a_sourced_ros_2_are_found(monkeypatch):
-    from robot_runner.ros.ros2_types import Ros2Types, message_class, service_class  # noqa: PLC0415
+    from robot_runner.ros.ros2_types import Ros2Types, message_class, service_class
 
     goal, result = generated("Dig_Goal", depth="double"), generated("Dig_Result", code="uint8")
     service = SimpleNamespace(Request=generated("Dig_SendGoal_Request", flag="boolean"), Response=None)

@@ -88,6 +88,15 @@ def test_what_a_foreign_server_refuses_or_does_not_answer_is_named_in_time(link)
     assert stubborn.result(timeout=20.0).has_succeeded
 
 
+def test_two_servers_of_one_name_are_refused(link):
+    with closing(OtherNode()):
+        deadline = time.monotonic() + 20.0
+        while len(link.publishers("count/_action/status")) < 2 and time.monotonic() < deadline:
+            time.sleep(0.02)
+        with pytest.raises(LinkError, match="2 nodes offer the action"):
+            link.send_goal("count", FIBONACCI, {"order": 6})
+
+
 def test_a_foreign_client_is_served(link, other):
     def execute(execution):
         for _ in range(10):  # what is told before the other side's reader is found is lost to it
