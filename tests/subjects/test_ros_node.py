@@ -137,7 +137,7 @@ def test_what_roslaunch_would_refuse_of_a_node_is_found_before(
 @needs_roslaunch
 def test_a_node_of_ros_1_that_dies_fails_the_run(execute: Callable[..., Executed], workspace: dict[str, str]) -> None:
     done = execute(  # its parameters are missing
-        f"plugins = [RosNode('subject_nav', 'planner.py', environment={workspace!r}, ros=1, ready='never', name='Nav')]",
+        f"plugins = [RosNode('subject_nav', 'planner.py', environment={workspace!r}, ros=1, ready='-', name='Nav')]",
         table=TABLE.replace('"dwa", ', ""),
     )
     assert done.finished.done_count == 0
