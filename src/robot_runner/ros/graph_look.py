@@ -102,14 +102,18 @@ def _not_looked_at(why: str, fix: str = "") -> Finding:
 
 
 def look_at(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> list[Finding]:
-    """Join the graph, look, and leave it; what could not be looked at is a warning that says why."""
+    """Join the graph, look, and leave it.
+
+    A graph that cannot be joined is an error where anything of it is needed; whatever else could not be looked at is a
+    warning that says why.
+    """
     try:
         kind = GRAPH_LINKS[name.link]
         follows = kind.follows_graph_clock(name)
         clock = [GraphNeed.published("/clock", "rosgraph_msgs/Clock", fix=clock_fix(name))] if follows else []
         link = kind.open(name, SystemClock())
     except LinkError as error:
-        return [_not_looked_at(error.problem, error.fix)]
+        return [error.as_finding() if needs else _not_looked_at(error.problem, error.fix)]
     wanted = {**needs, **({_ROBOT: clock} if clock else {})}
     with closing(link):
         try:
