@@ -7,14 +7,10 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import RUDE, needs_ros1
-
-if TYPE_CHECKING:
-    from pytest import FixtureRequest, MonkeyPatch
 
 pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 
@@ -23,7 +19,7 @@ SECONDS, RATE = 3, 20
 
 
 @pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
-def graph(request: FixtureRequest, monkeypatch: MonkeyPatch) -> str:
+def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How a graph of this test run is reached."""
     if request.param == "ros1":
         request.getfixturevalue("master_uri")

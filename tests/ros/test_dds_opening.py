@@ -41,6 +41,8 @@ def test_a_range_of_this_machine_leaves_named_computers_and_what_cannot_be_is_re
     assert "<Peer address='192.168.1.7'/>" in configuration
     alone = DdsSettings.of({}, local | {"ROS_LOCALHOST_ONLY": "1"})  # Humble's goes first, and knows no peers
     assert (alone.is_local, alone.peers) == (True, ())
+    told = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", "ROS_STATIC_PEERS": "192.168.1.7"}
+    assert DdsSettings.of({}, told).cyclone_configuration() is None  # rmw_cyclonedds_cpp ignores the peers, too
     with pytest.raises(LinkError, match="discovery is off") as caught:
         DdsSettings.of({}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"})
     assert caught.value.where == "ROS_AUTOMATIC_DISCOVERY_RANGE"

@@ -63,12 +63,14 @@ def test_what_a_node_would_not_take_is_found_with_every_treatment(way, found, mo
             "Lifecycle: there is no service '/slan/change_state' → Start the node. Did you mean '/slam/change_state'?",
         ):
             assert [each for each in errors if part in each], (part, told)
-        (misspelt,) = found(robot, "RosParameters({'planner': {'sped': treatment('Speed')}})")[:1]
-        assert "the node has no parameter 'sped' → Did you mean 'speed'?" in misspelt
-        (nobody,) = found(robot, "RosParameters({'planer': {'speed': treatment('Speed')}})")[:1]
-        assert "there is no node that has parameters: '/planer' → Did you mean '/planner'?" in nobody
-        good = "RosParameters({'planner': {'speed': 0.5, 'frame': 'map'}})"
-        assert not [each for each in found(robot, good, "Lifecycle({'slam': 'active'})") if "plugin " in each]
+        misspelt = "RosParameters({'planner': {'sped': treatment('Speed')}})"
+        nobody = "RosParameters({'planer': {'speed': treatment('Speed')}}, name='second')"
+        good = "RosParameters({'planner': {'speed': 0.5, 'frame': 'map'}}, name='third'), Lifecycle({'slam': 'active'})"
+        found_now = "\n".join(found(robot, misspelt, nobody, good))
+        assert "! plugin RosParameters: /planner: the node has no parameter 'sped' → Did you mean 'speed'?" in found_now
+        assert "there is no node that has parameters: '/planer' → Did you mean '/planner'?" in found_now
+        assert "plugin third" not in found_now
+        assert "plugin Lifecycle" not in found_now
 
 
 def test_a_parameter_that_nobody_has_set_is_doubted_on_ros_1(found):
@@ -76,8 +78,8 @@ def test_a_parameter_that_nobody_has_set_is_doubted_on_ros_1(found):
         server.publish("/odom", "std_msgs/String", {"data": ""})
         with closing(open_rosbridge_link(server.url, SystemClock())) as link:
             link.parameter_server.set_parameter("/planner/speed", value=0.2)
-        (doubt,) = [each for each in found(server.url, "RosParameters({'planner': {'sped': 0.5}})") if "sped" in each]
-        assert not doubt.startswith("! ")
-        assert "/planner/sped was not set before" in doubt
-        (error,) = [each for each in found(server.url, "RosParameters({'planner': {'speed': 'x'}})") if "speed" in each]
-        assert error.startswith("! plugin RosParameters: /planner/speed: the parameter is of the kind double")
+        unset = "RosParameters({'planner': {'sped': 0.5}})"
+        told = found(server.url, unset, "RosParameters({'planner': {'speed': 'x'}}, name='second')")
+        error, doubt = sorted(each for each in told if "plugin " in each)
+        assert doubt.startswith("plugin RosParameters: /planner/sped was not set before")
+        assert error.startswith("! plugin second: /planner/speed: the parameter is of the kind double")

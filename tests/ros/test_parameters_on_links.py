@@ -240,6 +240,31 @@ def test_parameters_of_ros_1_are_those_that_rosapi_tells(monkeypatch):
         assert "cannot pass through a rosbridge" in broken.problem
 
 
+def test_a_running_node_of_ros_1_that_can_be_reconfigured_takes_what_is_set():
+    with (
+        closing(RosbridgeServer(generation=1)) as server,
+        closing(open_rosbridge_link(server.url, SystemClock())) as link,
+    ):
+        there = link.parameter_server
+        for name, value in {"speed": 0.25, "frame": "map", "ids": [1]}.items():
+            there.set_parameter(f"/move_base/Planner/{name}", value=value)
+        asked = []
+
+        def take(request):
+            asked.append(request["config"])
+            clamped = {"name": "speed", "value": min(0.5, request["config"]["doubles"][0]["value"])}
+            server._rosapi.parameters["/move_base/Planner/speed"] = clamped["value"]
+            return {"config": {**request["config"], "doubles": [clamped]}}
+
+        server.offer("/move_base/Planner/set_parameters", "dynamic_reconfigure/Reconfigure", take)
+        base, names = parameters_of(link), ["Planner/speed", "Planner/frame"]
+        assert base.doubts("/move_base", names) == []
+        base.change("/move_base", {"Planner/speed": 1, "Planner/frame": "odom", "Planner/ids": [2]})
+        assert asked[0]["doubles"] == [{"name": "speed", "value": 1.0}]
+        assert asked[0]["strs"] == [{"name": "frame", "value": "odom"}]
+        assert base.values("/move_base", names) == {"Planner/speed": 0.5, "Planner/frame": "odom"}, "what it really has"
+
+
 def test_a_node_that_never_answers_is_told_in_time(two_links):
     robot, link = two_links
     if isinstance(link, SimulatedRobotLink):  # whose services answer at once

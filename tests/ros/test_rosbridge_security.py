@@ -12,6 +12,7 @@ import time
 from contextlib import closing
 
 import pytest
+from tests.conftest import HEAD
 from tests.processor_wait import ProcessorWait
 
 from robot_runner.core.errors import LinkError
@@ -206,3 +207,27 @@ def test_what_an_address_cannot_say_is_a_finding_that_shows_no_secret(address, p
 def test_over_tls_nothing_is_said_of_who_could_read_it(lab):
     assert link_findings(f"rosbridge+tls://robot.lab:9090?ca={lab.ca}") == []
     assert link_findings(f"wss://robot.lab?ca={lab.ca}") == []
+
+
+def test_a_run_reaches_its_robot_by_tls_and_nothing_of_the_secret_is_recorded(
+    lab, write_config, robot_runner, tmp_path
+):
+    secret = tmp_path / "lab_token"
+    secret.write_text(PASSWORD)
+    body = """
+        def launch_mission(self, context):
+            link = connect_robot(context)
+            print("lamp:", link.call("/lamp", "std_srvs/Trigger")["message"])
+    """
+    table = "    def create_run_table(self):\n        return RunTableModel([Factor('Task', ['Video', 'Network'])])\n"
+    head = HEAD.replace("import *", "import *\nfrom robot_runner.plugins import connect_robot", 1)
+    config = write_config(body, table=table, head=head)
+    with served(lab.certificate("robot", "127.0.0.1"), authorization=f"Bearer {PASSWORD}") as server:
+        server.offer("/lamp", "std_srvs/Trigger", lambda _: {"success": True, "message": "it is on"})
+        server.publish("/odom", "nav_msgs/Odometry", {})
+        answer = robot_runner(config, "--set", f"robot={server.url}?ca={lab.ca}&token_file={secret}")
+    assert answer.code == 0, answer.out + answer.err
+    kept = [path.read_bytes() for path in (tmp_path / "results").rglob("*") if path.is_file()]
+    assert any(b"lamp: it is on" in data for data in kept)
+    assert not any(PASSWORD.encode() in data for data in kept)
+    assert PASSWORD not in answer.out + answer.err

@@ -154,6 +154,8 @@ def test_a_simulation_that_was_reset_is_not_mixed_with_the_one_before():
     buffer.add("odom", "base", 0.5, (3.0, 0.0, 0.0), STRAIGHT)
     assert "the stamps of 'base' jump back from 101.000 to 0.500 s" in buffer.findings[0].problem
     assert buffer.look_up("odom", "lidar").translation == (3.0, 0.0, 1.0)
+    assert not buffer.can_look_up("map", "base")
+    assert buffer.can_look_up("odom", "lidar")
     assert "no frame 'map'" in refused(lambda: buffer.look_up("map", "base")).problem
 
 

@@ -5,19 +5,21 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.words import enumerated
 from robot_runner.ros.sent_goal import SentGoal
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
-    from robot_runner.core.links.robot import Message, Subscription
+    from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
     from robot_runner.ros.action_server import ActionTypes, GoalServer
 
-__all__ = ["ActionClient", "ActionDialect", "LinkGoals", "missing_action"]
+__all__ = ["ActionClient", "ActionDialect", "LinkGoals", "check_one_server", "missing_action"]
 
 _logger = logging.getLogger(__name__)
 
@@ -81,6 +83,22 @@ def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> L
     return LinkError(f"there is no action {action!r}", where=action, fix=fix)
 
 
+def check_one_server(action: str, servers: Iterable[GraphEndpoint]) -> None:
+    """Raise a `LinkError` where several nodes offer an action: each of them would execute the goal.
+
+    Args:
+        action: full name of the action.
+        servers: who tells the states of its goals.
+
+    Example:
+        >>> check_one_server("/dock", [])
+    """
+    names = sorted(map(str, servers))
+    if len(names) > 1:
+        problem = f"{len(names)} nodes offer the action: {enumerated(names)}"
+        raise LinkError(problem, where=action, fix="End all but one, or give the robots namespaces of their own.")
+
+
 class LinkGoals:
     """The goals of one link: its clients of actions, and what is to be cancelled when it is closed.
 
@@ -123,7 +141,11 @@ class LinkGoals:
         """
         deadline = time.monotonic() + CLOSING_SECONDS
         faults: list[LinkError] = []
-        for goal in self._goals:
+        open_goals = [goal for goal in self._goals if not goal.is_over]
+        for goal in open_goals:  # all are asked before any is waited for
+            with suppress(LinkError):  # it is asked again, and said then
+                goal.ask_for_end(CLOSING_SECONDS)
+        for goal in open_goals:
             try:
                 goal.cancel(timeout=max(0.1, deadline - time.monotonic()))
             except LinkError as error:

@@ -14,7 +14,7 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.ros.dds_graph import matched_subscriptions, ros_type, wire_topic
 from robot_runner.ros.dds_qos import adapted, incompatibility, profile_of, reader_profile, writer_profile
 from robot_runner.ros.dds_reception import delete, topic_wire_type
-from robot_runner.ros.dds_services import OfferedService, ServiceClient
+from robot_runner.ros.dds_services import OfferedService, ServiceClient, foreign_service
 from robot_runner.ros.dds_session import Session
 from robot_runner.ros.graph_transport import ReceivedBytes, check_type
 from robot_runner.ros.ros2_actions import Ros2Actions
@@ -104,6 +104,10 @@ class DdsTransport:
         """Return the type of each service that is answered."""
         self._session.settle(lambda: False)
         return self._session.graph.services()
+
+    def service_fault(self, service: str) -> LinkError | None:
+        """Return why a service cannot be called: it is offered through another middleware."""
+        return foreign_service(self._session, service)
 
     def nodes(self) -> Iterable[str]:
         """Return the full names of the nodes that the participants tell of."""

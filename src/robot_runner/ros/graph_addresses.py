@@ -141,7 +141,7 @@ def _discovery(variables: Mapping[str, str]) -> tuple[bool, bool]:
         raise LinkError("discovery is off, so that no robot can be found", where=name, fix=fix)
     if told and told not in _RANGES:
         raise LinkError(f"the range of discovery is {told!r}", where=name, fix=did_you_mean(told, _RANGES))
-    return told == "LOCALHOST", True
+    return told == "LOCALHOST", told != "SYSTEM_DEFAULT"  # which leaves peers to the middleware
 
 
 @dataclass(frozen=True, slots=True)

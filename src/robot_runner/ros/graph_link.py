@@ -240,6 +240,11 @@ class GraphLink:
         self._check_open("the graph")
         return self._transport.services()
 
+    def service_fault(self, service: str) -> LinkError | None:
+        """Return why a service that is on the graph cannot be called from here, or None; nothing is called."""
+        fault = getattr(self._transport, "service_fault", None)
+        return None if fault is None else fault(self._name(service))
+
     def actions(self) -> Mapping[str, str]:
         """Return the type of each action that is offered on the graph, by its full name."""
         self._check_open("the graph")

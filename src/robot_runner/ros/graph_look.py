@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from contextlib import closing, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, Severity, nearest
@@ -19,6 +19,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
 from robot_runner.core.links.robot import RobotLink, RobotName
 from robot_runner.core.words import enumerated
+from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_links import GRAPH_LINKS, clock_fix
 from robot_runner.ros.parameter_access import ServerParameters, parameters_of
 from robot_runner.ros.parameter_values import from_json
@@ -101,14 +102,18 @@ def _not_looked_at(why: str, fix: str = "") -> Finding:
 
 
 def look_at(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> list[Finding]:
-    """Join the graph, look, and leave it; what could not be looked at is a warning that says why."""
+    """Join the graph, look, and leave it.
+
+    A graph that cannot be joined is an error where anything of it is needed; whatever else could not be looked at is a
+    warning that says why.
+    """
     try:
         kind = GRAPH_LINKS[name.link]
         follows = kind.follows_graph_clock(name)
         clock = [GraphNeed.published("/clock", "rosgraph_msgs/Clock", fix=clock_fix(name))] if follows else []
         link = kind.open(name, SystemClock())
     except LinkError as error:
-        return [_not_looked_at(error.problem, error.fix)]
+        return [error.as_finding() if needs else _not_looked_at(error.problem, error.fix)]
     wanted = {**needs, **({_ROBOT: clock} if clock else {})}
     with closing(link):
         try:
@@ -160,8 +165,10 @@ def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[F
             yield from _subscribed(link, need, where)
         case GraphPart.SERVICE:
             yield from offer_findings("service", link.services(), need, where)
+            yield from _foreign(link, need, where)
         case GraphPart.ACTION:
-            yield from _action(link, need, where)
+            yield from offer_findings("action", link.actions(), need, where)
+            yield from _foreign(link, replace(need, name=f"{need.name}/_action/send_goal"), where)
         case GraphPart.PARAMETERS:
             yield from _parameters(link, need, where)
 
@@ -189,14 +196,6 @@ def _subscribed(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Fin
         yield from rival_findings(link, need.name, where)
 
 
-def _action(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
-    actions = getattr(link, "actions", None)
-    if actions is None:
-        yield Finding.warning(where, f"whether the action {need.name!r} is offered was not seen: the link lists none")
-    else:
-        yield from offer_findings("action", actions(), need, where)
-
-
 def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
     if not isinstance(link, RobotLink):
         return
@@ -211,6 +210,13 @@ def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Fin
         yield Finding.error(where, f"{each.where}: {each.problem}", f"{need.fix} {each.fix}".strip())
     for problem, fix in doubts:
         yield Finding.warning(where, problem, fix)
+
+
+def _foreign(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
+    """Yield why a service that is there cannot be called over this link."""
+    fault = link.service_fault(need.name) if isinstance(link, GraphLink) else None
+    if fault is not None:
+        yield Finding.error(where, f"{need.name!r}: {fault.problem}", fault.fix)
 
 
 def offer_findings(what: str, offered: Mapping[str, str], need: GraphNeed, where: str) -> Iterator[Finding]:

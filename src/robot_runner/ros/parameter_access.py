@@ -21,6 +21,7 @@ from robot_runner.ros.parameter_values import (
     kind_of,
     normal,
 )
+from robot_runner.ros.reconfiguring import reconfigurable, reconfigure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -106,7 +107,7 @@ def parameters_of(link: RobotLink, *, timeout: float = 5.0) -> ParameterAccess:
         {'speed': 1.0}
     """
     server: ParameterServer | None = getattr(link, "parameter_server", None)
-    return NodeParameters(link, timeout) if server is None else ServerParameters(link, server)
+    return NodeParameters(link, timeout) if server is None else ServerParameters(link, server, timeout)
 
 
 def all_at_once(errors: Sequence[LinkError], *, where: str) -> None:
@@ -207,11 +208,15 @@ class NodeParameters:
 
 
 class ServerParameters:
-    """The parameters of nodes of ROS 1, which stand below their names in the master's parameter server."""
+    """The parameters of nodes of ROS 1, which stand below their names in the master's parameter server.
 
-    def __init__(self, link: RobotLink, server: ParameterServer) -> None:
+    A node that runs takes them where it lets itself be changed by dynamic_reconfigure.
+    """
+
+    def __init__(self, link: RobotLink, server: ParameterServer, timeout: float = 5.0) -> None:
         self._link = link
         self._server = server
+        self._timeout = timeout
 
     def names(self, node: str) -> list[str]:
         """Return the names of what is set for a node, sorted; `/` is what is set for all."""
@@ -242,6 +247,7 @@ class ServerParameters:
                 self._server.set_parameter(key, value=value)
             elif self._server.parameter(key) is not None:
                 self._server.delete_parameter(key)
+        reconfigure(self._link, fits, timeout=self._timeout)
 
     def doubts(self, node: str, names: Sequence[str]) -> list[tuple[str, str]]:
         """Return what may make a change vain, each with a remedy: names that nobody has set, a node that runs already.
@@ -257,7 +263,8 @@ class ServerParameters:
                 near = nearest(name, there)
                 fix = f"Did you mean {near!r}?" if near else "See that the node reads a parameter of this name."
                 found.append((f"{self._key(node, name)} was not set before, and ROS 1 does not tell who reads it", fix))
-        if full in self._link.nodes():
+        live = reconfigurable(self._link, [self._key(node, name) for name in names])
+        if len(live) < len(names) and full in self._link.nodes():
             problem = f"{full} is running already, and a node of ROS 1 reads most of its parameters when it starts"
             found.append((problem, "Start it after they are set: list its RosLaunch after RosParameters."))
         return found

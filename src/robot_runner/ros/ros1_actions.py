@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.action_calls import missing_action
+from robot_runner.ros.action_calls import check_one_server, missing_action
 from robot_runner.ros.graph_transport import already_offered
 from robot_runner.ros.shapes import completed
 
@@ -178,6 +178,7 @@ class _Client:
             raise LinkError(problem, where=self._action, fix="Look whether its node is alive and reachable from here.")
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
+        check_one_server(self._action, self._transport.publishers(self._action + _STATUS))
         sent.key = f"/robot_runner_{os.getpid()}-{next(self._numbers)}-{time.time():.6f}"
         with self._lock:
             self._goals[sent.key] = sent

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.action_calls import missing_action
+from robot_runner.ros.action_calls import check_one_server, missing_action
 from robot_runner.ros.action_types import whole_action
 from robot_runner.ros.graph_transport import already_offered
 from robot_runner.ros.shapes import completed
@@ -145,6 +145,7 @@ class _Client:
         )
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
+        check_one_server(self._action, self._transport.publishers(self._action + STATUS_TOPIC))
         sent.key = uuid.uuid4().hex
         with self._lock:
             self._goals[sent.key] = sent

@@ -73,8 +73,9 @@ def _unfitting(ros: RosEnvironment | None, other: str) -> LinkError:
     domain = os.environ.get("ROS_DOMAIN_ID")
     options = [f"distro={distro.strip()}"] if distro else []
     name = "dds" + (":" + ",".join([*([f"domain={domain}"] if domain else []), *options]) if domain or options else "")
+    ours = ".".join(map(str, sys.version_info[:2]))
     return LinkError(
-        f"the ROS 2{distro} that is sourced is for Python {other}, and this is {'.'.join(map(str, sys.version_info[:2]))}",
+        f"the ROS 2{distro} that is sourced is for Python {other}, and this is {ours}",
         where="robot",
         fix=f"Reach the robot without a ROS on this machine: --set robot={name}. Its services need one line on the "
         "robot, or a rosbridge: docs/your-humble-robot.md.",

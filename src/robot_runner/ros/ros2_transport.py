@@ -6,6 +6,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -294,7 +295,7 @@ class _Offer:
             return as_message(cls.Response, answer(as_mapping(request)))
 
         self._host = node.services()
-        self._offered = self._host.create_service(cls, service, respond)
+        self._offered = self._host.create_service(cls, service, respond, callback_group=ReentrantCallbackGroup())
         node.until(lambda: graph.service_type(service), _PATIENCE)
 
     def close(self) -> None:

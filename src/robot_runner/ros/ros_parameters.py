@@ -87,6 +87,12 @@ class RosParameters(RestoredSettings):
     def _checked(self, node: str, values: object) -> dict[str, ParameterValue]:
         if not isinstance(values, Mapping) or not values or not all(isinstance(name, str) and name for name in values):
             raise PluginError(f"the parameters of {node!r} are {values!r}", where=self.name, fix=_FIX)
+        for name, value in values.items():
+            if isinstance(value, Mapping):
+                inner = next(iter(value), "...")
+                problem = f"{name} of {node!r} is {value!r}"
+                fix = f"Write the whole name of each: '{name}.{inner}' (in ROS 1 '{name}/{inner}')."
+                raise PluginError(problem, where=self.name, fix=fix)
         try:
             if node != "/":
                 full_name(self.namespace, node)

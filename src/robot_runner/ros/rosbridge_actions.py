@@ -138,7 +138,7 @@ class _Client:
             connection = Session(self._graph.address)
             sent.key = connection.fresh_id(f"{_SENDING}:{id(sent)}")
             connection.on_action = partial(self._take, sent)
-            connection.on_lost = sent.lose
+            connection.on_lost = partial(self._lose, sent)
             with self._lock:
                 self._connections[sent.key] = connection
                 self._awaiting = sent
@@ -187,6 +187,12 @@ class _Client:
         if fault is not None:
             self._leave(sent)
             raise fault
+
+    def _lose(self, sent: SentGoal, error: LinkError) -> None:
+        """Have a goal end whose connection is lost, where the link's own is not: nobody hears what comes of it."""
+        sent.lose(error)
+        with suppress(LinkError):
+            self.cancel(sent, 0.0)
 
     def _take(self, sent: SentGoal, operation: Mapping[str, Any]) -> None:
         if operation.get("id") != sent.key:

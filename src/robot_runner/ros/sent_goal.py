@@ -90,16 +90,27 @@ class SentGoal:
         Raises:
             LinkError: the server refuses, or does not end it in time.
         """
-        if self.is_over or self.client is None:
-            return
         deadline = time.monotonic() + timeout
-        self.client.cancel(self, timeout)
+        self.ask_for_end(timeout)
         if not self._wait_until_over(timeout, deadline):
             raise LinkError(
                 f"the goal does not end within {timeout:g} s after it was asked to: it is {self._status}",
                 where=self.action,
                 fix="Look whether its server looks for cancel requests, or give a longer timeout.",
             )
+
+    def ask_for_end(self, timeout: float) -> None:
+        """Ask for its end; nothing is done where it is over.
+
+        Raises:
+            LinkError: the server refuses, or is gone.
+        """
+        if self.is_over or self.client is None:
+            return
+        if not self.client.is_served():
+            self.lose(self._gone())
+            raise self._gone()
+        self.client.cancel(self, timeout)
 
     def note(self, status: GoalStatus) -> None:
         """Take what the server says of it; what is over stays over."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import math
 import threading
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, nearest
@@ -208,6 +209,12 @@ class TransformBuffer:
             from_target = self._composed(down, time)
         found = from_target.inverse().after(to_common)
         return Transform(found.translation, found.rotation, time if moving else None)
+
+    def can_look_up(self, target: str, source: str, time: float | None = None) -> bool:
+        """Whether `look_up` would return a transform."""
+        with suppress(LinkError):
+            return bool(self.look_up(target, source, time))
+        return False
 
     def wait_for(
         self, target: str, source: str, clock: Clock, time: float | None = None, *, timeout: float = 5.0

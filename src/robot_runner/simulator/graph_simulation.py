@@ -33,6 +33,8 @@ __all__ = ["GraphSimulation", "SimulatedPlace", "check_pace", "on_graph"]
 _TICK = 0.01
 #: How far, real s, it may be behind before it gives up to catch up.
 _LONGEST_LAG = 0.25
+#: How often, in ticks, it is asked who looks through the cameras: once a simulated second.
+_CAMERA_TICKS = 100
 _SERVICE_TYPE = "std_srvs/Empty"
 
 
@@ -52,6 +54,7 @@ class GraphSimulation:
         real_time_factor: simulated seconds a real second.
         has_meter: whether each robot's power meter is opened on a terminal.
         has_watchdog: whether a robot stops once the run that drives it has fallen silent.
+        has_camera: whether the topics of the robots' cameras are there; pictures are made while somebody subscribes.
 
     Attributes:
         robots: its robots, by namespace.
@@ -78,6 +81,7 @@ class GraphSimulation:
         real_time_factor: float = 1.0,
         has_meter: bool = False,
         has_watchdog: bool = True,
+        has_camera: bool = False,
     ) -> None:
         self._make = make
         self._seed = seed
@@ -87,6 +91,7 @@ class GraphSimulation:
         self._factor = real_time_factor
         self._lock = threading.RLock()  # callbacks come from threads of the links; the simulation has one at a time
         self._is_reset = False
+        self._ticks = 0
         self._closing = ExitStack()
         self.robots: dict[str, GraphRobot] = {}
         self.lags = 0
@@ -103,6 +108,7 @@ class GraphSimulation:
                     is_clock=is_clock,
                     has_meter=has_meter,
                     has_watchdog=has_watchdog,
+                    has_camera=has_camera,
                 )
                 self.robots[namespace] = robot
                 self._closing.callback(robot.close)
@@ -183,7 +189,10 @@ class GraphSimulation:
         if self._is_clock:
             clock = {"clock": stamp(self._simulation.clock.now_ns)}
             self._link.publish("/clock", "rosgraph_msgs/Clock", clock)
+        self._ticks += 1
         for robot in self.robots.values():
+            if self._ticks % _CAMERA_TICKS == 0:
+                robot.watch_camera()
             if robot.meter is not None:
                 robot.meter.exchange()
 
@@ -210,6 +219,7 @@ class SimulatedPlace:
         has_watchdog: whether it stops once the run that drives it has fallen silent.
         room: a file that describes where it lives; None for the usual room.
         model: an MJCF file that describes it; None for a TurtleBot3.
+        has_camera: whether its camera's topics are there.
 
     Example:
         >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
@@ -224,6 +234,7 @@ class SimulatedPlace:
     has_watchdog: bool = True
     room: Path | None = None
     model: Path | None = None
+    has_camera: bool = False
 
 
 def check_pace(place: SimulatedPlace) -> None:
@@ -274,6 +285,7 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
             real_time_factor=place.real_time_factor,
             has_meter=model is None,
             has_watchdog=place.has_watchdog,
+            has_camera=place.has_camera,
         )
         closing.callback(graph.close)
         if place.is_clock:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
 from robot_runner.simulator.mjcf_interface import ActuatorKind, read_interface, read_model
 from robot_runner.simulator.sensors import (
@@ -72,7 +73,8 @@ class ModelledRobot:
         path: of the model's file.
         topics: the topics that it publishes, by name within its namespace: `joint_states`; `odom` and `ground_truth`
             of one with wheels or a free base; `scan` of one with a site called `scan`, `lidar`, `laser` or `base_scan`;
-            `imu` of one with a gyroscope and an accelerometer.
+            `imu` of one with a gyroscope and an accelerometer; `camera/image_raw` and `camera/camera_info` of one with
+            a camera.
         command_topics: those that it subscribes: `joint_commands`, and `cmd_vel` of one with two wheels.
         services: those that it offers: none.
     """
@@ -99,12 +101,6 @@ class ModelledRobot:
         self.command_topics: Mapping[str, str] = MappingProxyType({**wheels, "joint_commands": _JOINTS})
         self.services: Mapping[str, str] = MappingProxyType({})
 
-    @property
-    def parts(self) -> tuple[mujoco.MjModel, mujoco.MjData, int | None]:
-        """Its model and state, up to the clock's time, and its camera: for pictures."""
-        self._reach()
-        return self._model, self._data, self._interface.camera
-
     def command(self, topic: str, message: Message) -> None:
         """Carry out a command, and keep to it until the next.
 
@@ -125,6 +121,10 @@ class ModelledRobot:
         """Stand as it stood at the beginning, with its odometry at zero."""
         self._reach()
         self._start()
+
+    def _seen(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        self._reach()
+        return self._model, self._data
 
     def _start(self) -> None:
         keyed = self._model.nkey > 0
@@ -199,6 +199,9 @@ class ModelledRobot:
             topics["scan"] = PublishedTopic(clock, "sensor_msgs/LaserScan", parameters.scan_rate, self._scan)
         if found.gyroscope is not None and found.accelerometer is not None:
             topics["imu"] = PublishedTopic(clock, "sensor_msgs/Imu", parameters.imu_rate, self._imu)
+        if found.camera is not None:
+            camera = Camera(self._seen, found.camera, parameters, is_painted=False)
+            topics |= camera_topics(clock, camera, parameters.camera_rate)
         return topics
 
     def _odom(self) -> dict[str, Any]:

@@ -32,6 +32,7 @@ __all__ = [
     "SensorBoard",
     "battery_state",
     "body_outline",
+    "header",
     "imu",
     "joint_state",
     "laser_scan",
@@ -65,7 +66,7 @@ def odometry(now_ns: int, state: OdometryState) -> Message:
     }
     twist = {"linear": _vector(state.linear, 0.0, 0.0), "angular": _vector(0.0, 0.0, state.angular)}
     return {
-        "header": _header(now_ns, "odom"),
+        "header": header(now_ns, "odom"),
         "child_frame_id": "base_footprint",
         "pose": {"pose": pose, "covariance": list(_UNKNOWN_COVARIANCE)},
         "twist": {"twist": twist, "covariance": list(_UNKNOWN_COVARIANCE)},
@@ -83,7 +84,7 @@ def imu(
 ) -> Message:
     """Return a sensor_msgs/Imu; the deviations become the diagonals of its covariances."""
     return {
-        "header": _header(now_ns, "imu_link"),
+        "header": header(now_ns, "imu_link"),
         "orientation": _quaternion(*orientation),
         "orientation_covariance": _diagonal(0.0),
         "angular_velocity": _vector(*angular_velocity),
@@ -97,7 +98,7 @@ def laser_scan(now_ns: int, *, ranges: list[float], rate: int, nearest: float, f
     """Return a sensor_msgs/LaserScan of a whole turn, counter-clockwise from straight ahead."""
     increment = 2 * math.pi / len(ranges)
     return {
-        "header": _header(now_ns, "base_scan"),
+        "header": header(now_ns, "base_scan"),
         "angle_min": 0.0,
         "angle_max": increment * (len(ranges) - 1),
         "angle_increment": increment,
@@ -125,7 +126,7 @@ def battery_state(
         is_dead: whether it fell below its cut-off voltage.
     """
     return {
-        "header": _header(now_ns, ""),
+        "header": header(now_ns, ""),
         "voltage": voltage,
         "temperature": math.nan,
         "current": -current,
@@ -149,7 +150,7 @@ def joint_state(
 ) -> Message:
     """Return a sensor_msgs/JointState; left out, the joints are the two wheels', left and right."""
     return {
-        "header": _header(now_ns, "base_link"),
+        "header": header(now_ns, "base_link"),
         "name": list(names),
         "position": positions,
         "velocity": velocities,
@@ -157,7 +158,8 @@ def joint_state(
     }
 
 
-def _header(now_ns: int, frame: str) -> Message:
+def header(now_ns: int, frame: str) -> Message:
+    """Return a std_msgs/Header."""
     seconds, nanoseconds = divmod(now_ns, _SECOND_NS)
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 
@@ -182,23 +184,43 @@ class PublishedTopic:
         message_type: ROS name, such as `nav_msgs/Odometry`.
         rate: messages a second.
         make: makes the message of this moment.
+        prepare: called before the first subscriber is taken; what it raises refuses it.
     """
 
-    def __init__(self, clock: SimulatedClock, message_type: str, rate: int, make: Callable[[], dict[str, Any]]) -> None:
+    def __init__(
+        self,
+        clock: SimulatedClock,
+        message_type: str,
+        rate: int,
+        make: Callable[[], dict[str, Any]],
+        *,
+        prepare: Callable[[], object] = lambda: None,
+    ) -> None:
         self.message_type = message_type
         self._clock = clock
         self._rate = rate
         self._make = make
+        self._prepare = prepare
         self._listeners: dict[Listening, Listener] = {}
         self._ticker: Ticker | None = None
 
     def listen(self, listener: Listener) -> Listening:
         """Have `listener` called with each message while the clock is slept on, until the listening is closed."""
+        self._prepare()
         listening = Listening(self)
         self._listeners[listening] = listener
         if self._ticker is None:
             self._ticker = self._clock.every(self._rate, self._publish)
         return listening
+
+    def latest(self) -> dict[str, Any]:
+        """Return the message of this moment, whether or not anybody subscribes.
+
+        Raises:
+            LinkError: there is none to be had.
+        """
+        self._prepare()
+        return self._make()
 
     def forget(self, listening: Listening) -> None:
         """Call this subscriber no more; a topic without subscribers is no longer computed."""

@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.cut_off import CutOff, ProtectedDrive
 from robot_runner.simulator.drive import DifferentialDrive, WheelOdometry
 from robot_runner.simulator.model import Body
@@ -21,6 +22,8 @@ from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
+
+    import mujoco
 
     from robot_runner.simulator.modelled_robot import ModelledRobot, RobotModel
     from robot_runner.simulator.rooms import Obstacle, Pose, Room
@@ -123,7 +126,8 @@ class SimulatedTurtlebot3:
             streams.numbered("imu", width=6),
             streams.numbered("scan", width=RAYS),
         )
-        self.topics = published_topics(board)
+        camera = Camera(partial(self._seen, world.physics), world.numbers[namespace], parameters, is_painted=True)
+        self.topics = published_topics(board) | camera_topics(clock, camera, parameters.camera_rate)
 
     @property
     def pose(self) -> Pose:
@@ -196,6 +200,10 @@ class SimulatedTurtlebot3:
     def _next_step(self) -> int:
         # What changes now shows from the next step on: this one's power may have been read already.
         return self._clock.step + 1
+
+    def _seen(self, physics: Physics) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        self._powered.reach(self._clock.step)
+        return physics.parts
 
     def _start(self, task: Task) -> dict[str, bool | str]:
         if self._tasks.start(task, step=self._next_step):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 import uuid
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.ros.ros2_actions import GOAL_NUMBERS, STATUS_TOPIC, STATUS_TYPE, Ros2ActionTypes
 from robot_runner.ros.rosbridge_frames import to_protocol
 from robot_runner.ros.shapes import completed, plain_type
-from robot_runner.testing.rosbridge_graph import Refusal, received
+from robot_runner.testing.rosbridge_graph import Refusal, ServedService, received
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -28,6 +29,7 @@ ACTION_OPERATIONS = (
     "action_feedback",
     "action_result",
 )
+_CANCEL = "/_action/cancel_goal"
 _SPELT_STATUS = STATUS_TYPE.replace("/", "/msg/", 1)
 
 
@@ -112,6 +114,8 @@ class ServedActions:
         types = Ros2ActionTypes.of(self._graph.types, kind)
         self.offered[name] = _Action(kind, types, client)
         self._graph.advertise(name + STATUS_TOPIC, _SPELT_STATUS, self, is_latched=True)
+        cancel = ServedService("action_msgs/srv/CancelGoal", self, partial(self._cancel_called, name))
+        self._graph.services[name + _CANCEL] = cancel
 
     def _unadvertise(self, operation: Mapping[str, Any], client: _Client) -> None:
         del client
@@ -123,7 +127,7 @@ class ServedActions:
         action = self.offered[name]
         for goal in list(action.goals.values()):
             self._end(action, goal, GoalStatus.ABORTED, {})
-        del self.offered[name]
+        del self.offered[name], self._graph.services[name + _CANCEL]
         self._graph.unadvertise(name + STATUS_TOPIC, self)
 
     def _send(self, operation: Mapping[str, Any], client: _Client) -> None:
@@ -155,9 +159,20 @@ class ServedActions:
         action = self.offered.get(operation["action"])
         for goal in list(action.goals.values()) if action is not None else ():
             if action is not None and goal.sent_as == operation.get("id"):
-                goal.status = GoalStatus.CANCELING
-                action.owner.send({"op": "cancel_action_goal", "id": goal.told_as, "action": goal.action})
-                self._publish(action, goal.action)
+                self._ask_for_end(action, goal)
+
+    def _cancel_called(self, name: str, request: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Answer the hidden service of the action: of one goal, or of all where none is named."""
+        action, key = self.offered[name], request["goal_info"]["goal_id"]["uuid"]
+        for goal in list(action.goals.values()):
+            if key in {goal.key, bytes(16)}:
+                self._ask_for_end(action, goal)
+        return {"return_code": 0}
+
+    def _ask_for_end(self, action: _Action, goal: _Goal) -> None:
+        goal.status = GoalStatus.CANCELING
+        action.owner.send({"op": "cancel_action_goal", "id": goal.told_as, "action": goal.action})
+        self._publish(action, goal.action)
 
     def _feedback(self, operation: Mapping[str, Any], client: _Client) -> None:
         action, goal = self._goal(operation, client)

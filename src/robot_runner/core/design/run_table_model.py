@@ -17,9 +17,9 @@ from robot_runner.core.design.design import (
     FullFactorial,
 )
 from robot_runner.core.design.design_findings import design_findings, order_findings, size_findings
-from robot_runner.core.design.designed_growth import combinations_of_choice
 from robot_runner.core.design.exclusions import Allowed, apply_exclusions
 from robot_runner.core.design.factor import Combination, Factor, full_factorial
+from robot_runner.core.design.grown_choice import Choice, grown_choice
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
@@ -204,7 +204,9 @@ class RunTableModel:
             DesignError: an exclusion does not fit these factors, or the design did not choose from them.
         """
         if not self.is_full_factorial:
-            return combinations_of_choice(self, factors)
+            planned = (run.combination for run in self.plan())
+            choice = Choice(self.design, self.factors, planned, self.repetitions, self.allowed_of)
+            return grown_choice(choice, factors)
         exclusions = _applied(factors, self._exclusions)
         if exclusions is None:
             return full_factorial(factors)

@@ -73,6 +73,8 @@ class ActionMission(System):
         success: fields of the result and what they have to be for a success, where the status alone does not tell:
             `{"error_code": 0}`.
         odometry: topic of `nav_msgs/Odometry` for the measure `PathLength`; None for none.
+        path_frames: the same by transforms instead of odometry: the frame in which the robot moves, and the robot's
+            own, such as `("map", "base_link")`.
         scan: topic of `sensor_msgs/LaserScan` for the measure `ClosestObstacle`; None for none.
         stop_topic: topic of the robot's velocity commands, where a robot is told to stand still when the mission breaks
             off and its server may not do so any more; None for none.
@@ -112,6 +114,7 @@ class ActionMission(System):
         failure: str = "fail",
         success: Mapping[str, Any] | None = None,
         odometry: str | None = None,
+        path_frames: Sequence[str] | None = None,
         scan: str | None = None,
         stop_topic: str | None = None,
         connect_timeout_s: float = 5.0,
@@ -142,7 +145,7 @@ class ActionMission(System):
         self.commands = (action,)
         self._of_result = ResultMeasures(result, where=self.name)
         self._of_feedback = FeedbackMeasures(feedback, where=self.name)
-        self._of_way = WayMeasures(odometry, scan, where=self.name)
+        self._of_way = WayMeasures(odometry, scan, path_frames, where=self.name)
         self.measures = (*_MEASURES, *self._of_result.measures, *self._of_feedback.measures, *self._of_way.measures)
         self._check_names()
         self._link: RobotLink | None = None

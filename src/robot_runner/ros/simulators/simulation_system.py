@@ -148,7 +148,8 @@ class Simulation(System):
     def after_experiment(self, context: ExperimentContext) -> None:
         """Leave the simulator as it was found: going on."""
         if self.pauses and context.robot is not None and not is_simulated(context.robot):
-            self._unpause_from_elsewhere(context)
+            signs = (CLOCK_TOPIC, self.pose_topic)  # a subject that started it may have ended it
+            self._unpause_from_elsewhere(context, signs)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Reset the simulator, and see that it was reset.
@@ -255,9 +256,10 @@ class Simulation(System):
         if demand is not None:
             demand.meet(link, namespace=namespace, timeout=self.timeout_s)
 
-    def _unpause_from_elsewhere(self, context: ExperimentContext) -> None:
-        if self._dialect.unpause is not None and context.robot is not None:
-            unpause_from_elsewhere(context.robot, self.namespace, self._dialect.unpause, self.timeout_s)
+    def _unpause_from_elsewhere(self, context: ExperimentContext, signs: Sequence[str] = ()) -> None:
+        demand, robot = self._dialect.unpause, context.robot
+        if demand is not None and robot is not None:
+            unpause_from_elsewhere(robot, self.namespace, demand, self.timeout_s, signs=signs)
 
     def _reset_demand(self) -> Demand | None:
         if self.reset not in _RESETS:

@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, RobotRunnerError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from robot_runner.ros.simulators.simulator_dialects import Demand
 
 __all__ = ["unpause_from_elsewhere"]
@@ -23,7 +26,9 @@ _CONNECTING = 20.0
 _REFUSED = 3
 
 
-def unpause_from_elsewhere(robot: str, namespace: str, unpause: Demand, timeout: float) -> None:
+def unpause_from_elsewhere(
+    robot: str, namespace: str, unpause: Demand, timeout: float, *, signs: Sequence[str] = ()
+) -> None:
     """Call the service that lets a simulator go on, in a process that ends with it.
 
     Args:
@@ -31,6 +36,7 @@ def unpause_from_elsewhere(robot: str, namespace: str, unpause: Demand, timeout:
         namespace: of the robot.
         unpause: the service.
         timeout: how long it may take to answer, s.
+        signs: topics that it publishes, where it may have ended: one that is not there is not left paused.
 
     Raises:
         LinkError: it was not called; it says why.
@@ -42,6 +48,7 @@ def unpause_from_elsewhere(robot: str, namespace: str, unpause: Demand, timeout:
         "service_type": unpause.service_type,
         "request": dict(unpause.request),
         "timeout": timeout,
+        "signs": list(signs),
     }
     command = [sys.executable, "-m", __name__, json.dumps(told)]
     try:
@@ -70,7 +77,11 @@ def _main(told: str) -> int:
     demand = Demand(tuple(given["services"]), given["service_type"], given["request"], lambda _: "")
     try:
         with closing(GRAPH_LINKS[name.link].open(name, SystemClock(), namespace)) as link:
-            demand.meet(link, namespace=namespace, timeout=given["timeout"])
+            try:
+                demand.meet(link, namespace=namespace, timeout=given["timeout"])
+            except LinkError:
+                if not given["signs"] or any(link.publishers(full_name(namespace, each)) for each in given["signs"]):
+                    raise
     except RobotRunnerError as error:
         sys.stderr.write(f"{error.problem}\n")
         return _REFUSED

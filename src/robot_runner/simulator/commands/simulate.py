@@ -60,6 +60,11 @@ def add_arguments(parser: Parser) -> None:
         help="simulated seconds a real second; 1 if it is left out, and another needs --use-sim-time",
     )
     parser.add_argument(
+        "--camera",
+        action="store_true",
+        help="have its camera's topics, whose pictures are rendered while somebody subscribes; needs EGL or OSMesa",
+    )
+    parser.add_argument(
         "--no-watchdog",
         action="store_true",
         help="have no watchdog, as a robot on which ours was not installed: it carries out its last command for ever",
@@ -86,6 +91,7 @@ def execute(arguments: Namespace) -> int:
         has_watchdog=not arguments.no_watchdog,
         room=arguments.room,
         model=model,
+        has_camera=arguments.camera,
     )
     check_pace(place)
     console = output()
