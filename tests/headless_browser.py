@@ -11,13 +11,13 @@ import subprocess
 import time
 from collections import deque
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 __all__ = ["Browser", "browser", "started_browser"]
 
@@ -114,6 +114,18 @@ class Browser:
     def screenshot(self, *, whole: bool = False) -> bytes:
         """Return what is seen, or the whole page, as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot", captureBeyondViewport=whole)["data"])
+
+    def inaccessible(self) -> list[str]:
+        """Return what axe-core finds against WCAG 2.1, A and AA: the rule, what it asks for, the elements."""
+        package = pytest.importorskip("axe_core_python", reason="axe-core-python is not installed (the extra 'dev')")
+        self.evaluate(Path(package.__file__).with_name("axe.min.js").read_text(encoding="utf-8") + "; 0")
+        found = self.evaluate(
+            "axe.run(document, {runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa'], resultTypes: ['violations']})"
+            ".then(done => done.violations.map(each => `${each.id}: ${each.help}: `"
+            " + each.nodes.slice(0, 5).map(node => node.target.join(' ')).join(', ')))"
+        )
+        assert isinstance(found, list)
+        return found
 
     def is_dark(self, is_dark: bool) -> None:
         """Have the reader prefer a dark page, or a light one."""

@@ -1,12 +1,12 @@
 """Two planners of a small navigation stack: which arrives, and by which way?
 
-Offer the simulated robot on a graph, with its lidar and a pillar in its way, and execute the experiment beside it:
+Offer the simulated robot on a graph, with its lidar and a shelf in its way, and execute the experiment beside it:
 
-    robot-runner simulate turtlebot3 --link dds --use-sim-time --real-time-factor 4
-    robot-runner examples/navigation/navigation.py
+    robot-runner simulate turtlebot3 --link dds --use-sim-time --real-time-factor 4 --room room.toml
+    robot-runner navigation.py
 
-Over ROS 1 it is --link ros1, and NAVIGATION_ROBOT=ros1 before the second command. On your own robot with Nav2, leave out
-the navigator, and bind what you compare to the goal or to the parameters of your planner.
+Over ROS 1 it is --link ros1, and NAVIGATION_ROBOT=ros1 before the second command. On your own robot with Nav2, leave
+out the navigator, and bind what you compare to the goal or to the parameters of your planner.
 """
 
 import os
@@ -44,8 +44,8 @@ class RobotRunnerConfig(ExperimentConfig):
         name="Navigator",
         ready="ready",
     )
-    # Behind the pillar and home again, so that each run begins where the last one did.
-    plugins = [navigator, drive_to(1.5, -1.7, "Out"), drive_to(0.0, 0.0, "Back")]
+    # Behind the shelf and home again, so that each run begins where the last one did.
+    plugins = [navigator, drive_to(1.2, 0.0, "Out"), drive_to(0.0, 0.0, "Back")]
 
     def create_run_table(self):
         return RunTableModel([Factor("Planner", ["straight", "astar"])], repetitions=self.repetitions, seed=7)

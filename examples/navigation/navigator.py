@@ -12,7 +12,6 @@ import math
 import signal
 import sys
 import threading
-from types import FrameType
 
 from planners import PLANNERS, Place
 
@@ -22,7 +21,7 @@ from robot_runner.plugins import ActionAborted, ActionCanceled, open_robot
 RATE, SPEED, TURN_RATE = 10.0, 0.2, 1.5
 #: How near the goal is near enough, m.
 NEAR = 0.08
-#: How long it looks for a way on before it turns on the spot to see more, s, and how often it does so before it gives up.
+#: How long it looks for a way on before it turns on the spot to see more, s, and how often before it gives up.
 PATIENCE, MOST_RECOVERIES = 1.0, 3
 TWIST = "geometry_msgs/Twist"
 
@@ -119,11 +118,8 @@ def main() -> int:
     words = parser.parse_args()
     is_over = threading.Event()
 
-    def end(number: int, frame: FrameType | None) -> None:
-        is_over.set()
-
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, end)
+        signal.signal(number, lambda *_: is_over.set())
     with open_robot(words.robot) as (link, clock):
         navigator = Navigator(link, clock, words.planner)
         link.offer_action("navigate_to_pose", "nav2_msgs/NavigateToPose", navigator.navigate)

@@ -11,7 +11,9 @@ import math
 from dataclasses import dataclass
 
 #: Half the width of the robot and some room, m.
-CLEARANCE = 0.19
+CLEARANCE = 0.17
+#: What is less far ahead is beside the robot, m: it may turn away from it.
+BESIDE = 0.06
 #: How far ahead of the robot the point to steer for is, m.
 LOOK_AHEAD = 0.35
 
@@ -52,7 +54,7 @@ class Straight:
         for x, y in obstacles:
             along = (x - here.x) * cos + (y - here.y) * sin
             across = (y - here.y) * cos - (x - here.x) * sin
-            if 0 < along < ahead and abs(across) < CLEARANCE:
+            if BESIDE < along < ahead and abs(across) < CLEARANCE:
                 return False
         return True
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from robot_runner.conditions.computers import host_answers as host_answers
     from robot_runner.conditions.computers import process_running as process_running
     from robot_runner.conditions.computers import throttled as throttled
+    from robot_runner.conditions.graph_presence import lifecycle_state as lifecycle_state
     from robot_runner.conditions.graph_presence import node_present as node_present
     from robot_runner.conditions.graph_presence import service_present as service_present
     from robot_runner.conditions.graph_presence import topic_present as topic_present

@@ -12,6 +12,7 @@ from robot_runner import (
     ConditionError,
     battery_above,
     battery_below,
+    lifecycle_state,
     message_on,
     node_present,
     service_present,
@@ -19,8 +20,8 @@ from robot_runner import (
     topic_present,
 )
 from robot_runner.core.errors import LinkError
-from robot_runner.plugins import connect_robot
-from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, make_context
+from robot_runner.plugins import change_state, connect_robot
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, LifecycleNode, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -53,6 +54,22 @@ def test_what_is_on_the_graph_of_a_simulated_robot_holds_at_once(simulated: Robo
         topic_present("odmo").wait(simulated, timeout_s=0.3)
     with pytest.raises(ConditionError, match="/odom is there and carries nav_msgs/Odometry"):
         topic_present("odom", BATTERY).wait(simulated, timeout_s=0.3)
+
+
+def test_a_managed_node_is_awaited_until_it_is_in_a_state(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    context = make_context(tmp_path, links=FakeLinks(robot=link), clock=clock)
+    with pytest.raises(ConditionError, match="there is no service '/slam/get_state'"):
+        lifecycle_state("slam").wait(context, timeout_s=0.5)
+    LifecycleNode(link, "/slam")
+    with pytest.raises(ConditionError, match="/slam is unconfigured"):
+        lifecycle_state("slam", "inactive").wait(context, timeout_s=0.5)
+    clock.at(clock.now() + 1.0, lambda: change_state(link, "slam", "configure"))
+    assert lifecycle_state("slam", "inactive").wait(context, timeout_s=2.0).value == "inactive"
+    assert [each.is_error for each in lifecycle_state("slam").check(None)] == [True]
+    with pytest.raises(ConditionError, match="'activ' is no state"):
+        lifecycle_state("slam", "activ")
 
 
 def test_a_mission_ends_when_the_robot_has_come_so_far(simulated: RobotRunnerContext) -> None:

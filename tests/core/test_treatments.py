@@ -356,3 +356,24 @@ def test_the_guard_is_up_while_callbacks_of_a_config_are_called_and_not_those_of
 def _set_speed(robot: Robot, set_by: list[OwnerKind], kind: OwnerKind, _context: object) -> None:
     set_as_a_config_does(robot, "speed", 1)
     set_by.append(kind)
+
+
+class Convoy(System):
+    """A stranger's system that is made of others."""
+
+    def __init__(self, *robots: Robot, name: str | None = None) -> None:
+        super().__init__(name=name)
+        self.robots = robots
+
+
+def test_a_plugin_is_built_with_the_treatments_of_those_that_it_is_made_of() -> None:
+    convoy = Convoy(Robot(treatment("Speed"), name="alice"), Robot(0.1, name="bob"))
+    assert is_waiting(convoy)
+    assert dict(factors_of(convoy)) == {"robots[0].speed": "Speed"}
+    copies = [built_with(convoy, {"Speed": speed}) for speed in (0.2, 0.3)]
+    assert [copy.robots[0].mission for copy in copies] == [2.0, 3.0]
+    assert not any(is_waiting(copy) for copy in copies)
+    for speed in (0.4, 0.5):
+        bind(convoy, {"Speed": speed})
+        assert [robot.mission for robot in convoy.robots] == [speed * 10, 1.0]
+        assert values_of(convoy, {"Speed": speed}) == {"robots[0].speed": speed}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+from math import prod
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -11,6 +14,7 @@ from tests.designs.factor_sets import every_pair, excluded_designs, factors_of, 
 from robot_runner import Factor, RunTableModel
 from robot_runner.designs import CoveringArray
 from robot_runner.designs.covering_search import _orthogonal, _starter, pairwise_array
+from robot_runner.designs.covering_triples import triples_array
 
 #: The least rows that are published. The first six: the best of the tools at pairwise.org/efficiency.html (2^100 is
 #: optimal: Kleitman & Spencer, 1973). The others: the product of the two largest numbers of levels, below which
@@ -26,6 +30,24 @@ PUBLISHED = {
     "5^1 4^4 3^11 2^5": ([5] + [4] * 4 + [3] * 11 + [2] * 5, 20),
     "6^1 5^1 4^6 3^8 2^3": ([6, 5] + [4] * 6 + [3] * 8 + [2] * 3, 30),
     "7^1 6^1 5^1 4^5 3^8 2^3": ([7, 6, 5] + [4] * 5 + [3] * 8 + [2] * 3, 42),
+}
+
+
+#: Triples, likewise. 3^4, 4^6 and 5^6 are orthogonal arrays (Bush, 1952): as many rows as the product of the three
+#: largest numbers of symbols, below which there is nothing. 12 rows for up to 11 columns of two symbols: Johnson &
+#: Entringer (1989), in Lawrence, Kacker, Lei, Kuhn & Forbes, A survey of binary covering arrays (2011). The others are
+#: of Cohen, Gibbons, Mugridge & Colbourn (2003), ICSE, by simulated annealing, which takes longer than loading a config
+#: may. The last figure is how many times as many ours has at most.
+PUBLISHED_TRIPLES = {
+    "3^4": ([3] * 4, 27, 1.0),
+    "4^6": ([4] * 6, 64, 1.0),
+    "5^6": ([5] * 6, 125, 1.0),
+    "2^11": ([2] * 11, 12, 1.0),
+    "10^1 6^2 4^3 3^1": ([10, 6, 6, 4, 4, 4, 3], 360, 1.1),
+    "6^6": ([6] * 6, 300, 1.1),
+    "5^7": ([5] * 7, 201, 1.15),
+    "5^2 4^2 3^2": ([5, 5, 4, 4, 3, 3], 100, 1.15),
+    "3^6": ([3] * 6, 33, 1.4),
 }
 
 
@@ -47,6 +69,24 @@ def test_an_array_is_at_most_a_tenth_larger_than_the_best_published(problem: str
     array = pairwise_array(levels, seed=0)
     assert covered_pairs(array, levels) == every_pair(levels)
     assert len(array) <= 1.1 * published
+
+
+@pytest.mark.parametrize("problem", PUBLISHED_TRIPLES)
+def test_an_array_of_triples_is_not_much_larger_than_published_ones(problem: str) -> None:
+    levels, published, times = PUBLISHED_TRIPLES[problem]
+    rows = rows_of(RunTableModel(factors_of(levels), design=CoveringArray(strength=3)))
+    assert len(rows) <= times * published
+    triples = {
+        (places, tuple(row[each] for each in places)) for row in rows for places in combinations(range(len(levels)), 3)
+    }
+    assert len(triples) == sum(prod(each) for each in combinations(levels, 3))
+
+
+@pytest.mark.parametrize(("symbols", "columns"), [(2, 22), (3, 8), (3, 13), (4, 12), (7, 5), (9, 4)])
+def test_constructed_arrays_have_all_triples(symbols: int, columns: int) -> None:
+    array = triples_array([symbols] * columns, seed=0)
+    for places in combinations(range(columns), 3):
+        assert len(np.unique(array[:, places], axis=0)) == symbols**3
 
 
 def test_ingredients_are_what_they_are_called() -> None:

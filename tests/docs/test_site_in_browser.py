@@ -113,6 +113,15 @@ def test_everything_is_legible(scheme: str, site: Path, tab: Any) -> None:
     assert tab.evaluate(f"{FAINT_TEXT}(99)"), "nothing was looked at"
 
 
+def test_axe_finds_nothing_against_pages_of_each_kind(site: Path, tab: Any) -> None:
+    faults = {}
+    for page in KINDS:
+        tab.open(site / page, width=DESK)
+        if found := tab.inaccessible():
+            faults[page] = found
+    assert faults == {}
+
+
 @pytest.mark.parametrize("page", KINDS)
 def test_nothing_is_fetched_from_elsewhere_and_nothing_complains(page: str, site: Path, tab: Any) -> None:
     tab.open(site / page)

@@ -172,3 +172,20 @@ def test_curves_grow_with_their_files_and_live_samples_give_way(root: Path) -> N
     curves.look()
     (told,) = [each for each in curves.told() if each["plugin"] == "Meter"]
     assert (told["is_live"], told["way"], told["pose"]) == (False, [(0.0, 0.0), (1.0, 0.0)], (1.0, 0.0, 0.5))
+
+
+def test_how_much_of_a_long_journal_is_read_is_told_until_it_is_whole(root: Path) -> None:
+    with (root / "journal.jsonl").open("a", encoding="utf-8") as file:
+        for _ in range(60_000):
+            file.write(line("event", event="start_run", clock=1.0))
+    followed = FollowedExperiment(root)
+    shares = []
+    state = followed.look()["state"]
+    while followed.is_behind:
+        assert state["word"] == "reading"
+        shares.append(state["read"])
+        state = followed.look()["state"]
+    assert len(shares) > 2
+    assert shares == sorted(shares)
+    assert 0 < shares[0] < shares[-1] < 1
+    assert state["counts"]["done"] == 4

@@ -111,6 +111,52 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
     assert all(url.startswith(f"http://127.0.0.1:{page.port}/") for url in browser.requests if "blob:" not in url)
 
 
+SIDE_BY_SIDE = """
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "side_by_side"
+    results_output_path = "."
+    workers = 2
+    claims = []
+
+    def launch_mission(self, context):
+        from pathlib import Path
+        import time
+        task = context.combination["Task"]
+        print(f"this is the log of {task}", flush=True)
+        (context.run_folder / "samples.csv").write_text(f"time_s,{task}_W\\n0,1\\n1,2\\n")
+        while not (Path(__file__).parent / "enough").exists():
+            time.sleep(0.05)
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["video", "audio"])], data_columns=[])
+"""
+
+
+def test_of_two_runs_in_flight_a_viewer_chooses_whose_log_and_samples_are_shown(
+    browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path
+) -> None:
+    config = tmp_path / "side_by_side.py"
+    config.write_text(SIDE_BY_SIDE, encoding="utf-8")
+    with executed(config) as experiment:
+        root = tmp_path / "side_by_side"
+        wait_until(lambda: len(list(root.glob("current_log*.txt"))) == 2)
+        page = serve_page(root)
+        browser.open(page.links["Here"])
+        browser.wait_for(seen("#log", "Log of r_1") + " && " + seen("#log-text", "the log of video"))
+        browser.wait_for(seen("#curves", "video W"))
+        browser.press("[data-watch=r_2]")
+        browser.wait_for(seen("#log", "Log of r_2") + " && " + seen("#log-text", "the log of audio"))
+        browser.wait_for(seen("#curves", "audio W"))
+        browser.wait_for("document.querySelector('[data-watch=r_2]').getAttribute('aria-pressed') === 'true'")
+        assert browser.evaluate("document.querySelector('[data-watch=r_1]').getAttribute('aria-pressed')") == "false"
+        (tmp_path / "enough").touch()
+        assert experiment.wait(timeout=60) == 0
+        browser.wait_for(seen("#counts", "2 of 2 runs done"))
+    assert browser.complaints == []
+
+
 def test_who_may_only_look_has_no_buttons(
     browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -301,6 +347,7 @@ def test_it_is_legible_and_can_be_used_by_keyboard(
         assert browser.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
         assert browser.evaluate(CONTRAST) == []
         assert browser.evaluate(NAMELESS) == []
+        assert browser.inaccessible() == []
         assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
     finally:
         browser.is_dark(False)

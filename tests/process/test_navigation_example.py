@@ -7,28 +7,25 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from tests.process.graph_simulation import simulated_robot
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import RUDE, needs_ros1
 
-if TYPE_CHECKING:
-    from pytest import FixtureRequest, MonkeyPatch
-
 pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 
 CONFIG = Path(__file__).parents[2] / "examples" / "navigation" / "navigation.py"
-#: Two runs of 27 simulated seconds each, at this pace.
-FACTOR = "6"
+ROOM = CONFIG.with_name("room.toml")
+#: Two runs of 20 simulated seconds each, at this pace.
+FACTOR = "4"
 PATIENCE = 120.0
-#: From home to behind the pillar, m: as the crow flies, and what is long for it.
-DIRECT, LONG = 2.1, 3.5
+#: From home to behind the shelf, m: as the crow flies, and what is long for it.
+DIRECT, LONG = 1.1, 2.5
 
 
 @pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
-def graph(request: FixtureRequest, monkeypatch: MonkeyPatch) -> str:
+def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How a robot on a graph of this test run is reached."""
     if request.param == "ros1":
         request.getfixturevalue("master_uri")
@@ -40,7 +37,7 @@ def graph(request: FixtureRequest, monkeypatch: MonkeyPatch) -> str:
 def test_both_planners_arrive_and_success_and_path_length_are_measured(graph: str, tmp_path: Path) -> None:
     robot = graph if graph == "ros1" else f"{graph},clock=graph"
     words = [str(CONFIG), "--set", f"results_output_path={tmp_path}", "--set", "repetitions=1"]
-    with simulated_robot(graph, "--use-sim-time", "--real-time-factor", FACTOR):
+    with simulated_robot(graph, "--use-sim-time", "--real-time-factor", FACTOR, "--room", str(ROOM)):
         done = subprocess.run(
             [sys.executable, "-m", "robot_runner", *words],
             env=os.environ | {"NAVIGATION_ROBOT": robot},

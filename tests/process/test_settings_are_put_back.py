@@ -33,6 +33,8 @@ BODY = """
     robot = {robot!r}
     plugins = [RosParameters({{"/planner": {{"speed": treatment("Speed")}}}})]
     time_between_runs_in_ms = 0
+    def start_run(self, context):
+        pass  # it might start the robot, so that a master without any node is no error
     def launch_mission(self, context):
         import time
         (Path(__file__).parent / "launched").touch()
@@ -75,20 +77,7 @@ def experiment(start: Start, write_config: Callable[..., Path], tmp_path: Path) 
     return begin
 
 
-def test_each_run_has_its_treatment_and_the_raw_data_say_so(planner: Any, experiment: Callable[..., Any]) -> None:
-    robot, speed = planner
-    done = experiment(robot, seconds=0, speeds=(0.5, 1.5))
-    assert done.end() == 0, done.output
-    assert done.statuses == ["Done", "Done"]
-    for row in done.table:
-        facts = json.loads((done.folder / "runs" / row["run_id"] / "RosParameters" / "parameters.json").read_text())
-        wanted = float(row["Speed"])
-        expected = {"before": 0.2, "set": wanted, "during": wanted, "after": wanted, "restored": 0.2}
-        assert facts == {"/planner": {"speed": expected}}
-    assert speed() == 0.2
-
-
-def test_whoever_is_killed_the_parameter_is_put_back(
+def test_each_run_has_its_treatment_and_whoever_is_killed_the_parameter_is_put_back(
     planner: Any, experiment: Callable[..., Any], tmp_path: Path
 ) -> None:
     robot, speed = planner
@@ -108,7 +97,14 @@ def test_whoever_is_killed_the_parameter_is_put_back(
     wait_until(gone.nobody_is_left, "all of it is dead")
     assert speed() == 0.5, "nobody was left who could put it back"
 
-    following = experiment(robot, seconds=0, speeds=(1.5,))
+    following = experiment(robot, seconds=0, speeds=(0.5, 1.5))
     assert following.end() == 0, following.output
-    assert "which was killed; they were put back before this run" in " ".join(following.output.split())
+    assert "which did not put them back; that was done before this run" in " ".join(following.output.split())
     assert speed() == 0.2
+    for row in following.table:
+        facts = json.loads(
+            (following.folder / "runs" / row["run_id"] / "RosParameters" / "parameters.json").read_text()
+        )
+        wanted = float(row["Speed"])
+        expected = {"before": 0.2, "set": wanted, "during": wanted, "after": wanted, "restored": 0.2}
+        assert facts == {"/planner": {"speed": expected}}

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import HEAD
+from tests.process.conftest import wait_until
+
+from robot_runner.core.storage.lock import holder_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -109,12 +112,16 @@ def test_where_the_run_and_all_who_watch_over_it_are_killed_the_process_that_sta
 def test_a_restart_waits_for_the_process_that_makes_the_systems_of_the_killed_run_safe(
     lamp: Callable[..., Any], start: Start
 ) -> None:
-    lasting = "time.sleep(2); (HERE / 'done').touch()"
+    waiting = "[time.sleep(0.05) for _ in range(600) if not (HERE / 'restarted').exists()]"
+    lasting = f"{waiting}; time.sleep(2); (HERE / 'done').touch()"
     mission = "assert (HERE / 'done').exists() or time.sleep(60)"
     experiment = lamp(make_safe=lasting, mission=mission)
     kill(experiment.run_process(), experiment.keeper(), experiment.process.pid)
     experiment.wait_for("made_safe")
     again = start(config=experiment.config)
+    # It has the experiment's lock, and looks next who stands by; to start it may take longer than any fixed time.
+    wait_until(lambda: getattr(holder_of(again.folder / ".lock"), "pid", None) == again.process.pid, "it has begun")
+    experiment.config.with_name("restarted").touch()
     assert again.end() == 0, again.output
     assert "its systems were still being made safe" in again.output
 

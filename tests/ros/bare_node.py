@@ -2,7 +2,8 @@
 
 It says `hello` on /chatter, offers /lamp (std_srvs/SetBool), and says each velocity that it hears on /cmd_vel and each
 node that it is told of, as lines of JSON. Argument: JSON with `domain`, `gid_bytes` (24: Humble, 16: since Iron),
-`reliable` (whether /chatter is), and `type_hashes`.
+`reliable` (whether /chatter is), `type_hashes`, and `tells_service` (whether the endpoints of /lamp have the identity
+that rmw_cyclonedds gives them; those of other middlewares have none).
 """
 # Without deferred annotations: cyclonedds does not find built-in types in them.
 
@@ -93,18 +94,20 @@ class Node:
         self.options = options
         self.participant = DomainParticipant(options["domain"], qos=Qos(Policy.Userdata(b"enclave=/;")))
         self.chatter = self._writer("rt/chatter", String, RELIABLE if options["reliable"] else BEST_EFFORT)
-        self.reply = self._writer("rr/lampReply", Reply, RELIABLE, user_data="serviceid=1.2;")
+        identity = "serviceid=1.2;" if options["tells_service"] else ""
+        self.reply = self._writer("rr/lampReply", Reply, RELIABLE, user_data=identity)
         types = discovery_types(options["gid_bytes"])
         self.told = self._writer("ros_discovery_info", types.info, *KEPT)
         self.hearers = [
             (self._reader("rt/cmd_vel", Twist, RELIABLE), lambda twist: say(velocity=twist.linear.x)),
-            (self._reader("rq/lampRequest", Request, RELIABLE, user_data="serviceid=1.2;"), self.answer),
+            (self._reader("rq/lampRequest", Request, RELIABLE, user_data=identity), self.answer),
             (self._reader("ros_discovery_info", types.info, *KEPT[:2], Policy.History.KeepAll), self.meet),
         ]
         gid = types.gid(data=list(self.participant.guid.bytes.ljust(options["gid_bytes"], b"\0")))
         self.told.write(types.info(gid=gid, node_entities_info_seq=[types.node("/", "lamp_node", [], [])]))
 
     def answer(self, request):
+        say(asked=request.data)
         self.reply.write(Reply(request.guid, request.seq, True, f"lamp is {request.data}"))
 
     def meet(self, info):

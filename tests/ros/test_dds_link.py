@@ -16,7 +16,9 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import Qos
+from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.robot import Qos, RobotName
+from robot_runner.ros import graph_look
 from robot_runner.ros.dds_link import open_dds_link
 
 DOMAIN = claim_domain()
@@ -28,7 +30,8 @@ class OtherNode:
     """The other process; what it says is looked through with a deadline."""
 
     def __init__(self, **options):
-        chosen = {"domain": DOMAIN, "gid_bytes": 16, "reliable": True, "type_hashes": True} | options
+        chosen = {"domain": DOMAIN, "gid_bytes": 16, "reliable": True, "type_hashes": True, "tells_service": True}
+        chosen |= options
         command = [sys.executable, str(NODE), json.dumps(chosen)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.said = queue.Queue()
@@ -93,6 +96,20 @@ def test_a_node_that_is_no_link_hears_is_heard_and_answers(other, link):
     assert mine.call("lamp", "std_srvs/SetBool", {"data": True}) == {"success": True, "message": "lamp is True"}
     mine.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.25}})
     assert node.until(lambda fact: "velocity" in fact) == {"velocity": 0.25}
+
+
+def test_a_service_of_another_middleware_is_refused_before_anything_is_sent(other, link):
+    node = other(tells_service=False, gid_bytes=24, type_hashes=False)
+    begun = time.monotonic()
+    with pytest.raises(LinkError, match="not offered through rmw_cyclonedds_cpp") as caught:
+        link().call("lamp", "std_srvs/SetBool", {"data": True}, timeout=30.0)
+    assert time.monotonic() - begun < 20.0
+    assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or reach the robot by a rosbridge" in caught.value.fix
+    need = GraphNeed.service("/lamp", "std_srvs/SetBool")
+    (finding,) = graph_look.look_at(RobotName.parse(f"dds:domain={DOMAIN}"), {"plugin Lamp": [need]})
+    assert str(finding).startswith("plugin Lamp: '/lamp': the service is not offered through rmw_cyclonedds_cpp")
+    with pytest.raises(queue.Empty):
+        node.until(lambda fact: "asked" in fact, timeout=0.2)
 
 
 def test_the_graph_shows_the_other_node_and_the_other_node_this_one(other, link):

@@ -33,9 +33,13 @@ def test_it_shows_what_was_told_last_and_never_goes_back(link):
     assert clock.now() == 12.5
     tell(link, 3.0)
     assert clock.now() == 12.5
+    tell(link, 5.0)
+    assert clock.now() == 14.5, "after a reset of the simulator it goes on from where it stood"
+    tell(link, 4.9)
+    assert clock.now() == 14.5
     clock.close()
     tell(link, 20.0)
-    assert clock.now() == 12.5
+    assert clock.now() == 14.5
 
 
 def test_a_sleep_lasts_until_the_graph_s_time_has_come(link):

@@ -10,6 +10,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage, RobotLink
 from robot_runner.ros.graph_link import GraphLink
+from robot_runner.ros.ros2_actions import Ros2Actions
 from robot_runner.ros.type_catalogue import TypeCatalogue
 
 TWIST = "geometry_msgs/Twist"
@@ -46,6 +47,7 @@ class NotingTransport:
 
     def __init__(self):
         self.types = TypeCatalogue.of(2)
+        self.actions = Ros2Actions(self)
         self.done = []
         self.published = []
         self.receivers = {}

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
+import socket
 import time
 from contextlib import closing
 
 import pytest
-from tests.processor_wait import ProcessorWait
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import quiet_about_rospy
 
@@ -22,8 +21,6 @@ from robot_runner.ros.turtlebot3.steered_robot import Task, TaskServices
 from robot_runner.testing import RosbridgeServer
 
 TRIGGER = "std_srvs/Trigger"
-#: The deadline of a look, and what the rest of a check may take beside it.
-IN_TIME = 10.0
 HEAD = """\
 from robot_runner import *
 from robot_runner.plugins import GraphNeed, System
@@ -35,6 +32,8 @@ class Gripper(System):
 
     def required_graph(self, circumstances):
         yield GraphNeed.service("close", "std_srvs/Trigger", fix="Start the gripper.")
+        yield GraphNeed.action("/pick", "example_interfaces/Fibonacci")
+        yield GraphNeed.action("place", "example_interfaces/Fibonacci")
 
 
 class Bringup(System):
@@ -50,16 +49,19 @@ class RobotRunnerConfig(ExperimentConfig):
 def findings(write_config, robot, *plugins):
     """Return what `check` finds, errors with a mark before them."""
     config = write_config(f"plugins = [{', '.join(plugins or ['BasicTurtlebot3()'])}]", head=HEAD)
-    begun, wait = time.monotonic(), ProcessorWait([os.getpid()])
     found = prepare(config, {"robot": robot}).findings
-    wait.look()
-    assert time.monotonic() - begun - wait.seconds < IN_TIME
     return [f"{'! ' if each.is_error else ''}{each}" for each in found]
+
+
+@pytest.fixture(autouse=True)
+def _busy_machine(monkeypatch):
+    monkeypatch.setattr(graph_look, "_SECONDS", 60.0)
 
 
 def be_a_robot(link, *, services):
     link.publish("odom", "nav_msgs/Odometry", {})
     link.subscribe("cmd_vel", "geometry_msgs/Twist", lambda _: None)
+    link.offer_action("pick", "example_interfaces/Fibonacci", lambda _: {})
     for name, kind in services.items():
         link.offer(name, kind, lambda _: {})
 
@@ -81,7 +83,7 @@ class GraphLook:
         with closing(GRAPH_LINKS[name.link].open(name, SystemClock())) as link:
             be_a_robot(link, services=services | {"task/video/stop": "std_srvs/Empty"})
             found = findings(write_config, robot, "BasicTurtlebot3()", "Gripper()")
-            assert len(found) == 3
+            assert len(found) == 4
             assert found[0].startswith(
                 "! plugin BasicTurtlebot3: the service '/task/video/stop' is of the type std_srvs/E"
             )
@@ -89,6 +91,7 @@ class GraphLook:
                 "! plugin BasicTurtlebot3: there is no service '/task/stop' → Start the robot's task"
             )
             assert found[2].startswith("! plugin Gripper: there is no service '/arm/close' → Start the gripper.")
+            assert found[3].startswith("! plugin Gripper: there is no action '/arm/place' ")
             with pytest.raises(LinkError, match="'/task/video/stop' is of the type std_srvs/Empty"):
                 TaskServices(link).check(Task.VIDEO, where="test")  # as a run does before it drives
             link.offer("task/stop", TRIGGER, lambda _: {})
@@ -154,3 +157,19 @@ class TestOverRosbridge(GraphLook):
         with closing(RosbridgeServer(has_rosapi=False)) as server:
             (finding,) = findings(write_config, f"{server.url}?ros=1")
         assert finding.startswith("robot: whether the robot is on the graph was not seen: the graph cannot be listed")
+
+    def test_a_robot_that_cannot_be_reached_is_refused_and_one_that_is_silent_is_not_awaited(
+        self, write_config, monkeypatch
+    ):
+        with closing(socket.create_server(("127.0.0.1", 0))) as silent:  # takes connections, and says nothing
+            port = silent.getsockname()[1]
+            monkeypatch.setattr(graph_look, "_SECONDS", 1.0)
+            begun = time.monotonic()
+            (late,) = findings(write_config, f"rosbridge://127.0.0.1:{port}")
+            assert time.monotonic() - begun < 30.0
+        assert late.startswith("robot: whether the robot is on the graph was not seen: it does not answer within 1 s")
+        monkeypatch.setattr(graph_look, "_SECONDS", 60.0)
+        (refused,) = findings(write_config, f"rosbridge://127.0.0.1:{port}")
+        assert refused.startswith(
+            f"! rosbridge at 127.0.0.1:{port}: the rosbridge cannot be reached: connection refused"
+        )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import closing, contextmanager
+import time
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 
 import pytest
@@ -11,6 +12,8 @@ from tests.ros.ros1_master import quiet_about_rospy
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import Qos
+from robot_runner.plugins import TransformBuffer
 from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.lifecycle import LifecycleState, bring_to, change_state, state_of
 from robot_runner.ros.parameter_access import ParameterAccess, parameters_of
@@ -22,6 +25,7 @@ from robot_runner.simulator.simulated_link import SimulatedRobotLink
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.testing import LifecycleNode, ParameterNode, RosbridgeServer
 
+TRANSFORMS = "tf2_msgs/TFMessage"
 _DOMAIN = claim_domain()
 _EVERY_KIND = {
     "enabled": True,
@@ -152,6 +156,30 @@ def test_a_node_is_brought_through_its_life_cycle_in_the_right_order(two_links):
     assert refused(lambda: state_of(link, "slan", timeout=1.0)).fix == "Did you mean '/alice/slam'?"
 
 
+def _tell(robot, link):
+    """Have one link tell of frames, and look them up over the other."""
+    buffer, straight = TransformBuffer(), {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+
+    def told(parent, child, x):
+        transform = {"translation": {"x": x}, "rotation": straight}
+        return {"transforms": [{"header": {"frame_id": parent}, "child_frame_id": child, "transform": transform}]}
+
+    robot.publish("/tf_static", TRANSFORMS, told("base", "lidar", 0.25), qos=Qos.TRANSIENT_LOCAL)
+    with ExitStack() as opened:
+        buffer.subscribe(link, opened)
+        deadline = time.monotonic() + 60
+        while "map" not in buffer.frames or "lidar" not in buffer.frames:
+            robot.publish("/tf", TRANSFORMS, told("map", "base", 1.0))
+            assert time.monotonic() < deadline, buffer.frames
+            time.sleep(0.02)
+        assert buffer.look_up("map", "lidar").translation == (1.25, 0.0, 0.0)
+
+
+def test_frames_are_looked_up_over_a_graph(two_links):
+    if not isinstance(two_links[0], SimulatedRobotLink):  # whose robot tells of no frames
+        _tell(*two_links)
+
+
 # ROS 1, whose parameters are the master's.
 
 
@@ -199,21 +227,48 @@ def _check_server(link, server):
 
 @quiet_about_rospy
 def test_parameters_of_ros_1_are_those_of_the_master(master_uri, monkeypatch):
-    with rospy(master_uri, monkeypatch) as (link, server):
+    with rospy(master_uri, monkeypatch) as (link, server), rospy(master_uri, monkeypatch) as (robot, _):
         _check_server(link, server)
+        _tell(robot, link)
 
 
 def test_parameters_of_ros_1_are_those_that_rosapi_tells(monkeypatch):
     with rosbridge1(None, monkeypatch) as (link, server):
         _check_server(link, server)
+        _tell(link, link)
         broken = refused(partial(server.set_parameter, "/raw", value=b"ab"))
         assert "cannot pass through a rosbridge" in broken.problem
 
 
+def test_a_running_node_of_ros_1_that_can_be_reconfigured_takes_what_is_set():
+    with (
+        closing(RosbridgeServer(generation=1)) as server,
+        closing(open_rosbridge_link(server.url, SystemClock())) as link,
+    ):
+        there = link.parameter_server
+        for name, value in {"speed": 0.25, "frame": "map", "ids": [1]}.items():
+            there.set_parameter(f"/move_base/Planner/{name}", value=value)
+        asked = []
+
+        def take(request):
+            asked.append(request["config"])
+            clamped = {"name": "speed", "value": min(0.5, request["config"]["doubles"][0]["value"])}
+            server._rosapi.parameters["/move_base/Planner/speed"] = clamped["value"]
+            return {"config": {**request["config"], "doubles": [clamped]}}
+
+        server.offer("/move_base/Planner/set_parameters", "dynamic_reconfigure/Reconfigure", take)
+        base, names = parameters_of(link), ["Planner/speed", "Planner/frame"]
+        assert base.doubts("/move_base", names) == []
+        base.change("/move_base", {"Planner/speed": 1, "Planner/frame": "odom", "Planner/ids": [2]})
+        assert asked[0]["doubles"] == [{"name": "speed", "value": 1.0}]
+        assert asked[0]["strs"] == [{"name": "frame", "value": "odom"}]
+        assert base.values("/move_base", names) == {"Planner/speed": 0.5, "Planner/frame": "odom"}, "what it really has"
+
+
 def test_a_node_that_never_answers_is_told_in_time(two_links):
     robot, link = two_links
-    if not link.encoding or type(link) is SimulatedRobotLink:
-        pytest.skip("services of the simulation answer at once")
+    if isinstance(link, SimulatedRobotLink):  # whose services answer at once
+        return
     offers = [robot.offer("mute/list_parameters", "rcl_interfaces/ListParameters", lambda _: {})]
 
     def wait(_):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.machinery
 import importlib.util
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import RobotName
+from robot_runner.ros import ros_environment
 from robot_runner.ros.ros2_link import findings, open_ros2_link
 
 
@@ -50,3 +52,21 @@ def test_without_rclpy_the_way_without_a_ros_is_named():
     with pytest.raises(LinkError, match="rclpy cannot be imported") as caught:
         open_ros2_link({}, SystemClock())
     assert "robot = 'dds'" in caught.value.fix
+
+
+def test_a_humble_that_is_sourced_for_another_python_leads_to_the_link_that_needs_none(monkeypatch, tmp_path):
+    package = tmp_path / "rclpy"
+    package.mkdir()
+    (package / "__init__.py").write_text("from rclpy import _rclpy_pybind11\n")
+    (package / "_rclpy_pybind11.cpython-310-x86_64-linux-gnu.so").write_bytes(b"")
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, value in {"ROS_VERSION": "2", "ROS_DISTRO": "humble", "ROS_DOMAIN_ID": "30"}.items():
+        monkeypatch.setenv(name, value)
+    (finding,) = findings(RobotName.parse("ros2"))
+    assert "the ROS 2 humble that is sourced is for Python 3.10" in finding.problem
+    assert "--set robot=dds:domain=30,distro=humble" in finding.fix
+    assert "docs/your-humble-robot.md" in finding.fix
+    assert ros_environment._sourced() is None  # what `auto` finds
+    suffix = importlib.machinery.EXTENSION_SUFFIXES[0]
+    (package / f"_rclpy_pybind11{suffix}").write_bytes(b"")
+    assert findings(RobotName.parse("ros2")) == []

@@ -212,7 +212,7 @@ def test_what_a_killed_run_left_is_told_by_check_and_put_back_by_the_next(tmp_pa
     run.execute()
     assert node.values == {"speed": 0.2, "size": 4, "raw": b"ab"}
     problems = [finding["problem"] for finding in run.findings]
-    assert "put back before this run" in problems[0]
+    assert "that was done before this run" in problems[0]
     assert problems[1] == "size of /planner is 4 and not 3, as a run set it that died: it is left so"
     assert list(state.iterdir()) == []
 
@@ -244,6 +244,24 @@ def test_who_stands_by_puts_back_what_the_run_left_and_keeps_the_file_where_it_c
     assert list(state.iterdir()) == []
 
 
+def test_a_robot_that_is_off_at_the_end_is_put_right_before_the_next_run(tmp_path, state):
+    plugin = RosParameters({"planner": {"speed": 1.0}})
+    run = Run(tmp_path / "first", plugin)
+    node = ParameterNode(run.link, "/planner", {"speed": 0.2})
+    off = LinkError("the robot is off", where="link", fix="Switch it on.")
+    with pytest.raises(LinkError, match="the robot is off"):
+        run.execute(lambda: setattr(run.link, "fault", off))
+    assert len(list(state.iterdir())) == 1
+    run.link.fault = None
+    following = Run(tmp_path / "second", plugin, link=run.link, clock=run.clock)
+    during = []
+    following.execute(lambda: during.append(node.values["speed"]))
+    assert during == [1.0]
+    assert node.values == {"speed": 0.2}
+    assert "that was done before this run" in following.findings[0]["problem"]
+    assert list(state.iterdir()) == []
+
+
 def test_a_living_run_keeps_its_own(tmp_path):
     child = os.fork()
     if child == 0:
@@ -264,6 +282,7 @@ def test_a_living_run_keeps_its_own(tmp_path):
     [
         ({}, "parameters is {}"),
         ({"planner": {}}, "the parameters of 'planner' are {}"),
+        ({"planner": {"FollowPath": {"speed": 0.5}}}, "FollowPath of 'planner' is {'speed': 0.5}"),
         ({"planner": 3}, "the parameters of 'planner' are 3"),
         ({"pla nner": {"a": 1}}, "'pla nner' cannot be the name"),
         ({"planner": {"a": object}}, "no parameter can have the value <class 'object'>"),

@@ -95,9 +95,11 @@ def test_topics_bag_and_graph_over_dds(tmp_path, monkeypatch):
     options = {"domain": str(claim_domain()), "distro": "jazzy"}
     robot = "dds:" + ",".join(f"{name}={value}" for name, value in options.items())
     speaker = open_dds_link(options, SystemClock())
-    plugins = RosTopics({"odom": RATE}), RosBag(["odom"], by="link"), RosGraph()
+    plugins = RosTopics({"odom": RATE}, losses=True), RosBag(["odom"], by="link"), RosGraph()
     measures, context, published = _measured(tmp_path, robot, speaker, *plugins)
     _check(measures, context, published)
+    assert measures["OdomDropped"] is None  # and not 0: nothing in DDS tells it
+    assert any("nothing numbers the messages" in each.problem for each in context.broker.findings)
     graph = json.loads((context.run_path / "RosGraph" / "graph.json").read_text())
     assert graph["stop"]["topics"] == {"/odom": "nav_msgs/Odometry"}
 

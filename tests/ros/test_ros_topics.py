@@ -175,3 +175,20 @@ def test_a_message_without_header_or_stamp_has_no_age():
 def test_topics_that_cannot_be_are_refused(topics, problem):
     with pytest.raises(PluginError, match=problem):
         RosTopics(topics)
+
+
+def test_the_rate_is_shown_while_the_topic_is_heard(tmp_path, monkeypatch):
+    monkeypatch.setattr("robot_runner.core.sampling.live_samples._EVERY", 0.0)
+    clock, plugin = FakeClock(50.0), RosTopics({"odom": 20.0})
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=_odometry(clock, lambda _: True)), clock=clock)
+    shown = context.raw_data_folder / ".Odom.csv.live"
+    seen = []
+
+    def mission():
+        clock.sleep(5.0)
+        seen.extend(csv.DictReader(shown.read_text(encoding="utf-8").splitlines()))
+
+    rehearse(context, plugin, mission=mission)
+    assert len(seen) > 90
+    assert [float(row["rate_Hz"]) for row in seen[2:]] == [pytest.approx(20.0)] * (len(seen) - 2)
+    assert not shown.exists()

@@ -32,3 +32,4 @@ class TestRosbridgeToRos1(_RosbridgeContract):
 
 class TestRosbridgeToRos2(_RosbridgeContract):
     generation = 2
+    can_reject = False

@@ -1,11 +1,11 @@
-"""Conditions of a robot's graph: a node, a topic or a service is there."""
+"""Conditions of a robot's graph: a node, a topic or a service is there, or a managed node is in a state."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import ConditionError, Finding, LinkError, nearest
+from robot_runner.core.errors import ConditionError, Finding, LinkError, did_you_mean, nearest
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.links.connect import SIMULATED, connect_robot
 from robot_runner.core.links.graph_names import full_name
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RobotLink
 
-__all__ = ["check_robot_named", "node_present", "service_present", "topic_present"]
+__all__ = ["check_robot_named", "lifecycle_state", "node_present", "service_present", "topic_present"]
 
 
 def node_present(node: str, *, namespace: str = "") -> Condition:
@@ -63,11 +63,70 @@ def service_present(service: str, *, namespace: str = "") -> Condition:
     return _Present("service", full_name(namespace, service), namespace)
 
 
+def lifecycle_state(node: str, state: str = "active", *, namespace: str = "") -> Condition:
+    """Return the condition that a managed node of ROS 2 is in a state of its life cycle.
+
+    Args:
+        node: its name, relative to the robot's namespace unless it begins with `/`.
+        state: `unconfigured`, `inactive`, `active` or `finalized`.
+        namespace: which robot, where there are several.
+
+    Raises:
+        ConditionError: there is no such state.
+        LinkError: it cannot be a name.
+
+    Example:
+        >>> print(lifecycle_state("slam_toolbox"))
+        the node /slam_toolbox is active
+    """
+    if state not in _STATES:
+        raise ConditionError(f"{state!r} is no state of a node", where=node, fix=did_you_mean(str(state), _STATES))
+    return _InState(full_name(namespace, node), state, namespace)
+
+
 def check_robot_named(what: str, robot: str | None) -> Iterable[Finding]:
     """Yield an error where a condition asks for a robot that the experiment does not name."""
     if robot is None:
         fix = f"Name one in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
         yield Finding.error(f"condition {what!r}", "it is about a robot, and the experiment names none", fix)
+
+
+#: Those of lifecycle_msgs/State in which a node stays.
+_STATES = ("unconfigured", "inactive", "active", "finalized")
+#: How long a node may take to tell its state, s: one that is busy answers at the next look.
+_ANSWER = 1.0
+
+
+@dataclass(frozen=True)
+class _InState(Condition):
+    node: str
+    state: str
+    namespace: str
+
+    #: Each look is a call of a service.
+    every_s = 0.25
+
+    def __str__(self) -> str:
+        return f"the node {self.node} is {self.state}"
+
+    def check(self, robot: str | None) -> Iterable[Finding]:
+        return check_robot_named(str(self), robot)
+
+    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
+        del opened
+        if context.robot is None:
+            raise ConditionError("the experiment names no robot", where=str(self), fix="Name one in the config: robot.")
+
+        def look() -> Look:
+            try:
+                link = connect_robot(context, namespace=self.namespace)
+                told = link.call(f"{self.node}/get_state", "lifecycle_msgs/GetState", timeout=_ANSWER)
+            except LinkError as error:
+                return Look(holds=False, seen=error.problem, is_known=False)
+            state = str(told["current_state"]["label"])
+            return Look(holds=state == self.state, seen=f"{self.node} is {state}", value=state)
+
+        return look
 
 
 @dataclass(frozen=True)

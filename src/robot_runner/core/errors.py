@@ -8,6 +8,7 @@ RobotRunnerError
 ├── MeasureError       a value that the run table must not take
 ├── StorageError       a file or folder that cannot be read or written
 ├── LinkError          a robot, host or device that cannot be reached
+│   ├── GoalRejectedError   a goal that an action server does not take
 │   └── CommandError   a command on a host that failed, or did not end in time
 ├── ConditionError     something that cannot be awaited
 │   └── ConditionTimeout   ... or that did not come in time
@@ -37,6 +38,7 @@ __all__ = [
     "DesignError",
     "ExecutionError",
     "Finding",
+    "GoalRejectedError",
     "LinkError",
     "MeasureError",
     "PackageError",
@@ -145,6 +147,10 @@ class StorageError(RobotRunnerError):
 
 class LinkError(RobotRunnerError):
     """A robot, host or device that cannot be reached or does not answer."""
+
+
+class GoalRejectedError(LinkError):
+    """A goal that an action server does not take."""
 
 
 class CommandError(LinkError):

@@ -79,7 +79,7 @@ class Plugin(Bindable):
     needs: ClassVar[str] = ""
     bytes_per_run: int = 0
     smoke_parameters: ClassVar[Mapping[str, float]] = MappingProxyType({})
-    starts_nodes: ClassVar[bool] = False
+    starts_nodes: bool = False
 
     def __init__(self, *, name: str | None = None) -> None:
         chosen = type(self).__name__ if name is None else name

@@ -157,7 +157,7 @@ def _holds_treatment(value: object) -> bool:
         return any(map(_holds_treatment, (*value, *value.values())))
     if isinstance(value, list | tuple | set | frozenset):
         return any(map(_holds_treatment, value))
-    return isinstance(value, Treatment) or (isinstance(value, Bindable) and bool(factors_of(value)))
+    return isinstance(value, Treatment) or is_waiting(value)  # of a plugin that another one is made of
 
 
 def _places(kind: type, name: str, value: object) -> Iterator[tuple[str, Treatment]]:

@@ -31,7 +31,7 @@ _MOST_ASKED = 100_000
 #: How many rows are made at a time, of which the one that covers most is taken (as in AETG, Cohen et al., 1997).
 _CANDIDATES = 10
 #: The pairwise search makes sizes that exclusions leave whole; it is tried where there are none.
-_PAIRS = 2
+_PAIRS, _TRIPLES = 2, 3
 
 #: Places of treatments, by the factor's place.
 _Partial = dict[int, int]
@@ -91,9 +91,19 @@ class CoveringArray:
         else:
             if too_many := list(_size_findings(factors, self.strength)):
                 raise DesignError.of_findings(too_many)
-            rows = _greedy(levels, self.strength, constraints, Random(self.seed))  # noqa: S311 - reproducible
+            rows = self._rows(levels, constraints)
         facts = {"kind": "covering_array", "strength": self.strength, "model": "main"}
         return ChosenCombinations(at_places(factors, rows), facts)
+
+    def _rows(self, levels: Sequence[int], constraints: _Constraints) -> list[list[int]]:
+        """Return rows that are found one by one, or a construction's where it has fewer."""
+        found = _greedy(levels, self.strength, constraints, Random(self.seed))  # noqa: S311 - reproducible
+        if self.strength != _TRIPLES or not constraints.is_free:
+            return found
+        from robot_runner.designs.covering_triples import triples_array  # noqa: PLC0415 - its library is an extra
+
+        made = [list(map(int, row)) for row in triples_array(levels, self.seed)]
+        return min(found, _without_spare(made, _TRIPLES), key=len)
 
 
 def _size_findings(factors: Sequence[Factor], strength: int) -> Iterator[Finding]:

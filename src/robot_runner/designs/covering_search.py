@@ -115,13 +115,18 @@ def _uniform(symbols: int, columns: int, random: np.random.Generator) -> Iterato
 @lru_cache
 def _orthogonal(order: int) -> Array:
     """Return the orthogonal array of a field: order² rows, order + 1 columns (Bush, 1952); constant rows come first."""
-    plus, times = _field(order)
+    plus, times = field_of(order)
     slope, shift = np.divmod(np.arange(order**2), order)
     columns = [plus[times[slope, point], shift] for point in range(order)]
     return np.column_stack([*columns, slope])
 
 
-def _field(order: int) -> tuple[Array, Array]:
+def is_field(order: int) -> bool:
+    """Return whether there is a field of so many numbers, among those that are known here."""
+    return order in _PRIMES or order in _FIELDS
+
+
+def field_of(order: int) -> tuple[Array, Array]:
     """Return the tables of addition and multiplication of a finite field."""
     if order in _PRIMES:
         numbers = np.arange(order)

@@ -36,6 +36,8 @@ _MOST_ROWS = 50
 _MOST_FINDINGS, _LONGEST_TEXT = 200, 1000
 #: Of the log of a run, so much of its end is shown, bytes.
 _LOG_BYTES = 16_000
+#: Of so many runs in flight logs and samples are told; a page shows those of one, which its viewer chooses.
+_MOST_FOLLOWED = 8
 #: Runs that change the table as a whole: it is read again.
 _NEW_TABLES = frozenset({"experiment_started", "extended", "repeated", "decided", "deviation"})
 
@@ -61,7 +63,8 @@ class FollowedExperiment:
         self._status: ExperimentStatus | None = None
         self._error: RobotRunnerError | None = None
         self._doing: dict[str, dict[str, Any]] = {}
-        self._curves: RunCurves | None = None
+        self._slots: dict[str, int] = {}
+        self._curves: dict[str, RunCurves] = {}
         self._signs: tuple[Any, ...] = ()
         self._table_is_due = True
         self._refused_table = (0, 0)
@@ -122,6 +125,8 @@ class FollowedExperiment:
         if (records and not self._tail.is_behind) or signs != self._signs or parts:
             self._signs = signs
             self._tell(parts)
+        if self._tail.is_behind and not self._has_caught_up:
+            parts["state"] = self._state()
         parts |= self._of_runs_in_flight()
         return parts
 
@@ -170,8 +175,10 @@ class FollowedExperiment:
             left = record.get("left")
             expected = left.get("run") if isinstance(left, dict) else None
             self._doing[record["run"]] = {"since": record["at"], "attempt": record["attempt"], "expected": expected}
+            self._slots[record["run"]] = record.get("slot", 1)
         elif kind == "attempt_finished":
             self._doing.pop(record["run"], None)
+            self._slots.pop(record["run"], None)
         elif kind == "shared" and run in self._doing and isinstance(values := record.get("values"), dict):
             told = {name: values[name] for name in ("phase", "phase_number", "phase_count") if name in values}
             self._doing[run] |= {name: each for name, each in told.items() if isinstance(each, str | int)}
@@ -232,6 +239,7 @@ class FollowedExperiment:
                 "name": self.folder.name,
                 "word": "unreadable" if self._error else self._word(),
                 "problem": self._problem(),
+                "read": None if self._has_caught_up else round(self._tail.share, 2),
             }
         waiting = status.waiting_for
         return {
@@ -311,24 +319,23 @@ class FollowedExperiment:
         return {"total": len(self._status.findings), "last": told, "failures": failures}
 
     def _of_runs_in_flight(self) -> dict[str, Any]:
-        """Return the end of the log of the run in flight, and whether there are new samples of it."""
-        run = next(iter(self._status.in_flight), None) if self._status else None
-        if run is None:
-            self._curves = None
+        """Return the ends of the logs of the runs in flight, and how often each had new samples."""
+        runs = [each.run for each in self._status.in_flight][:_MOST_FOLLOWED] if self._status else []
+        self._curves = {run: self._curves.get(run) or RunCurves(self._files, run) for run in runs}
+        for curves in self._curves.values():
+            curves.look()
+        if not runs:
             return {}
-        if self._curves is None or self._curves.run_id != run.run:
-            self._curves = RunCurves(self._files, run.run)
-        self._curves.look()
         return {
-            "samples": {"run": run.run, "version": self._curves.version},
-            "log": {"run": run.run, "text": self._log()},
+            "samples": {"runs": {run: each.version for run, each in self._curves.items()}},
+            "log": {"runs": {run: self._log(run) for run in runs}},
         }
 
     def curves(self, run_id: str) -> list[dict[str, Any]]:
         """Return the curves of a run: those of the one in flight as they are, another's read now."""
         with self._lock:
-            if self._curves is not None and self._curves.run_id == run_id:
-                return self._curves.told()
+            if run_id in self._curves:
+                return self._curves[run_id].told()
         if self.table.place(run_id) is None:
             return []
         curves = RunCurves(self._files, run_id)
@@ -346,9 +353,9 @@ class FollowedExperiment:
         poses = (each.get("pose") for each in self.curves(run_id))
         return next((pose for pose in poses if pose is not None), None)
 
-    def _log(self) -> str:
+    def _log(self, run_id: str) -> str:
         try:
-            with open_to_read(self._files.current_log) as file:
+            with open_to_read(self._files.at_slot(self._slots.get(run_id, 1)).current_log) as file:
                 size = file.seek(0, 2)
                 file.seek(max(0, size - _LOG_BYTES))
                 text = file.read(_LOG_BYTES).decode("utf-8", "replace")

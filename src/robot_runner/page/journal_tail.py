@@ -61,6 +61,11 @@ class JournalTail:
         self._file, self._size = (found.st_dev, found.st_ino), found.st_size
         return [record for line in self._lines() if (record := self._parsed(line)) is not None]
 
+    @property
+    def share(self) -> float:
+        """How much of the journal was read, 0 to 1."""
+        return self._offset / self._size if self._size else 0.0
+
     def _lines(self) -> list[bytes]:
         try:
             with open_to_read(self._path) as file:

@@ -72,5 +72,7 @@ if TYPE_CHECKING:
     from robot_runner.ros.lifecycle import state_of as state_of
     from robot_runner.ros.parameter_access import ParameterAccess as ParameterAccess
     from robot_runner.ros.parameter_access import parameters_of as parameters_of
+    from robot_runner.ros.transform_buffer import TransformBuffer as TransformBuffer
+    from robot_runner.ros.transforms import Transform as Transform
 else:
     __getattr__, __dir__ = open_door(__name__)

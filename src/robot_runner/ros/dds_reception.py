@@ -14,6 +14,7 @@ from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCon
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import types as idl
 
+from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.message_codec import FILLER
 from robot_runner.ros.shapes import Shape
 
@@ -86,9 +87,11 @@ def wire_type_name(message_type: str, kind: str = "msg") -> str:
     Example:
         >>> wire_type_name("geometry_msgs/Twist"), wire_type_name("std_srvs/Trigger_Request", "srv")
         ('geometry_msgs::msg::dds_::Twist_', 'std_srvs::srv::dds_::Trigger_Request_')
+        >>> wire_type_name("nav2_msgs/NavigateToPose_SendGoal_Request", "srv")
+        'nav2_msgs::action::dds_::NavigateToPose_SendGoal_Request_'
     """
     package, _, name = message_type.partition("/")
-    return f"{package}::{kind}::dds_::{name}_"
+    return f"{package}::{'action' if is_action_part(message_type) else kind}::dds_::{name}_"
 
 
 @lru_cache(maxsize=512)
@@ -234,6 +237,13 @@ class Reception:
             return self._turn_until(is_so, timeout)
         with self._turned:
             return self._turned.wait_for(lambda: is_so() or self._is_closed, timeout) and is_so()
+
+    def wait_event(self, event: threading.Event, timeout: float) -> None:
+        """Wait for an event that any thread may set; as `wait_for` in all else."""
+        if threading.current_thread() is self._thread:
+            self._turn_until(event.is_set, timeout)
+        else:
+            event.wait(timeout)
 
     def close(self) -> None:
         """End the thread; closing twice does nothing."""

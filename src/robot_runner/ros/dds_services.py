@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from robot_runner.ros.dds_session import Session
     from robot_runner.ros.shapes import Shape
 
-__all__ = ["OfferedService", "ServiceClient"]
+__all__ = ["OfferedService", "ServiceClient", "foreign_service"]
 
 _logger = logging.getLogger(__name__)
 
@@ -116,7 +116,7 @@ class ServiceClient:
         finally:
             answer = self._answers.pop(number)
         if answer is None:
-            raise self._unanswered(timeout)
+            raise service_timeout(self._side.service, timeout)
         return self._side.unpack(self._side.response, answer)
 
     def _await_service(self, timeout: float) -> None:
@@ -126,21 +126,15 @@ class ServiceClient:
         if not self._side.session.graph.wait_for(is_there, timeout):
             self._check_type()
             raise self._missing()
+        # Such a service would take the header of our request for its fields: a false for a true, and no answer.
+        foreign = foreign_service(self._side.session, self._side.service)
+        if foreign is not None:
+            raise foreign
 
     def _missing(self) -> LinkError:
         session = self._side.session
         fix = session.loneliness() if session.is_alone() else "Start the node that offers it."
         return missing("service", self._side.service, session.graph.services(), where="dds", fix=fix)
-
-    def _unanswered(self, timeout: float) -> LinkError:
-        readers = self._side.session.graph.readers(self._side.request_topic)
-        if readers and not any("serviceid=" in reader.user_data for reader in readers):
-            return LinkError(
-                f"the service does not answer within {timeout:g} s; it is not offered through rmw_cyclonedds_cpp",
-                where=self._side.service,
-                fix="Set RMW_IMPLEMENTATION=rmw_cyclonedds_cpp on the robot: services do not cross middlewares.",
-            )
-        return service_timeout(self._side.service, timeout)
 
     def _check_type(self) -> None:
         _check_service_type(self._side, self._service_type)
@@ -200,6 +194,23 @@ class OfferedService:
             return bool(handles)
         readers = [self._writer.get_matched_subscription_data(handle) for handle in handles]
         return any(reader is not None and _client_id(reader.qos) == client for reader in readers)
+
+
+def foreign_service(session: Session, service: str) -> LinkError | None:
+    """Return why a service cannot be called; None where it can, or where there is none.
+
+    rmw_cyclonedds tells the identity of a service with its endpoints. rmw_fastrtps and rmw_connextdds carry that of a
+    request beside it (related_sample_identity of DDS-RPC), which cyclonedds can neither write nor read.
+    """
+    readers = session.graph.readers(request_topic(service))
+    if not readers or any("serviceid=" in reader.user_data for reader in readers):
+        return None
+    return LinkError(
+        "the service is not offered through rmw_cyclonedds_cpp, and services do not cross middlewares",
+        where=service,
+        fix="Start its node with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or reach the robot by a rosbridge: "
+        "docs/your-humble-robot.md.",
+    )
 
 
 def _client_id(qos: DdsQos) -> str | None:

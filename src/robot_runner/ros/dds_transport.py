@@ -14,9 +14,10 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.ros.dds_graph import matched_subscriptions, ros_type, wire_topic
 from robot_runner.ros.dds_qos import adapted, incompatibility, profile_of, reader_profile, writer_profile
 from robot_runner.ros.dds_reception import delete, topic_wire_type
-from robot_runner.ros.dds_services import OfferedService, ServiceClient
+from robot_runner.ros.dds_services import OfferedService, ServiceClient, foreign_service
 from robot_runner.ros.dds_session import Session
 from robot_runner.ros.graph_transport import ReceivedBytes, check_type
+from robot_runner.ros.ros2_actions import Ros2Actions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -59,6 +60,7 @@ class DdsTransport:
         self._session = Session(settings)
         self._session.graph.on_writer = self._adapt
         self.types = self._session.types
+        self.actions = Ros2Actions(self)
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
         """Return a publisher, once the readers that are there already are matched."""
@@ -103,6 +105,10 @@ class DdsTransport:
         self._session.settle(lambda: False)
         return self._session.graph.services()
 
+    def service_fault(self, service: str) -> LinkError | None:
+        """Return why a service cannot be called: it is offered through another middleware."""
+        return foreign_service(self._session, service)
+
     def nodes(self) -> Iterable[str]:
         """Return the full names of the nodes that the participants tell of."""
         self._session.settle(lambda: False)
@@ -128,7 +134,7 @@ class DdsTransport:
 
     def wait(self, event: threading.Event, seconds: float) -> None:
         """Wait for an event; in a callback, what arrives meanwhile is received within it."""
-        self._session.reception.wait_for(event.is_set, seconds)
+        self._session.reception.wait_event(event, seconds)
 
     def close(self) -> None:
         """Leave the graph."""

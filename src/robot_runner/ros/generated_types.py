@@ -26,6 +26,7 @@ class TypeKind(Enum):
 
     MESSAGE = ("msg", "message", "geometry_msgs/Twist")
     SERVICE = ("srv", "service", "std_srvs/Trigger")
+    ACTION = ("action", "action", "nav2_msgs/NavigateToPose")
 
     def __init__(self, module: str, word: str, example: str) -> None:
         self.module = module

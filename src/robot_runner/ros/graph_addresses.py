@@ -6,10 +6,12 @@ import os
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.ros.rosbridge_security import SECURITY_OPTIONS, RosbridgeSecurity
 from robot_runner.ros.type_store import ROS1_DISTROS, ROS2_DISTROS
 
 if TYPE_CHECKING:
@@ -28,7 +30,10 @@ _MOST_PARTICIPANTS = 32
 _SCHEME = "rosbridge"
 #: Where a rosbridge server listens, if not started elsewhere.
 _DEFAULT_PORT = 9090
-_ROSBRIDGE_OPTIONS = ("ros", "distro", "types")
+#: The ports of a rosbridge behind TLS: by our own name of it, and by that of any WebSocket.
+_TLS_PORTS = MappingProxyType({"rosbridge+tls": _DEFAULT_PORT, "wss": 443})
+_OPEN = RosbridgeSecurity()
+_ROSBRIDGE_OPTIONS = ("ros", "distro", "types", *SECURITY_OPTIONS)
 
 
 def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int:
@@ -60,8 +65,8 @@ class DdsSettings:
         domain: DDS domain id, 0 to 232.
         distro: distribution of ROS 2 on the robot; None to tell from the graph.
         types: files and folders with further message types.
-        is_local: whether only this machine is reached: `ROS_LOCALHOST_ONLY=1`, or the discovery range LOCALHOST.
-        peers: computers that are asked for the graph as well, from `ROS_STATIC_PEERS`.
+        is_local: whether nobody is looked for in the network: `ROS_LOCALHOST_ONLY=1`, or the discovery range LOCALHOST.
+        peers: computers that are asked for the graph as well, from `ROS_STATIC_PEERS`; ROS_LOCALHOST_ONLY leaves none.
 
     Example:
         >>> DdsSettings.of({"domain": "7", "distro": "humble"}, {}).domain
@@ -89,8 +94,10 @@ class DdsSettings:
         if distro is None and variables.get("ROS_DISTRO") in ROS2_DISTROS:
             distro = variables["ROS_DISTRO"]
         _check_distro(distro, ROS2_DISTROS, "ROS 2")
-        peers = tuple(filter(None, map(str.strip, variables.get("ROS_STATIC_PEERS", "").split(";"))))
-        return cls(domain_id(options, variables), distro, _paths(options), _is_local(variables), peers)
+        is_local, takes_peers = _discovery(variables)
+        named = variables.get("ROS_STATIC_PEERS", "") if takes_peers else ""
+        peers = tuple(filter(None, map(str.strip, named.split(";"))))
+        return cls(domain_id(options, variables), distro, _paths(options), is_local, peers)
 
     def cyclone_configuration(self) -> str | None:
         """Return what Cyclone DDS is to be told of that, as XML; None where its defaults will do.
@@ -103,18 +110,38 @@ class DdsSettings:
         """
         if not self.is_local and not self.peers:
             return None
-        addresses = ["localhost", *(() if self.is_local else self.peers)]
-        peers = "".join(f"<Peer address='{escape(address)}'/>" for address in addresses)
-        interface = '<NetworkInterface address="127.0.0.1" multicast="true"/>' if self.is_local else ""
-        general = f"<General><Interfaces>{interface}</Interfaces></General>" if interface else ""
+        peers = "".join(f"<Peer address='{escape(address)}'/>" for address in ("localhost", *self.peers))
+        general = ""
+        if self.is_local and self.peers:  # as rmw_cyclonedds_cpp: nobody is looked for but on these computers
+            general = "<General><AllowMulticast>false</AllowMulticast></General>"
+        elif self.is_local:
+            interface = '<NetworkInterface address="127.0.0.1" multicast="true"/>'
+            general = f"<General><Interfaces>{interface}</Interfaces></General>"
         index = f"<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}"
         discovery = f"<Discovery>{index}</MaxAutoParticipantIndex><Peers>{peers}</Peers></Discovery>"
         return f"<CycloneDDS><Domain>{general}{discovery}</Domain></CycloneDDS>"
 
 
-def _is_local(variables: Mapping[str, str]) -> bool:
-    discovery_range = variables.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").strip().upper()
-    return variables.get("ROS_LOCALHOST_ONLY", "").strip() == "1" or discovery_range == "LOCALHOST"
+#: What ROS_AUTOMATIC_DISCOVERY_RANGE may say, since Iron (rmw: rmw_automatic_discovery_range_t).
+_RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+
+
+def _discovery(variables: Mapping[str, str]) -> tuple[bool, bool]:
+    """Return whether nobody is looked for in the network, and whether computers that are named are asked all the same.
+
+    Raises:
+        LinkError: nobody is to be discovered at all, or there is no such range.
+    """
+    if variables.get("ROS_LOCALHOST_ONLY", "").strip() == "1":  # Humble's, which goes before the range
+        return True, False
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    told = variables.get(name, "").strip().upper()
+    if told == "OFF":
+        fix = f"Set it to SUBNET, or to LOCALHOST with the robot in ROS_STATIC_PEERS; or unset {name}."
+        raise LinkError("discovery is off, so that no robot can be found", where=name, fix=fix)
+    if told and told not in _RANGES:
+        raise LinkError(f"the range of discovery is {told!r}", where=name, fix=did_you_mean(told, _RANGES))
+    return told == "LOCALHOST", told != "SYSTEM_DEFAULT"  # which leaves peers to the middleware
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +155,13 @@ class RosbridgeAddress:
         generation: of the robot's ROS, 1 or 2; None to ask the robot.
         distro: the robot's distribution; None to ask the robot.
         types: files and folders with further message types.
+        security: how the connection is secured; `rosbridge+tls://` and `wss://` are of TLS.
 
     Example:
         >>> RosbridgeAddress.parse("rosbridge://robot?distro=humble").uri
         'ws://robot:9090/'
+        >>> RosbridgeAddress.parse("rosbridge+tls://robot:443").uri
+        'wss://robot:443/'
     """
 
     host: str
@@ -140,6 +170,7 @@ class RosbridgeAddress:
     generation: int | None = None
     distro: str | None = None
     types: tuple[Path, ...] = ()
+    security: RosbridgeSecurity = _OPEN
 
     @classmethod
     def parse(cls, text: str) -> RosbridgeAddress:
@@ -153,18 +184,24 @@ class RosbridgeAddress:
             host, port = parts.hostname, parts.port
         except ValueError as error:
             raise _malformed(text) from error
-        if parts.scheme != _SCHEME or not host or parts.fragment:
+        if parts.username is not None or parts.password is not None:
+            problem = f"the address of the rosbridge at {host} has a user or a password in it, which would be recorded"
+            fix = "Name the variable that holds it: rosbridge+tls://host?user=NAME&password_env=VARIABLE."
+            raise LinkError(problem, where=_WHERE, fix=fix)
+        if parts.scheme not in {_SCHEME, *_TLS_PORTS} or not host or parts.fragment:
             raise _malformed(text)
         options = _options(parts)
         distro = options.get("distro")
         generation = _generation(options.get("ros"), distro)
-        return cls(host, port or _DEFAULT_PORT, parts.path or "/", generation, distro, _paths(options))
+        security = RosbridgeSecurity.of(options, is_tls=parts.scheme in _TLS_PORTS)
+        port = port or _TLS_PORTS.get(parts.scheme, _DEFAULT_PORT)
+        return cls(host, port, parts.path or "/", generation, distro, _paths(options), security)
 
     @property
     def uri(self) -> str:
         """The address of its WebSocket."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"ws://{host}:{self.port}{self.path}"
+        return f"{'wss' if self.security.is_tls else 'ws'}://{host}:{self.port}{self.path}"
 
 
 def _options(parts: SplitResult) -> dict[str, str]:

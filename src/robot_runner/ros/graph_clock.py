@@ -17,6 +17,8 @@ _TOPIC = "/clock"
 _TYPE = "rosgraph_msgs/Clock"
 #: How long, in real seconds, the clock may stand still before a sleep on it is given up.
 _PATIENCE = 5.0
+#: A clock that goes back by more than this, s, began again; less are messages that overtook each other.
+_RESET = 0.5
 
 
 class GraphClock:
@@ -44,6 +46,8 @@ class GraphClock:
         self._fix = fix
         self._changed = threading.Condition()
         self._now = 0.0
+        self._shown = 0.0
+        self._offset = 0.0
         self._is_known = False
         self._subscription = link.subscribe(_TOPIC, _TYPE, self._take)
 
@@ -62,7 +66,7 @@ class GraphClock:
                 )
 
     def now(self) -> float:
-        """Return the seconds that the graph's clock showed last; never goes back."""
+        """Return the seconds that the graph's clock showed last; never goes back, also where a simulator is reset."""
         return self._now
 
     def sleep(self, seconds: float) -> None:
@@ -90,7 +94,11 @@ class GraphClock:
 
     def _take(self, message: Message) -> None:
         stamp = message["clock"]
+        shown = stamp["sec"] + stamp["nanosec"] / 1e9
         with self._changed:
-            self._now = max(self._now, stamp["sec"] + stamp["nanosec"] / 1e9)
+            if shown < self._shown - _RESET:  # from where it stands, time goes on with the simulator's new one
+                self._offset = self._now - shown
+            self._shown = shown
+            self._now = max(self._now, shown + self._offset)
             self._is_known = True
             self._changed.notify_all()

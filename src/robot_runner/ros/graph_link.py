@@ -5,14 +5,17 @@ from __future__ import annotations
 import logging
 import threading
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.unhandled import raised_in_thread
 from robot_runner.core.links.robot import Qos
+from robot_runner.ros.action_calls import LinkGoals
+from robot_runner.ros.action_server import GoalServer
+from robot_runner.ros.first_message import FirstMessage
 from robot_runner.ros.graph_links import full_name, namespace_prefix
 from robot_runner.ros.graph_transport import check_type
+from robot_runner.ros.opened_names import Advertised, Opened
 from robot_runner.ros.sent_velocities import note_velocity
 from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
@@ -20,95 +23,26 @@ from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, RawMessage, Subscription
-    from robot_runner.ros.graph_transport import Reception, TopicPublisher, TopicSubscription, Transport
+    from robot_runner.core.links.robot import (
+        Encoding,
+        Goal,
+        GoalExecution,
+        GraphEndpoint,
+        Message,
+        RawMessage,
+        Subscription,
+    )
+    from robot_runner.ros.graph_transport import Reception, TopicSubscription, Transport
     from robot_runner.ros.parameter_access import ParameterServer
-    from robot_runner.ros.shapes import Shape
 
-__all__ = ["FirstMessage", "GraphLink"]
+__all__ = ["GraphLink"]
 
 _logger = logging.getLogger(__name__)
 
-#: How long the last command, to stand still, may take to reach the robot, s: a robot two hops of Wi-Fi away takes it
-#: within tenths, and a run must not hang on one that is switched off.
-_STOPPING_SECONDS = 2.0
+_Received = TypeVar("_Received")
+
 #: What `topics` says where neither the graph nor a subscription of this link tells the type.
 _UNKNOWN_TYPE = "*"
-
-
-@dataclass(frozen=True, slots=True)
-class _Advertised:
-    """A topic that this link publishes with one QoS."""
-
-    message_type: str
-    shape: Shape
-    publisher: TopicPublisher
-
-
-class _Opened:
-    """A subscription or an offer of the link, until it is closed."""
-
-    def __init__(self, name: str, type_name: str, forget: Callable[[_Opened], None]) -> None:
-        self.name = name
-        self.type_name = type_name
-        self.is_open = True
-        self.inner: Any = None
-        self.fault_count = 0
-        self.has_failed_run = False
-        self._forget = forget
-
-    def close(self) -> None:
-        """Receive no more; closing twice does nothing."""
-        if self.is_open:
-            self.is_open = False
-            self._forget(self)
-            self.inner.close()
-
-
-class FirstMessage:
-    """Keeps the first message that satisfies a condition, or what the condition raised.
-
-    Args:
-        condition: None for any message.
-        timeout: how long it is waited for, s; for the error.
-
-    Attributes:
-        is_over: set once there is one, or the condition raised.
-    """
-
-    def __init__(self, condition: Callable[[Message], bool] | None, timeout: float) -> None:
-        self.is_over = threading.Event()
-        self._condition = condition
-        self._timeout = timeout
-        self._found: Message | None = None
-        self._fault: Exception | None = None
-
-    def take(self, message: Message) -> None:
-        """Look at one message."""
-        if self.is_over.is_set():
-            return
-        try:
-            if self._condition is None or self._condition(message):
-                self._found = message
-                self.is_over.set()
-        except Exception as fault:  # noqa: BLE001 - it is raised to the caller whose condition this is
-            self._fault = fault
-            self.is_over.set()
-
-    def result(self, topic: str, explain: Callable[[], str]) -> Message:
-        """Return the message.
-
-        Raises:
-            LinkError: there was none in time; `explain` says what to do.
-            Exception: what the condition raised.
-        """
-        if self._fault is not None:
-            raise self._fault
-        if self._found is None:
-            what = "no message" if self._condition is None else "no message that satisfies the condition"
-            fix = explain() or "Look whether the topic's node is alive, or give a longer timeout."
-            raise LinkError(f"{what} came within {self._timeout:g} s", where=topic, fix=fix)
-        return self._found
 
 
 class GraphLink:
@@ -144,11 +78,12 @@ class GraphLink:
         self.namespace = namespace_prefix(namespace)  # refused before anything is opened
         self._is_simulated = is_simulated
         self._lock = threading.RLock()
-        self._advertised: dict[tuple[str, Qos], _Advertised] = {}
-        self._opened: dict[_Opened, None] = {}  # in the order in which they were opened
+        self._advertised: dict[tuple[str, Qos], Advertised] = {}
+        self._opened: dict[Opened, None] = {}  # in the order in which they were opened
         self._first_fault: tuple[str, Exception] | None = None
         self._is_closed = False
         self._transport = connect()
+        self._goals = LinkGoals(self._transport.actions, self._transport.wait)
         self.parameter_server: ParameterServer | None = getattr(self._transport, "parameter_server", None)
 
     @property
@@ -238,7 +173,7 @@ class GraphLink:
         types.request(service_type)
         shape = types.response(service_type)
 
-        def serve(opened: _Opened) -> Subscription:
+        def serve(opened: Opened) -> Subscription:
             def respond(request: Message) -> Message:
                 try:
                     return completed(shape, answer(request), where=f"the answer of {name}")
@@ -251,6 +186,49 @@ class GraphLink:
 
         return self._open(name, service_type, serve)
 
+    def send_goal(
+        self,
+        action: str,
+        action_type: str,
+        goal: Message | None = None,
+        *,
+        on_feedback: Callable[[Message], None] | None = None,
+        timeout: float = 5.0,
+    ) -> Goal:
+        """Send a goal to an action, and return it once it is accepted; `timeout` is in seconds.
+
+        Raises:
+            LinkError: there is no such action, it has another type, the server rejects the goal or does not answer in
+                time, or the goal does not follow its definition.
+        """
+        name = self._name(action)
+        take = self._receiver(Opened(name, action_type, lambda _: None), on_feedback or (lambda _: None))
+        return self._goals.send(name, plain_type(action_type), goal or {}, take, timeout)
+
+    def offer_action(
+        self,
+        action: str,
+        action_type: str,
+        execute: Callable[[GoalExecution], Message],
+        *,
+        accept: Callable[[Message], bool] | None = None,
+    ) -> Subscription:
+        """Offer an action until it is closed; `execute` carries a goal out in a thread of its own.
+
+        Raises:
+            LinkError: there is no such type, or an action of this name is offered already.
+        """
+        name, plain, dialect = self._name(action), plain_type(action_type), self._transport.actions
+
+        def serve(opened: Opened) -> Subscription:
+            def note(fault: Exception) -> None:
+                if not self._fails_run(opened, fault, "action"):
+                    _logger.error("the action %s failed", name, exc_info=fault)
+
+            return dialect.serve(name, plain, GoalServer(name, dialect.types(plain), execute, accept, note))
+
+        return self._open(name, action_type, serve)
+
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic that is published or subscribed, by full name; `*` where nothing tells it."""
         self._check_open("the graph")
@@ -261,6 +239,16 @@ class GraphLink:
         """Return the type of each service on the graph, by its full name."""
         self._check_open("the graph")
         return self._transport.services()
+
+    def service_fault(self, service: str) -> LinkError | None:
+        """Return why a service that is on the graph cannot be called from here, or None; nothing is called."""
+        fault = getattr(self._transport, "service_fault", None)
+        return None if fault is None else fault(self._name(service))
+
+    def actions(self) -> Mapping[str, str]:
+        """Return the type of each action that is offered on the graph, by its full name."""
+        self._check_open("the graph")
+        return self._transport.actions.actions()
 
     def nodes(self) -> Sequence[str]:
         """Return the full names of the nodes on the graph, sorted."""
@@ -284,10 +272,11 @@ class GraphLink:
         return self._transport.types.definition(message_type)
 
     def close(self) -> None:
-        """Stop the robot if it was driven; end all subscriptions and offers and leave; closing twice does nothing.
+        """Cancel its goals, stop the robot if it was driven, end all that was opened, and leave; once.
 
         Raises:
-            LinkError: the robot could not be told to stand still, a callback raised, or the graph cannot be left.
+            LinkError: a goal could not be cancelled, the robot could not be told to stand still, a callback raised, or
+                the graph cannot be left.
         """
         if self._is_closed:
             return
@@ -301,7 +290,8 @@ class GraphLink:
                 stack.callback(advertised.publisher.close)
             for (topic, _), advertised in self._advertised.items():
                 if advertised.message_type in VELOCITY_COMMANDS:
-                    stack.callback(_stop, topic, advertised)
+                    stack.callback(advertised.stop, topic)
+            stack.callback(self._goals.close)  # before the last stop: what executes a goal may drive
 
     def _name(self, given: str) -> str:
         name = full_name(self.namespace, given)
@@ -312,14 +302,14 @@ class GraphLink:
         if self._is_closed:
             raise LinkError("the link was closed", where=where, fix="Use it before the run ends.")
 
-    def _advertise(self, name: str, message_type: str, message: Message, qos: Qos) -> _Advertised:
+    def _advertise(self, name: str, message_type: str, message: Message, qos: Qos) -> Advertised:
         plain = plain_type(message_type)
         with self._lock:
             known = self._advertised.get((name, qos))
             if known is None:
                 shape = self._transport.types.shape(message_type)
                 completed(shape, message, where=name)  # a wrong message is refused before the topic is on the graph
-                known = _Advertised(plain, shape, self._transport.advertise(name, plain, qos))
+                known = Advertised(plain, shape, self._transport.advertise(name, plain, qos))
                 self._advertised[name, qos] = known
             return known
 
@@ -331,32 +321,32 @@ class GraphLink:
         qos: Qos | None,
         *,
         is_raw: bool,
-    ) -> _Opened:
+    ) -> Opened:
         name, plain = self._name(topic), plain_type(message_type)
 
-        def open_subscription(opened: _Opened) -> TopicSubscription:
+        def open_subscription(opened: Opened) -> TopicSubscription:
             receive = self._receiver(opened, deliver)
             return self._transport.subscribe(name, plain, receive, qos=qos, is_raw=is_raw)
 
         return self._open(name, message_type, open_subscription)
 
-    def _open(self, name: str, type_name: str, opener: Callable[[_Opened], Any]) -> _Opened:
-        opened = _Opened(name, type_name, self._forget)
+    def _open(self, name: str, type_name: str, opener: Callable[[Opened], Any]) -> Opened:
+        opened = Opened(name, type_name, self._forget)
         opened.inner = opener(opened)
         with self._lock:
             self._opened[opened] = None
         return opened
 
-    def _forget(self, opened: _Opened) -> None:
+    def _forget(self, opened: Opened) -> None:
         with self._lock:
             self._opened.pop(opened, None)
 
-    def _receiver(self, opened: _Opened, deliver: Callable[[Reception], None]) -> Callable[[Reception], None]:
-        def receive(reception: Reception) -> None:
+    def _receiver(self, opened: Opened, deliver: Callable[[_Received], None]) -> Callable[[_Received], None]:
+        def receive(received: _Received) -> None:
             if not opened.is_open:
                 return
             try:
-                deliver(reception)
+                deliver(received)
             except Exception as fault:
                 if self._fails_run(opened, fault, "callback"):
                     return
@@ -366,7 +356,7 @@ class GraphLink:
 
         return receive
 
-    def _fails_run(self, opened: _Opened, fault: Exception, what: str) -> bool:
+    def _fails_run(self, opened: Opened, fault: Exception, what: str) -> bool:
         """Fail the run, if there is one, for what a callback raised; once for each, not a hundred times a second."""
         opened.fault_count += 1
         # A callback that was at work while its subscription ended may trip over what its owner has closed.
@@ -377,7 +367,7 @@ class GraphLink:
         opened.has_failed_run = raised_in_thread(fault, f"the {what} of {opened.name}")
         return opened.has_failed_run
 
-    def _note_fault(self, opened: _Opened, fault: Exception) -> None:
+    def _note_fault(self, opened: Opened, fault: Exception) -> None:
         # With its traceback once, not a hundred times a second.
         level = logging.ERROR if opened.fault_count == 1 else logging.DEBUG
         _logger.log(level, "the callback of %s raised", opened.name, exc_info=fault)
@@ -390,14 +380,3 @@ class GraphLink:
             problem = f"a callback raised {type(fault).__name__}: {fault}"
             fix = "Mend the callback; the run's log has the traceback."
             raise LinkError(problem, where=name, fix=fix) from fault
-
-
-def _stop(topic: str, advertised: _Advertised) -> None:
-    """Command zero on a topic on which a velocity was published, and see that it is taken."""
-    try:
-        note_velocity(topic, (0.0, 0.0))
-        advertised.publisher.publish(completed(advertised.shape, {}, where=topic))
-        advertised.publisher.flush(_STOPPING_SECONDS)
-    except LinkError as error:
-        problem = f"the robot could not be told to stand still: {error.problem}"
-        raise LinkError(problem, where=topic, fix=f"See that its watchdog stopped it. {error.fix}") from error

@@ -13,6 +13,7 @@ from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_names import full_name, missing, namespace_prefix
 from robot_runner.core.links.kinds import link_key
+from robot_runner.core.links.robot import RobotName
 from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_clock import GraphClock
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.links.kinds import FoundRobot
-    from robot_runner.core.links.robot import RobotLink, RobotName
+    from robot_runner.core.links.robot import RobotLink
 
 __all__ = [
     "AUTO",
@@ -32,8 +33,10 @@ __all__ = [
     "ROS1",
     "ROS2",
     "ROSBRIDGE",
+    "ROSBRIDGE_TLS",
     "GraphLinkKind",
     "clock_fix",
+    "follows_graph_clock",
     "full_name",
     "missing",
     "missing_of",
@@ -204,10 +207,18 @@ ROSBRIDGE = GraphLinkKind(
     takes_address=True,
     client=("robot_runner.ros.rosbridge_transport",),
 )
+ROSBRIDGE_TLS = replace(ROSBRIDGE, description="ROS 1 or 2 through a rosbridge behind TLS, with no ROS installed")
 AUTO = _FoundRobot()
 
 GRAPH_LINKS: Mapping[str, GraphLinkKind] = MappingProxyType(
-    {"ros1": ROS1, "ros2": ROS2, "dds": DDS, "rosbridge": ROSBRIDGE}
+    {
+        "ros1": ROS1,
+        "ros2": ROS2,
+        "dds": DDS,
+        "rosbridge": ROSBRIDGE,
+        "rosbridge+tls": ROSBRIDGE_TLS,
+        "wss": ROSBRIDGE_TLS,
+    }
 )
 
 
@@ -222,6 +233,17 @@ def clock_fix(name: RobotName) -> str:
     if _CLOCK in name.options:
         return f"Start the simulation; or, for a real robot, leave clock=graph out of robot = '{name.link}:…'."
     return "Start the simulation; or, for a real robot, set the parameter /use_sim_time to false (rosparam set)."
+
+
+def follows_graph_clock(robot: str | None) -> bool:
+    """Whether a run with the robot of this name lives by the time that its graph publishes.
+
+    Raises:
+        LinkError: the name cannot be one, or there is no master to ask.
+    """
+    name = None if robot is None else RobotName.parse(robot)
+    kind = None if name is None else GRAPH_LINKS.get(name.link)
+    return name is not None and kind is not None and kind.follows_graph_clock(name)
 
 
 def _started(link: RobotLink, fix: str) -> GraphClock:

@@ -11,15 +11,18 @@ import subprocess
 import sys
 import time
 from contextlib import closing, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, Severity, nearest
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot import RobotLink, RobotName
 from robot_runner.core.words import enumerated
+from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_links import GRAPH_LINKS, clock_fix
+from robot_runner.ros.parameter_access import ServerParameters, parameters_of
+from robot_runner.ros.parameter_values import from_json
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import (
     is_told,
@@ -46,6 +49,11 @@ _INFRASTRUCTURE = frozenset(
     {"/rosout", "/rosout_agg", "/parameter_events", "/client_count", "/connected_clients", "/clock"}
 )
 _LISTED = 5
+#: How long a node may take to tell of its parameters, s; it is one of many questions.
+_PARAMETER_SECONDS = 1.5
+_SERVICES = frozenset({GraphPart.SERVICE, GraphPart.PARAMETERS})
+#: How the names of services begin that are there without any robot: a rosbridge's, and those of this very look.
+_BRIDGE = ("/rosapi", "/rosbridge", "/robot_runner")
 _ROBOT = "robot"
 
 
@@ -94,14 +102,18 @@ def _not_looked_at(why: str, fix: str = "") -> Finding:
 
 
 def look_at(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> list[Finding]:
-    """Join the graph, look, and leave it; what could not be looked at is a warning that says why."""
+    """Join the graph, look, and leave it.
+
+    A graph that cannot be joined is an error where anything of it is needed; whatever else could not be looked at is a
+    warning that says why.
+    """
     try:
         kind = GRAPH_LINKS[name.link]
         follows = kind.follows_graph_clock(name)
         clock = [GraphNeed.published("/clock", "rosgraph_msgs/Clock", fix=clock_fix(name))] if follows else []
         link = kind.open(name, SystemClock())
     except LinkError as error:
-        return [_not_looked_at(error.problem, error.fix)]
+        return [error.as_finding() if needs else _not_looked_at(error.problem, error.fix)]
     wanted = {**needs, **({_ROBOT: clock} if clock else {})}
     with closing(link):
         try:
@@ -121,8 +133,8 @@ def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], sec
 
 
 def _findings(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> Iterator[Finding]:
-    if not set(link.topics()) - _INFRASTRUCTURE:
-        names = [need.name for wanted in needs.values() for need in wanted]
+    if not set(link.topics()) - _INFRASTRUCTURE and not _has_services(link, needs):
+        names = list(dict.fromkeys(need.name for wanted in needs.values() for need in wanted))
         shown = [*names[:_LISTED], *([f"{len(names) - _LISTED} more"] if len(names) > _LISTED else [])]
         problem = "no robot is on the graph: no node publishes or subscribes anything there"
         needed = f", and the plugins need {enumerated(shown)}" if names else ""
@@ -132,6 +144,12 @@ def _findings(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> I
     for where, wanted in needs.items():
         for need in wanted:
             yield from need_findings(link, need, where)
+
+
+def _has_services(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]]) -> bool:
+    """Whether services are needed and a robot offers any: one that publishes nothing yet may be there all the same."""
+    wanted = {need.part for each in needs.values() for need in each} & _SERVICES
+    return bool(wanted) and any(not service.startswith(_BRIDGE) for service in link.services())
 
 
 def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
@@ -147,8 +165,12 @@ def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[F
             yield from _subscribed(link, need, where)
         case GraphPart.SERVICE:
             yield from offer_findings("service", link.services(), need, where)
+            yield from _foreign(link, need, where)
         case GraphPart.ACTION:
-            yield from _action(link, need, where)
+            yield from offer_findings("action", link.actions(), need, where)
+            yield from _foreign(link, replace(need, name=f"{need.name}/_action/send_goal"), where)
+        case GraphPart.PARAMETERS:
+            yield from _parameters(link, need, where)
 
 
 def _published(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
@@ -174,12 +196,27 @@ def _subscribed(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Fin
         yield from rival_findings(link, need.name, where)
 
 
-def _action(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
-    actions = getattr(link, "actions", None)
-    if actions is None:
-        yield Finding.warning(where, f"whether the action {need.name!r} is offered was not seen: the link lists none")
-    else:
-        yield from offer_findings("action", actions(), need, where)
+def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
+    if not isinstance(link, RobotLink):
+        return
+    access = parameters_of(link, timeout=_PARAMETER_SECONDS)
+    values = {name: from_json(stored) for name, stored in json.loads(need.values).items()}
+    try:
+        errors = access.objections(need.name, values)
+        doubts = access.doubts(need.name, list(values)) if isinstance(access, ServerParameters) else []
+    except LinkError as error:
+        errors, doubts = [error], []
+    for each in errors:
+        yield Finding.error(where, f"{each.where}: {each.problem}", f"{need.fix} {each.fix}".strip())
+    for problem, fix in doubts:
+        yield Finding.warning(where, problem, fix)
+
+
+def _foreign(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
+    """Yield why a service that is there cannot be called over this link."""
+    fault = link.service_fault(need.name) if isinstance(link, GraphLink) else None
+    if fault is not None:
+        yield Finding.error(where, f"{need.name!r}: {fault.problem}", fault.fix)
 
 
 def offer_findings(what: str, offered: Mapping[str, str], need: GraphNeed, where: str) -> Iterator[Finding]:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Subscription
+    from robot_runner.ros.action_calls import ActionDialect
     from robot_runner.ros.shapes import Shape
 
 __all__ = [
@@ -131,6 +132,7 @@ class Transport(Protocol):
         types: the types that can be sent and received.
         encoding: how the bytes of raw messages are laid out.
         has_threads: whether callbacks are called from a thread of the transport, where nobody sees what they raise.
+        actions: how the graph speaks of actions.
     """
 
     @property
@@ -141,6 +143,9 @@ class Transport(Protocol):
 
     @property
     def has_threads(self) -> bool: ...  # noqa: D102 - see above
+
+    @property
+    def actions(self) -> ActionDialect: ...  # noqa: D102 - see above
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> TopicPublisher:
         """Return a publisher, once the subscribers that are there already are reached."""
@@ -263,10 +268,10 @@ def wrong_service_type(service: str, true: str, wanted: str) -> LinkError:
     return LinkError(problem, where=service, fix=f"Name the type {true!r}.")
 
 
-def already_offered(service: str, owner: str = "another node") -> LinkError:
-    """Return the error that a service of this name is there already."""
+def already_offered(name: str, owner: str = "another node", *, what: str = "service") -> LinkError:
+    """Return the error that a service or action of this name is there already."""
     fix = "End the other node, or give the robots namespaces of their own."
-    return LinkError(f"{owner} offers the service {service!r} already", where=service, fix=fix)
+    return LinkError(f"{owner} offers the {what} {name!r} already", where=name, fix=fix)
 
 
 def service_timeout(service: str, timeout: float, fix: str = "") -> LinkError:

@@ -32,6 +32,8 @@ Settings: TypeAlias = "Mapping[str, Mapping[str, ParameterValue]]"
 #: The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
 _STATE, _STARTED = 0, 19
 _DEAD = "ZX"
+#: The files of runs of this process that go on: with `RunProcess.IN_PROCESS` one process executes several.
+_in_care: set[Path] = set()
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +68,11 @@ class KeptSettings:
 
     @property
     def is_left(self) -> bool:
-        """Whether its owner is dead; this process has its own care of what it keeps."""
+        """Whether its owner is dead, or has given it up."""
         pid, started = self.owner
-        return pid != os.getpid() and (not started or _started(pid) != started)
+        if pid == os.getpid():
+            return self.path not in _in_care
+        return not started or _started(pid) != started
 
     def write(self) -> None:
         """Write the file, and have it reach the disk.
@@ -86,9 +90,15 @@ class KeptSettings:
         }
         make_experiment_folder(self.path.parent)
         write_beside_and_rename(self.path, lambda file: json.dump(stored, file, indent=1))
+        _in_care.add(self.path)
+
+    def give_up(self) -> None:
+        """Leave the file to whoever comes next, once it is clear that all cannot be put back now."""
+        _in_care.discard(self.path)
 
     def remove(self) -> None:
         """Let go of the file, once all is as before."""
+        _in_care.discard(self.path)
         with suppress(StorageError):  # a simulated robot's was never written
             remove(self.path)
 

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.ros.lifecycle import SETTLED, bring_to, named_state, ros1_has_none, state_of
 from robot_runner.ros.node_services import NodeNotReadyError
 from robot_runner.ros.restored_settings import RestoredSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.plugin import Circumstances
@@ -72,6 +73,12 @@ class Lifecycle(RestoredSettings):
         yield from super().check(circumstances)
         if (circumstances.robot or "").partition(":")[0].strip() == "ros1":
             yield ros1_has_none(f"plugin {self.name}").as_finding()
+
+    def required_graph(self, circumstances: Circumstances) -> Iterator[GraphNeed]:
+        """Yield the services of the nodes' life cycles."""
+        del circumstances
+        for node in self.settings:
+            yield GraphNeed.service(f"{node}/change_state", "lifecycle_msgs/ChangeState", fix="Start the node.")
 
     def read(self, link: RobotLink, node: str, names: Sequence[str]) -> Mapping[str, ParameterValue]:
         """Return the state of a node."""

@@ -30,6 +30,19 @@ _PARAMETERS = {
     "DescribeParameters": "string[] names\n---\nrcl_interfaces/ParameterDescriptor[] descriptors\n",
     "GetParameterTypes": "string[] names\n---\nuint8[] types\n",
 }
+#: Of ROS 1, dynamic_reconfigure 1.7.
+_RECONFIGURE = {
+    "BoolParameter.msg": "string name\nbool value\n",
+    "IntParameter.msg": "string name\nint32 value\n",
+    "StrParameter.msg": "string name\nstring value\n",
+    "DoubleParameter.msg": "string name\nfloat64 value\n",
+    "GroupState.msg": "string name\nbool state\nint32 id\nint32 parent\n",
+    "Config.msg": (
+        "BoolParameter[] bools\nIntParameter[] ints\nStrParameter[] strs\nDoubleParameter[] doubles\n"
+        "GroupState[] groups\n"
+    ),
+    "Reconfigure.srv": "Config config\n---\nConfig config\n",
+}
 _LIFE_CYCLE = {
     "ChangeState": "lifecycle_msgs/Transition transition\n---\nbool success\n",
     "GetState": "---\nlifecycle_msgs/State current_state\n",
@@ -40,7 +53,10 @@ _LIFE_CYCLE = {
 #: The text of each definition by its file's name, for each generation of ROS; type stores lack them.
 NODE_TYPES: Mapping[int, Mapping[str, str]] = MappingProxyType(
     {
-        1: {"tf2_msgs/TFMessage.msg": "geometry_msgs/TransformStamped[] transforms\n"},
+        1: {
+            "tf2_msgs/TFMessage.msg": "geometry_msgs/TransformStamped[] transforms\n",
+            **{f"dynamic_reconfigure/{name}": text for name, text in _RECONFIGURE.items()},
+        },
         2: {
             **{f"rcl_interfaces/{name}.srv": text for name, text in _PARAMETERS.items()},
             **{f"lifecycle_msgs/{name}.srv": text for name, text in _LIFE_CYCLE.items()},

@@ -21,6 +21,7 @@ from robot_runner.ros.parameter_values import (
     kind_of,
     normal,
 )
+from robot_runner.ros.reconfiguring import reconfigurable, reconfigure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -53,6 +54,10 @@ class ParameterAccess(Protocol):
 
     def values(self, node: str, names: Sequence[str]) -> Mapping[str, ParameterValue]:
         """Return the values that these parameters have; None for one without a value."""
+        ...
+
+    def objections(self, node: str, values: Mapping[str, Any]) -> Sequence[LinkError]:
+        """Return why these values cannot be set, as far as that is known beforehand; nothing is set by asking."""
         ...
 
     def change(self, node: str, values: Mapping[str, Any]) -> None:
@@ -102,7 +107,7 @@ def parameters_of(link: RobotLink, *, timeout: float = 5.0) -> ParameterAccess:
         {'speed': 1.0}
     """
     server: ParameterServer | None = getattr(link, "parameter_server", None)
-    return NodeParameters(link, timeout) if server is None else ServerParameters(link, server)
+    return NodeParameters(link, timeout) if server is None else ServerParameters(link, server, timeout)
 
 
 def all_at_once(errors: Sequence[LinkError], *, where: str) -> None:
@@ -145,15 +150,13 @@ class NodeParameters:
         self._check_known(node, names, [int(each["type"]) for each in told])
         return {name: from_wire(each) for name, each in zip(names, told, strict=True)}
 
+    def objections(self, node: str, values: Mapping[str, Any]) -> list[LinkError]:
+        """Return why these values cannot be set, as far as the node tells beforehand; nothing is set by asking."""
+        return self._checked(node, values)[1]
+
     def change(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters of a node, all of which are looked at before."""
-        described = self.described(node, list(values))
-        wire, errors = [], []
-        for name, value in values.items():
-            try:
-                wire.append({"name": name, "value": _checked(value, described[name], self._where(node, name))})
-            except LinkError as error:
-                errors.append(error)
+        wire, errors = self._checked(node, values)
         all_at_once(errors, where=self._full(node))
         results = self._call(node, "SetParameters", {"parameters": wire})["results"]
         if len(results) != len(wire):
@@ -161,6 +164,17 @@ class NodeParameters:
         answers = zip(values, results, strict=True)
         refused = [self._refused(node, name, told["reason"]) for name, told in answers if not told["successful"]]
         all_at_once(refused, where=self._full(node))
+
+    def _checked(self, node: str, values: Mapping[str, Any]) -> tuple[list[dict[str, Any]], list[LinkError]]:
+        """Return what is sent to the node, and what speaks against it."""
+        described = self.described(node, list(values))
+        wire, errors = [], []
+        for name, value in values.items():
+            try:
+                wire.append({"name": name, "value": _checked(value, described[name], self._where(node, name))})
+            except LinkError as error:
+                errors.append(error)
+        return wire, errors
 
     def _call(self, node: str, service: str, request: Message) -> Any:
         what, kind = "node that has parameters:", f"rcl_interfaces/{service}"
@@ -194,11 +208,15 @@ class NodeParameters:
 
 
 class ServerParameters:
-    """The parameters of nodes of ROS 1, which stand below their names in the master's parameter server."""
+    """The parameters of nodes of ROS 1, which stand below their names in the master's parameter server.
 
-    def __init__(self, link: RobotLink, server: ParameterServer) -> None:
+    A node that runs takes them where it lets itself be changed by dynamic_reconfigure.
+    """
+
+    def __init__(self, link: RobotLink, server: ParameterServer, timeout: float = 5.0) -> None:
         self._link = link
         self._server = server
+        self._timeout = timeout
 
     def names(self, node: str) -> list[str]:
         """Return the names of what is set for a node, sorted; `/` is what is set for all."""
@@ -216,22 +234,20 @@ class ServerParameters:
         """Return the values that are set; None where nothing is, and the node takes its own default."""
         return {name: self._value(self._key(node, name)) for name in names}
 
+    def objections(self, node: str, values: Mapping[str, Any]) -> list[LinkError]:
+        """Return why these values cannot be set; nothing is set by asking."""
+        return self._fitted(node, values)[1]
+
     def change(self, node: str, values: Mapping[str, Any]) -> None:
         """Set parameters for a node; None has it take its own default when it starts the next time."""
-        described = self.described(node, list(values))
-        fits, errors = {}, []
-        for name, value in values.items():
-            key = self._key(node, name)
-            try:
-                fits[key] = None if value is None else _fitting_server(value, described[name].kind, key)
-            except LinkError as error:
-                errors.append(error)
+        fits, errors = self._fitted(node, values)
         all_at_once(errors, where=node)
         for key, value in fits.items():
             if value is not None:
                 self._server.set_parameter(key, value=value)
             elif self._server.parameter(key) is not None:
                 self._server.delete_parameter(key)
+        reconfigure(self._link, fits, timeout=self._timeout)
 
     def doubts(self, node: str, names: Sequence[str]) -> list[tuple[str, str]]:
         """Return what may make a change vain, each with a remedy: names that nobody has set, a node that runs already.
@@ -247,10 +263,23 @@ class ServerParameters:
                 near = nearest(name, there)
                 fix = f"Did you mean {near!r}?" if near else "See that the node reads a parameter of this name."
                 found.append((f"{self._key(node, name)} was not set before, and ROS 1 does not tell who reads it", fix))
-        if full in self._link.nodes():
+        live = reconfigurable(self._link, [self._key(node, name) for name in names])
+        if len(live) < len(names) and full in self._link.nodes():
             problem = f"{full} is running already, and a node of ROS 1 reads most of its parameters when it starts"
             found.append((problem, "Start it after they are set: list its RosLaunch after RosParameters."))
         return found
+
+    def _fitted(self, node: str, values: Mapping[str, Any]) -> tuple[dict[str, ParameterValue], list[LinkError]]:
+        described = self.described(node, list(values))
+        fits: dict[str, ParameterValue] = {}
+        errors = []
+        for name, value in values.items():
+            key = self._key(node, name)
+            try:
+                fits[key] = None if value is None else _fitting_server(value, described[name].kind, key)
+            except LinkError as error:
+                errors.append(error)
+        return fits, errors
 
     def _key(self, node: str, name: str) -> str:
         return f"{full_node(self._link, node).rstrip('/')}/{name}"

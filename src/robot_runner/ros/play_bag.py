@@ -71,6 +71,7 @@ class PlayBag(System):
         Measure("MaxPlayLateness", "s", "How late messages of the bag were published: maximum."),
     )
     needs: ClassVar[str] = "A ROS graph, and the extra `bag`."
+    starts_nodes: bool = True  # what others need there comes with the bag
     bytes_per_run: int = 500_000  # three numbers a message, of 100 messages a second for 100 s
 
     def __init__(

@@ -28,7 +28,7 @@ _GENERATIONS = {"ros1": 1, "ros2": 2, "dds": 2}
 #: The generation whose client library each link imports.
 _CLIENTS = {"ros1": 1, "ros2": 2}
 #: The links that take no ROS on this machine.
-_WITHOUT_ROS = ("dds", "rosbridge")
+_WITHOUT_ROS = ("dds", "rosbridge", "rosbridge+tls", "wss")
 #: How long the check waits for a master, s.
 _MASTER_SECONDS = 2.0
 

@@ -150,13 +150,14 @@ class RestoredSettings(System):
                     context.warn(problem, fix=fix)
                 each.remove()
             except LinkError as error:
+                each.give_up()
                 _log.warning("%s of %s are not put back: %s", self.kind, enumerated(each.before), error)
 
     def _put_back_left(self, context: RobotRunnerContext, link: RobotLink) -> None:
         for kept in left_settings(self.kind, context.robot):
             problems = list(self._restore(link, kept, None))
             kept.remove()
-            context.warn(f"{_left(kept)}; they were put back before this run", fix="Look how that run ended.")
+            context.warn(f"{_left(kept)}; that was done before this run", fix="Look how that run ended.")
             for problem, fix in problems:
                 context.warn(problem, fix=fix)
 
@@ -256,8 +257,8 @@ def check_left_settings(where: str, parameters: Parameters, plugins: Sequence[Pl
 
 
 def _left(kept: KeptSettings) -> str:
-    nodes = enumerated(kept.before)
-    return f"{kept.kind} of {nodes} are still as {kept.plugin} set them in process {kept.owner[0]}, which was killed"
+    what, who = f"{kept.kind} of {enumerated(kept.before)}", f"{kept.plugin} set them in process {kept.owner[0]}"
+    return f"{what} are still as {who}, which did not put them back"
 
 
 def _is_among(value: ParameterValue, *others: ParameterValue) -> bool:

@@ -19,6 +19,7 @@ from robot_runner.ros.graph_transport import (
     nobody_publishes,
     silent_publishers,
 )
+from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.ros1_node import REGISTERING_SECONDS, join_graph, within
 from robot_runner.ros.ros1_services import call_service, service_type
 from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, message_class, service_class
@@ -66,6 +67,7 @@ class Ros1Transport:
 
     def __init__(self, master: Master, now_ns: Callable[[], int]) -> None:
         self.types = Ros1Types()
+        self.actions = Ros1Actions(self)
         self._master = master
         self._now_ns = now_ns
         self._rospy = join_graph(master)

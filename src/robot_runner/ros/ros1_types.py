@@ -7,8 +7,9 @@ from functools import lru_cache, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.errors import LinkError
 from robot_runner.ros.generated_types import TypeKind, generated_class
-from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape
+from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, plain_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -25,9 +26,28 @@ def message_class(message_type: str) -> Any:
     """Return the class of a message type, such as `geometry_msgs/Twist`.
 
     Raises:
-        LinkError: there is none, or its package is not on Python's path.
+        LinkError: there is none, or its package is neither on Python's path nor among the types known without ROS.
     """
-    return generated_class(message_type, TypeKind.MESSAGE, _is_type)
+    try:
+        return generated_class(message_type, TypeKind.MESSAGE, _is_type)
+    except LinkError:
+        made = _class_from_text(plain_type(message_type))
+        if made is None:
+            raise
+        return made
+
+
+@lru_cache
+def _class_from_text(message_type: str) -> Any:
+    """Return a class made of a definition that is known without ROS, as of actions; None where there is none."""
+    try:
+        from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it takes rosbags, an extra
+
+        text = TypeCatalogue.of(1).definition(message_type)
+    except (ImportError, LinkError):
+        return None
+    made: Mapping[str, Any] = import_module("genpy.dynamic").generate_dynamic(message_type, text)
+    return made[message_type]
 
 
 def service_class(service_type: str) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,18 +13,20 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.ros.graph_addresses import domain_id
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import receive_clock
-from robot_runner.ros.ros_environment import find_ros
+from robot_runner.ros.ros_environment import find_ros, other_python_of_rclpy
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import RobotLink, RobotName
+    from robot_runner.ros.ros_environment import RosEnvironment
 
 __all__ = ["findings", "open_ros2_link"]
 
 _OPTIONS = ("domain",)
 _WITHOUT_ROS = "or reach the robot without a ROS: robot = 'dds'"
+_HUMBLE = "humble"
 
 
 def findings(name: RobotName) -> list[Finding]:
@@ -64,17 +67,37 @@ def _domain(options: Mapping[str, str]) -> int | None:
     return domain if "domain" in options else None  # rclpy reads ROS_DOMAIN_ID itself
 
 
+def _unfitting(ros: RosEnvironment | None, other: str) -> LinkError:
+    """Return the error that a ROS 2 is sourced whose Python is another, and the link that does without."""
+    distro = "" if ros is None or ros.distro is None else f" {ros.distro}"
+    domain = os.environ.get("ROS_DOMAIN_ID")
+    options = [f"distro={distro.strip()}"] if distro else []
+    name = "dds" + (":" + ",".join([*([f"domain={domain}"] if domain else []), *options]) if domain or options else "")
+    ours = ".".join(map(str, sys.version_info[:2]))
+    return LinkError(
+        f"the ROS 2{distro} that is sourced is for Python {other}, and this is {ours}",
+        where="robot",
+        fix=f"Reach the robot without a ROS on this machine: --set robot={name}. Its services need one line on the "
+        "robot, or a rosbridge: docs/your-humble-robot.md.",
+    )
+
+
 def _check_installed() -> None:
     ros = find_ros()
+    other = other_python_of_rclpy()
     if ros is not None and ros.version == 1:
         raise LinkError(
             f"robot is reached over ROS 2, but ROS 1 {ros.distro or ''} is sourced, whose messages hide those of ROS 2",
             where=ros.source,
             fix=f"Start anew in a shell where a ROS 2 is sourced, {_WITHOUT_ROS}.",
         )
+    if other is not None:
+        raise _unfitting(ros, other)
+    if importlib.util.find_spec("rclpy") is None and ros is not None and ros.distro == _HUMBLE:
+        raise _unfitting(ros, "3.10")
     if importlib.util.find_spec("rclpy") is None:
         raise LinkError(
             "robot is reached over ROS 2, but rclpy cannot be imported",
             where="robot",
-            fix=f"Source a ROS 2 whose Python is ours (source /opt/ros/humble/setup.bash), {_WITHOUT_ROS}.",
+            fix=f"Source a ROS 2 whose Python is ours (source /opt/ros/jazzy/setup.bash), {_WITHOUT_ROS}.",
         )

@@ -10,7 +10,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
@@ -36,6 +36,8 @@ SETTLING = 1.0
 _SPIN = 0.2
 #: How long a thread may take to end, s.
 _JOIN = 5.0
+#: So many requests are answered at a time: whoever asks for the result of a goal is answered when it is over.
+_ANSWERING = 32
 #: How often the graph is looked at where something is waited for, s.
 _POLL = 0.02
 
@@ -66,7 +68,8 @@ class GraphNode:
     """A context of its own, a node in it, and the threads that spin it and call back.
 
     Callbacks are called from a thread that spins nothing, so that they may call services. Offered services are a node
-    of their own with an executor of its own: one that takes long to answer must not keep up messages and responses.
+    of their own with an executor of several threads: one that takes long to answer must keep up neither messages and
+    responses nor other services.
 
     Attributes:
         users: how many links use it.
@@ -100,7 +103,7 @@ class GraphNode:
         """Return the node for services that are offered; it is made when it is first needed."""
         with _lock:
             if self._services is None:
-                self._services = self._new_node("robot_runner_services")
+                self._services = self._new_node("robot_runner_services", threads=_ANSWERING)
             return self._services
 
     def later(self, todo: Callable[[], None]) -> None:
@@ -134,7 +137,7 @@ class GraphNode:
             spinning.end()
         self._context.try_shutdown()
 
-    def _new_node(self, name: str) -> Any:
+    def _new_node(self, name: str, threads: int = 1) -> Any:
         node = Node(
             f"{name}_{os.getpid()}",
             context=self._context,
@@ -143,7 +146,7 @@ class GraphNode:
             start_parameter_services=False,
             parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, self._use_sim_time)],
         )
-        self._spinning.append(_Spinning(node, self._context))
+        self._spinning.append(_Spinning(node, self._context, threads))
         return node
 
     def _call_back(self) -> None:
@@ -158,11 +161,15 @@ class GraphNode:
 class _Spinning:
     """One node with the executor and the thread that spin it."""
 
-    def __init__(self, node: Any, context: Any) -> None:
+    def __init__(self, node: Any, context: Any, threads: int) -> None:
         self._node = node
         self._context = context
         self._is_over = threading.Event()
-        self._executor = SingleThreadedExecutor(context=context)
+        self._executor = (
+            SingleThreadedExecutor(context=context)
+            if threads == 1
+            else MultiThreadedExecutor(num_threads=threads, context=context)
+        )
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name=f"ros2 {node.get_name()}", daemon=True)
         self._thread.start()

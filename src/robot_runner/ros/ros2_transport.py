@@ -6,6 +6,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any
 
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -23,6 +24,7 @@ from robot_runner.ros.graph_transport import (
     silent_publishers,
     wrong_service_type,
 )
+from robot_runner.ros.ros2_actions import Ros2Actions
 from robot_runner.ros.ros2_node import Graph, GraphNode, join_graph
 from robot_runner.ros.ros2_types import Ros2Types, as_mapping, as_message, message_class, service_class
 
@@ -66,6 +68,7 @@ class Ros2Transport:
 
     def __init__(self, domain: int | None, now_ns: Callable[[], int], *, use_sim_time: bool) -> None:
         self.types = Ros2Types()
+        self.actions = Ros2Actions(self)
         self._now_ns = now_ns
         self._lock = threading.Lock()
         self._clients: dict[tuple[str, str], _Client] = {}
@@ -292,7 +295,7 @@ class _Offer:
             return as_message(cls.Response, answer(as_mapping(request)))
 
         self._host = node.services()
-        self._offered = self._host.create_service(cls, service, respond)
+        self._offered = self._host.create_service(cls, service, respond, callback_group=ReentrantCallbackGroup())
         node.until(lambda: graph.service_type(service), _PATIENCE)
 
     def close(self) -> None:

@@ -9,8 +9,10 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.ros.action_types import action_parts, whole_action
 from robot_runner.ros.generated_types import TypeKind, generated_class
-from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo
+from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo, plain_type
+from robot_runner.ros.type_store import stored_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -21,6 +23,21 @@ __all__ = ["Ros2Types", "as_mapping", "as_message", "message_class", "service_cl
 #: What the interface definition language calls some kinds.
 _KINDS = MappingProxyType({"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"})
 _OCTET = "byte"
+#: Where the class of an action has those of its parts.
+_ACTION_STEPS = MappingProxyType(
+    {
+        "_Goal": "Goal",
+        "_Result": "Result",
+        "_Feedback": "Feedback",
+        "_FeedbackMessage": "Impl.FeedbackMessage",
+        "_SendGoal": "Impl.SendGoalService",
+        "_SendGoal_Request": "Impl.SendGoalService.Request",
+        "_SendGoal_Response": "Impl.SendGoalService.Response",
+        "_GetResult": "Impl.GetResultService",
+        "_GetResult_Request": "Impl.GetResultService.Request",
+        "_GetResult_Response": "Impl.GetResultService.Response",
+    }
+)
 #: Between the definitions of two types in a bag.
 _SEPARATOR = "=" * 80
 
@@ -31,7 +48,8 @@ def message_class(message_type: str) -> Any:
     Raises:
         LinkError: there is none, or its package is not in the sourced ROS.
     """
-    return generated_class(message_type, TypeKind.MESSAGE, _is_message)
+    part = _action_part(message_type)
+    return generated_class(message_type, TypeKind.MESSAGE, _is_message) if part is None else part
 
 
 def service_class(service_type: str) -> Any:
@@ -40,11 +58,28 @@ def service_class(service_type: str) -> Any:
     Raises:
         LinkError: as `message_class`.
     """
-    return generated_class(service_type, TypeKind.SERVICE, _is_service)
+    part = _action_part(service_type)
+    return generated_class(service_type, TypeKind.SERVICE, _is_service) if part is None else part
+
+
+def _action_part(type_name: str) -> Any:
+    """Return the class of a message or service that ROS 2 makes of an action, or None for any other."""
+    name = plain_type(type_name)
+    action = whole_action(name)
+    if action == name:
+        return None
+    found = generated_class(action, TypeKind.ACTION, _is_action)
+    for step in _ACTION_STEPS[name.removeprefix(action)].split("."):
+        found = getattr(found, step)
+    return found
 
 
 def _is_message(found: Any, _name: str) -> bool:
     return hasattr(found, "get_fields_and_field_types")
+
+
+def _is_action(found: Any, _name: str) -> bool:
+    return hasattr(found, "Goal") and hasattr(found, "Impl")
 
 
 def _is_service(found: Any, _name: str) -> bool:
@@ -165,12 +200,15 @@ def _text(type_name: str) -> str:
         get_package_share_directory,
     )
 
-    package, _, name = type_name.partition("/")
+    whole = whole_action(type_name)
+    package, _, name = whole.partition("/")
+    folder = "msg" if whole == type_name else "action"
     try:
-        return (Path(get_package_share_directory(package)) / "msg" / f"{name}.msg").read_text(encoding="utf-8")
+        text = (Path(get_package_share_directory(package)) / folder / f"{name}.{folder}").read_text(encoding="utf-8")
     except (PackageNotFoundError, OSError) as error:
         raise LinkError(
             f"the package {package!r} has no text of the definition: {error}",
             where=type_name,
             fix="Install the package with its share folder.",
         ) from error
+    return text if whole == type_name else action_parts(2, whole, text, where=whole)[stored_name(type_name)]

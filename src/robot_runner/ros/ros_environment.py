@@ -11,6 +11,7 @@ import sys
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -30,6 +31,7 @@ __all__ = [
     "find_ros",
     "found_robot",
     "installed_ros",
+    "other_python_of_rclpy",
     "ros_of_host",
     "ros_of_master",
 ]
@@ -67,6 +69,25 @@ def find_ros(environment: Mapping[str, str] | None = None) -> RosEnvironment | N
     if version not in {"1", "2"}:
         return None
     return RosEnvironment(int(version), variables.get("ROS_DISTRO") or None, "ROS_VERSION and ROS_DISTRO")
+
+
+#: The part of rclpy that is compiled, and so for one Python only.
+_COMPILED = "_rclpy_pybind11.*"
+_FOR_PYTHON = re.compile(r"\.cpython-3(\d+)")
+
+
+def other_python_of_rclpy() -> str | None:
+    """Return for which Python the rclpy that is found was built, such as `3.10`, where that is not this one.
+
+    A setup file puts its rclpy on the path of every Python; it is not imported by asking.
+    """
+    found = importlib.util.find_spec("rclpy")
+    folders = [] if found is None else list(found.submodule_search_locations or ())
+    compiled = [path.name for folder in folders for path in Path(folder).glob(_COMPILED)]
+    if not compiled or any(name[name.index(".") :] in EXTENSION_SUFFIXES for name in compiled):
+        return None
+    told = _FOR_PYTHON.search(compiled[0])
+    return f"3.{told[1]}" if told else "another version"
 
 
 def installed_ros() -> RosEnvironment | None:
@@ -220,7 +241,7 @@ def _sourced() -> FoundRobot | None:
     if ros is None:
         return None
     name, package = ("ros1", "rospy") if ros.version == 1 else ("ros2", "rclpy")
-    if not _is_installed(package):
+    if not _is_installed(package) or (package == "rclpy" and other_python_of_rclpy()):
         return None
     return FoundRobot(name, f"ROS {ros.version} is sourced ({ros.source}), and {package} is there")
 

@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.ros.parameter_access import ServerParameters, parameters_of
-from robot_runner.ros.parameter_values import normal
+from robot_runner.ros.parameter_values import normal, to_json
 from robot_runner.ros.restored_settings import RestoredSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.kept_settings import Settings
     from robot_runner.ros.parameter_values import ParameterValue
 
@@ -60,6 +62,13 @@ class RosParameters(RestoredSettings):
             raise PluginError(f"parameters is {parameters!r}", where=self.name, fix=_FIX)
         self.settings = {node: self._checked(node, values) for node, values in parameters.items()}
 
+    def required_graph(self, circumstances: Circumstances) -> Iterator[GraphNeed]:
+        """Yield the nodes, with the values that they are to have; `/` of ROS 1 is no node."""
+        del circumstances
+        for node, values in self.settings.items():
+            if node != "/":
+                yield GraphNeed.parameters(node, {name: to_json(value) for name, value in values.items()})
+
     def read(self, link: RobotLink, node: str, names: Sequence[str]) -> Mapping[str, ParameterValue]:
         """Return the values of parameters."""
         return parameters_of(link, timeout=self.timeout).values(node, names)
@@ -78,6 +87,12 @@ class RosParameters(RestoredSettings):
     def _checked(self, node: str, values: object) -> dict[str, ParameterValue]:
         if not isinstance(values, Mapping) or not values or not all(isinstance(name, str) and name for name in values):
             raise PluginError(f"the parameters of {node!r} are {values!r}", where=self.name, fix=_FIX)
+        for name, value in values.items():
+            if isinstance(value, Mapping):
+                inner = next(iter(value), "...")
+                problem = f"{name} of {node!r} is {value!r}"
+                fix = f"Write the whole name of each: '{name}.{inner}' (in ROS 1 '{name}/{inner}')."
+                raise PluginError(problem, where=self.name, fix=fix)
         try:
             if node != "/":
                 full_name(self.namespace, node)

@@ -13,7 +13,8 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.plugin import Profiler
 from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.quality import write_quality, write_samples
+from robot_runner.core.sampling.live_samples import LiveSamples
+from robot_runner.core.sampling.quality import Column, write_quality, write_samples
 from robot_runner.ros.topic_statistics import (
     DROPPED,
     HeaderReader,
@@ -26,7 +27,7 @@ from robot_runner.ros.topic_statistics import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
     from robot_runner.core.plugin import Circumstances
 
@@ -89,6 +90,7 @@ class RosTopics(Profiler):
         self._labels = labels
         self._received: dict[str, ReceivedTopic] = {}
         self._subscriptions: list[Subscription] = []
+        self._live: list[LiveSamples] = []
         self._is_measuring = False
         self._is_simulated = False
         self._begun_at = 0.0
@@ -107,7 +109,7 @@ class RosTopics(Profiler):
         """Subscribe, so that publishers and subscriptions have found each other when the measurement starts."""
         self._sampled, self._is_measuring = None, False
         self._received = {topic: ReceivedTopic(self._labels[topic], rate) for topic, rate in self.topics.items()}
-        self._subscriptions = []
+        self._subscriptions, self._live = [], []
         link = connect_robot(context, namespace=self.namespace)
         namespace = robot_namespace(context, self.namespace)
         self._is_simulated = is_simulation(link, namespace)
@@ -118,7 +120,7 @@ class RosTopics(Profiler):
                     topic
                 ].problem = f"the topic is not published within {self.patience:g} s of the run's start"
             else:
-                self._subscribe(link, topic, typed.message_type, context.clock)
+                self._subscribe(link, topic, typed.message_type, context)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to count."""
@@ -139,6 +141,8 @@ class RosTopics(Profiler):
         if self._sampled is not None:
             for received in self._received.values():
                 write_samples(context.raw_data_folder / f"{received.label}.csv", received.columns())
+        for live in self._live:
+            live.close()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no value for a topic of which nothing was received."""
@@ -155,13 +159,16 @@ class RosTopics(Profiler):
         """Return what was received in the mission; topics of which nothing was are left out."""
         return [within for received in self._received.values() if (within := received.over(window)).times]
 
-    def _subscribe(self, link: RobotLink, topic: str, message_type: str, clock: Clock) -> None:
-        received = self._received[topic]
+    def _subscribe(self, link: RobotLink, topic: str, message_type: str, context: RobotRunnerContext) -> None:
+        received, clock = self._received[topic], context.clock
         header = HeaderReader(link.definition(message_type), link.encoding)
+        live = LiveSamples(context.raw_data_folder / f"{received.label}.csv")
+        self._live.append(live)
 
         def receive(message: RawMessage) -> None:
             if self._is_measuring:
                 received.take(clock.now(), message, header)
+                live.show(lambda: [Column("time_s", [clock.now()]), Column("rate_Hz", [received.recent_rate])])
 
         self._subscriptions.append(link.subscribe_raw(topic, message_type, receive))
 

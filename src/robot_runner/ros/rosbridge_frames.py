@@ -7,12 +7,14 @@ import binascii
 import json
 import math
 import socket
+import ssl
 import struct
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.ros.rosbridge_security import secure_socket, speaks_tls
 from robot_runner.ros.shapes import BYTE_KINDS, Field, Shape
 
 if TYPE_CHECKING:
@@ -223,10 +225,15 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
     from websockets import exceptions  # noqa: PLC0415  # an extra, only where it is asked for
     from websockets.sync.client import connect as open_connection  # noqa: PLC0415
 
+    security = address.security
     try:
+        # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
+        secure = secure_socket(address.host, address.port, security, timeout, where=where) if security.is_tls else None
         return closing.enter_context(
             open_connection(
-                address.uri,
+                address.uri.replace("wss://", "ws://", 1),
+                sock=secure,
+                additional_headers=security.headers(),
                 open_timeout=timeout,
                 close_timeout=_CLOSE_TIMEOUT,
                 ping_interval=_PING_INTERVAL,
@@ -243,13 +250,48 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
     except TimeoutError as error:
         fix = "Look whether the robot is on and in this network, and whether a firewall drops the port."
         raise LinkError(f"nothing answers there within {timeout:g} s", where=where, fix=fix) from error
+    except ssl.SSLError as error:
+        raise _no_rosbridge(error, address, where) from error
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         fix = "Start it on the robot: roslaunch (ROS 2: ros2 launch) rosbridge_server, or correct the address."
         raise LinkError(f"the rosbridge cannot be reached: {reason}", where=where, fix=fix) from error
-    except (exceptions.InvalidHandshake, exceptions.InvalidURI, EOFError) as error:
-        fix = "Name the port of the rosbridge server: 9090, if not started elsewhere."
-        raise LinkError(f"what listens there is not a rosbridge: {error}", where=where, fix=fix) from error
+    except exceptions.InvalidStatus as error:
+        raise _refusal(error.response.status_code, address, where) from error
+    except (exceptions.InvalidHandshake, exceptions.InvalidURI, exceptions.ConnectionClosed, EOFError) as error:
+        raise _no_rosbridge(error, address, where) from error
+
+
+#: What HTTP servers and proxies answer to who may not enter (RFC 9110).
+_UNAUTHORISED, _FORBIDDEN = 401, 403
+#: How long a server that does not answer as one may take to show that it speaks TLS, s.
+_TLS_SECONDS = 1.0
+
+
+def _refusal(status: int, address: RosbridgeAddress, where: str) -> LinkError:
+    if status not in {_UNAUTHORISED, _FORBIDDEN}:
+        fix = "Name the port and the path of the rosbridge server: 9090, if not started elsewhere."
+        return LinkError(f"what listens there is not a rosbridge: it answers HTTP {status}", where=where, fix=fix)
+    if address.security.sends_secrets:
+        fix = "Look at the variable or the file that the address names, and at the proxy's log."
+        return LinkError(f"the server refuses our credentials (HTTP {status})", where=where, fix=fix)
+    fix = "Name where they are: ?user=NAME&password_env=VARIABLE, or ?token_env=VARIABLE."
+    return LinkError(f"the server asks for credentials (HTTP {status})", where=where, fix=fix)
+
+
+def _no_rosbridge(error: Exception, address: RosbridgeAddress, where: str) -> LinkError:
+    if not address.security.is_tls and speaks_tls(address.host, address.port, _TLS_SECONDS):
+        fix = f"Write rosbridge+tls://{address.host}:{address.port}."
+        return LinkError("the server speaks TLS, and the address is one without", where=where, fix=fix)
+    hung_up = any(isinstance(each, send_errors()) for each in (error, error.__cause__, error.__context__))
+    if address.security.is_tls and hung_up:
+        # With TLS 1.3 a server sees a client's certificate after the handshake, and hangs up without a word of HTTP.
+        given = "and refuses ours" if address.security.cert else "and none is given"
+        fix = "Name one that its authority has signed, with its key: ?cert=me.pem&key=me.key."
+        problem = f"the server hangs up after the TLS handshake, as one does that asks for a certificate {given}"
+        return LinkError(problem, where=where, fix=fix)
+    fix = "Name the port of the rosbridge server: 9090, if not started elsewhere."
+    return LinkError(f"what listens there is not a rosbridge: {error}", where=where, fix=fix)
 
 
 def send_errors() -> tuple[type[Exception], ...]:

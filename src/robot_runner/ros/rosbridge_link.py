@@ -38,9 +38,10 @@ def findings(name: RobotName) -> list[Finding]:
         from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # an extra, only where asked for
 
         TypeCatalogue.of(address.generation or 2, None, address.types)
+        address.security.check()
     except LinkError as error:
         return [error.as_finding()]
-    return [] if _is_this_machine(address.host) else [_readable_by_others(address)]
+    return [] if address.security.is_tls or _is_this_machine(address.host) else [_readable_by_others(address)]
 
 
 def _is_this_machine(host: str) -> bool:
@@ -51,10 +52,14 @@ def _is_this_machine(host: str) -> bool:
 
 
 def _readable_by_others(address: RosbridgeAddress) -> Finding:
+    if address.security.sends_secrets:
+        problem = f"the password or token for {address.uri} would go over the network for everybody to read"
+        return Finding.error("robot", problem, "Reach it by TLS: rosbridge+tls://….")
     problem = (
         f"{address.uri} is neither encrypted nor signed: whoever is in the network can read it, and move the robot"
     )
-    fix = f"Keep the robot in a network of its own, or go through SSH: ssh -L {address.port}:localhost:{address.port}"
+    fix = "Keep the robot in a network of its own, start its server with TLS (rosbridge+tls://…), or go through SSH: "
+    fix += f"ssh -L {address.port}:localhost:{address.port}"
     return Finding.warning("robot", problem, f"{fix} {address.host}, then robot=rosbridge://localhost:{address.port}.")
 
 
@@ -62,7 +67,8 @@ def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLin
     """Connect to a rosbridge and return the link to the robot of this namespace.
 
     Args:
-        url: `rosbridge://host:port`, with `?ros=`, `distro=` and `types=` for what the robot does not tell.
+        url: `rosbridge://host:port`, `rosbridge+tls://` or `wss://`, with `?ros=`, `distro=` and `types=` for what the
+            robot does not tell.
         clock: the run's, by which messages are stamped where it is a simulation's.
         namespace: of the robot.
 

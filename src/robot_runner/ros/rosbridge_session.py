@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import logging
 import queue
+import socket
 import threading
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -64,6 +65,8 @@ class Session:
     Attributes:
         on_message: called, in the thread that receives, with a topic's name and one of its messages.
         on_request: called, in the same thread, with an operation that calls a service that is offered here.
+        on_action: called, in the same thread, with an operation about a goal of an action.
+        on_lost: called once with the error that the connection is lost.
 
     Raises:
         LinkError: it cannot be reached, or is no rosbridge.
@@ -73,6 +76,8 @@ class Session:
         self.where = f"rosbridge at {address.host}:{address.port}"
         self.on_message: Callable[[str, Any], None] = lambda _topic, _message: None
         self.on_request: Callable[[Mapping[str, Any]], None] = lambda _operation: None
+        self.on_action: Callable[[Mapping[str, Any]], None] = lambda _operation: None
+        self.on_lost: Callable[[LinkError], None] = lambda _error: None
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._pending: dict[str, _Pending] = {}
@@ -90,6 +95,7 @@ class Session:
         ]
         for thread in self._threads:
             thread.start()
+        self._authenticate(address)
         self._greet()
 
     @property
@@ -134,8 +140,7 @@ class Session:
         name = operation.get("id") or self.fresh_id(operation["op"])
         self.send({**operation, "id": name})
         self.flush(where=where)
-        with self._lock:
-            complaint = self._complaints.pop(name, None)
+        complaint = self.complaint(name)
         if complaint is not None:
             raise LinkError(f"the rosbridge refuses it: {complaint}", where=where, fix="Correct what it says.")
 
@@ -194,6 +199,11 @@ class Session:
             return
         self._todo.put((todo, size))
 
+    def complaint(self, name: str) -> str | None:
+        """Return what the server has against an operation of this id, if it has sent it."""
+        with self._lock:
+            return self._complaints.pop(name, None)
+
     def fresh_id(self, what: str) -> str:
         """Return a name that no operation of this session has."""
         return f"robot_runner:{what}:{next(self._numbers)}"
@@ -209,6 +219,22 @@ class Session:
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join(ANSWER)
+
+    def _authenticate(self, address: RosbridgeAddress) -> None:
+        """Say who we are by rosauth, where the address names its secret; a server that refuses it hangs up."""
+        operation = address.security.authentication(socket.gethostname(), address.host)
+        if operation is None:
+            return
+        self.send(operation)
+        try:
+            self.flush(where=self.where)
+        except LinkError as error:
+            self.close()
+            raise LinkError(
+                f"the rosbridge does not take our authentication by rosauth: {error.problem}",
+                where=self.where,
+                fix="See that the secret is the one of rosauth's file on the robot, and that both clocks agree to 5 s.",
+            ) from error
 
     def _greet(self) -> None:
         """See that it speaks the protocol."""
@@ -265,6 +291,8 @@ class Session:
                 self._take_response(operation)
             case "call_service":
                 self.on_request(operation)
+            case "action_feedback" | "action_result" | "send_action_goal" | "cancel_action_goal":
+                self.on_action(operation)
             case "status":
                 self._take_status(operation)
             case other:
@@ -299,9 +327,12 @@ class Session:
 
     def _lose(self, reason: str) -> None:
         with self._lock:
-            if self._lost is None and not self._is_closed:
+            is_news = self._lost is None and not self._is_closed
+            if is_news:
                 self._lost = self._loss(reason)
             events = [*self._waiting]
+        if is_news and self._lost is not None:
+            self.on_lost(self._lost)
         for event in events:
             event.set()
 

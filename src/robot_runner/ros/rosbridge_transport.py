@@ -12,15 +12,18 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
+from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.rosapi_parameters import RosapiParameters
+from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
-from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi
+from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, is_hidden
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from robot_runner.core.links.robot import GraphEndpoint, Message
+    from robot_runner.ros.action_calls import ActionDialect
     from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.shapes import Shape
@@ -67,6 +70,11 @@ class RosbridgeTransport:
         except LinkError:
             self._session.close()
             raise
+        self.actions: ActionDialect = (
+            Ros1Actions(self)
+            if self.types.generation == 1
+            else RosbridgeActions(self, self._session, self._rosapi, address)
+        )
         self._session.on_message = self._take_message
         self._session.on_request = self._take_request
 
@@ -110,7 +118,7 @@ class RosbridgeTransport:
         """Call a service and return its response."""
         self._session.check_open(service)
         values = to_protocol(self.types.request(service_type), request)
-        true = self._rosapi.service_type(service)
+        true = None if is_hidden(service) else self._rosapi.service_type(service)
         if true == "":
             raise self._missing(service)
         if true not in {None, service_type}:
@@ -189,7 +197,8 @@ class RosbridgeTransport:
         operation = {"op": "subscribe", "id": request_id, "topic": name, "type": self.types.wire_name(message_type)}
         try:
             self._session.request({**operation, "compression": topic.compression}, where=name)
-            self._rosapi.confirm_subscription(name, message_type)
+            if not is_hidden(name):
+                self._rosapi.confirm_subscription(name, message_type)
         except LinkError:
             del self._topics[name]
             raise

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.rosbridge_session import Reply, Session
 
-__all__ = ["RobotTypes", "Rosapi"]
+__all__ = ["RobotTypes", "Rosapi", "is_hidden"]
 
 #: How long rosapi, which is a node of its own, may take to see what the server has done, and how often it is asked, s.
 _CONFIRMATION, _LOOK = 2.0, 0.02
@@ -28,6 +28,16 @@ _CONFIRMATION, _LOOK = 2.0, 0.02
 #: How the name of a rosbridge server's node begins, whatever its generation.
 _SERVER = "rosbridge"
 _SIGNS = ((1, "/rosbridge_websocket/get_loggers"), (2, "/rosbridge_websocket/list_parameters"))
+
+
+def is_hidden(name: str) -> bool:
+    """Whether a name is one that ROS 2 hides, and that rosapi does not list.
+
+    Example:
+        >>> is_hidden("/navigate_to_pose/_action/status"), is_hidden("/odom")
+        (True, False)
+    """
+    return "/_" in name
 
 
 class Rosapi:
@@ -113,6 +123,18 @@ class Rosapi:
         """Return the type of a service, an empty text where there is none, None where the graph does not tell."""
         answer = self._ask("service_type", {"service": service})
         return plain_type(_text(answer, "type")) if answer.is_good else None
+
+    def action_servers(self) -> list[str]:
+        """Return the full names of the actions of ROS 2 that are offered.
+
+        Raises:
+            LinkError: rosapi does not answer.
+        """
+        return list(self._must("action_servers")["action_servers"])
+
+    def action_type(self, action: str) -> str:
+        """Return the type of an action; an empty text where this rosapi is too old to tell it."""
+        return plain_type(_text(self._ask("action_type", {"action": action}), "type"))
 
     def confirm_publisher(self, topic: str, message_type: str) -> None:
         """See that the server publishes a topic; without rosapi it cannot be seen.

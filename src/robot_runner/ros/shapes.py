@@ -109,7 +109,7 @@ def plain_type(name: str) -> str:
         ('geometry_msgs/Twist', 'std_srvs/Trigger')
     """
     parts = name.split("/")
-    return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in {"msg", "srv"} else name  # noqa: PLR2004 - its parts
+    return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in {"msg", "srv", "action"} else name  # noqa: PLR2004 - its parts
 
 
 def completed(shape: Shape, message: Mapping[str, Any], *, where: str) -> dict[str, Any]:

@@ -168,6 +168,8 @@ _FEW = 3
 
 #: So far may a stamp lie in the future, s, before clocks are said to differ: they are never quite one.
 _AHEAD = 0.001
+#: Of so many messages the rate is shown to who watches.
+_RECENT = 20
 
 
 def missed(sequence: Sequence[int]) -> int | None:
@@ -235,6 +237,12 @@ class ReceivedTopic:
         times, sizes, sequence = self.times[first:last], self.sizes[first:last], self.sequence[first:last]
         before = self.sequence[first - 1] if first and self.sequence[first - 1] >= 0 else None
         return replace(self, times=times, sizes=sizes, ages=self.ages[first:last], sequence=sequence, before=before)
+
+    @property
+    def recent_rate(self) -> float | None:
+        """How many messages a second came lately, Hz, for who watches; None of fewer than two."""
+        recent = self.times[-_RECENT:]
+        return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 and recent[-1] > recent[0] else None
 
     @property
     def known_numbers(self) -> list[int]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, nearest
 from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.action_types import is_action_part, whole_action
 from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
 from robot_runner.ros.shapes import Field, Shape, UpTo, plain_type
 from robot_runner.ros.type_store import filled_store, service_part, stored_name
@@ -53,7 +54,7 @@ class TypeCatalogue:
         Args:
             generation: of ROS, 1 or 2.
             distro: such as `humble`; None is noetic or jazzy.
-            extra: `.msg` and `.srv` files, or folders that hold some.
+            extra: `.msg`, `.srv` and `.action` files, or folders that hold some.
 
         Raises:
             LinkError: `rosbags` is not installed, there is no such distribution, or a file cannot be used.
@@ -183,14 +184,21 @@ class TypeCatalogue:
         part = stored_name(name, "srv")  # a request or response
         if part in self._store.fielddefs:
             return part
+        if is_action_part(name):
+            raise _unknown(whole_action(name), "action", self._actions())
         raise _unknown(name, "message", [plain_type(known) for known in self._store.fielddefs if "/msg/" in known])
 
     def _known_service(self, name: str, part: str) -> str:
         spelt = service_part(plain_type(name), part)
         if spelt in self._store.fielddefs:
             return spelt
+        if is_action_part(plain_type(name)):
+            raise _unknown(whole_action(plain_type(name)), "action", self._actions())
         services = {plain_type(known).rpartition("_")[0] for known in self._store.fielddefs if "/srv/" in known}
         raise _unknown(name, "service", sorted(services))
+
+    def _actions(self) -> list[str]:
+        return sorted({whole_action(plain_type(known)) for known in self._store.fielddefs if "/action/" in known})
 
 
 @lru_cache(maxsize=8)
@@ -210,7 +218,7 @@ def _serde_error() -> type[Exception]:
 
 def _unknown(name: str, kind: str, known: Sequence[str]) -> LinkError:
     near = nearest(name, known)
-    suffix = "msg" if kind == "message" else "srv"
+    suffix = {"message": "msg", "service": "srv"}.get(kind, kind)
     return LinkError(
         f"there is no {kind} type {name!r}",
         where=name,

@@ -6,8 +6,11 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.ros.action_types import action_parts, bundled_definitions, is_action_part
 from robot_runner.ros.message_codec import NodeKind
 from robot_runner.ros.node_services import NODE_TYPES
+from robot_runner.ros.shapes import plain_type
+from robot_runner.ros.simulators.simulator_types import simulator_types
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -30,6 +33,10 @@ STANDARD_SERVICES = MappingProxyType(
     }
 )
 
+#: Whose types are meant where no distribution is named.
+_LATEST = "jazzy"
+_FOLDERS = ("msg", "srv", "action")
+_SUFFIXES = tuple(f".{folder}" for folder in _FOLDERS)
 _SEPARATOR = "---"
 #: What ROS 2 has in place of the fields of a type that has none, such as one of constants only.
 _PLACEHOLDER = "structure_needs_at_least_one_member"
@@ -41,8 +48,8 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
     Args:
         generation: of ROS, 1 or 2.
         distro: name of the distribution; None is noetic or jazzy.
-        extra: `.msg` and `.srv` files, or folders that are searched for them. A file's package is the folder that its
-            `msg` or `srv` folder stands in, or else the one that it stands in itself.
+        extra: `.msg`, `.srv` and `.action` files, or folders that are searched for them. A file's package is the folder
+            that its `msg`, `srv` or `action` folder stands in, or else the one that it stands in itself.
 
     Raises:
         LinkError: `rosbags` is not installed, there is no such distribution, or a file cannot be used.
@@ -54,9 +61,13 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
         definitions.setdefault(f"{name}.srv", ("the standard services", text))
     for name, text in NODE_TYPES[generation].items():
         definitions.setdefault(name, ("the services of every node", text))
+    for name, text in bundled_definitions(generation, distro or _LATEST).items():
+        definitions.setdefault(name, ("the standard actions", text))
+    for name, text in simulator_types(generation).items():
+        definitions.setdefault(name, ("the services of simulators", text))
     found: dict[str, Any] = {}
     for name, (where, text) in definitions.items():
-        found |= _parsed(rosbags, name, text, where)
+        found |= _parsed(rosbags, name, text, where, generation)
     for name in found.keys() & store.fielddefs.keys():
         _check_same(name, found[name], store, definitions)
     store.register({name: fields for name, fields in found.items() if name not in store.fielddefs})
@@ -70,9 +81,13 @@ def stored_name(name: str, kind: str = "msg") -> str:
     Example:
         >>> stored_name("geometry_msgs/Twist"), stored_name("std_srvs/Trigger", "srv")
         ('geometry_msgs/msg/Twist', 'std_srvs/srv/Trigger')
+        >>> stored_name("nav2_msgs/NavigateToPose_Goal")
+        'nav2_msgs/action/NavigateToPose_Goal'
     """
     parts = name.split("/")
-    return name if len(parts) != 2 else f"{parts[0]}/{kind}/{parts[1]}"  # noqa: PLR2004  # package and name
+    if len(parts) != 2:  # noqa: PLR2004  # package and name
+        return name
+    return f"{parts[0]}/{'action' if is_action_part(name) else kind}/{parts[1]}"
 
 
 def service_part(service_type: str, part: str) -> str:
@@ -97,7 +112,7 @@ def _store_of(rosbags: Any, generation: int, distro: str | None) -> Any:
         _check_distro(distro, ROS1_DISTROS)
         return rosbags.Stores.ROS1_NOETIC
     _check_distro(distro, ROS2_DISTROS)
-    return rosbags.Stores[f"ROS2_{(distro or 'jazzy').upper()}"]
+    return rosbags.Stores[f"ROS2_{(distro or _LATEST).upper()}"]
 
 
 def _check_distro(distro: str | None, known: Sequence[str]) -> None:
@@ -114,36 +129,39 @@ def _definitions(extra: Sequence[Path]) -> dict[str, tuple[str, str]]:
     found: dict[str, tuple[str, str]] = {}
     for path in extra:
         for file in _files(path):
-            package = file.parent.parent if file.parent.name in {"msg", "srv"} else file.parent
+            package = file.parent.parent if file.parent.name in _FOLDERS else file.parent
             try:
                 found[f"{package.resolve().name}/{file.name}"] = (str(file), file.read_text(encoding="utf-8"))
             except (OSError, UnicodeDecodeError) as error:
                 raise LinkError(
                     f"the type definition cannot be read: {error}",
                     where=str(file),
-                    fix="Give a .msg or .srv file that can be read.",
+                    fix="Give a .msg, .srv or .action file that can be read.",
                 ) from error
     return found
 
 
 def _files(path: Path) -> Iterator[Path]:
-    if path.is_file() and path.suffix in {".msg", ".srv"}:
+    if path.is_file() and path.suffix in _SUFFIXES:
         yield path
         return
-    files = sorted(file for suffix in ("msg", "srv") for file in path.rglob(f"*.{suffix}")) if path.is_dir() else []
+    files = sorted(file for suffix in _SUFFIXES for file in path.rglob(f"*{suffix}")) if path.is_dir() else []
     if not files:
         raise LinkError(
-            "there is no .msg or .srv file" if path.exists() else "there is no such file or folder",
+            "there is no .msg, .srv or .action file" if path.exists() else "there is no such file or folder",
             where=str(path),
-            fix="Name a .msg or .srv file, or a folder that holds some.",
+            fix="Name such a file, or a folder that holds some.",
         )
     yield from files
 
 
-def _parsed(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
+def _parsed(rosbags: Any, name: str, text: str, where: str, generation: int) -> dict[str, Any]:
     stem, _, suffix = name.rpartition(".")
     if suffix == "msg":
         return _message(rosbags, stored_name(stem), text, where)
+    if suffix == "action":
+        parts = action_parts(generation, stem, text, where=where)
+        return {name: fields for part in parts for name, fields in _message(rosbags, part, parts[part], where).items()}
     request, separator, response = _halves(text)
     if not separator:
         raise LinkError("a service has no line '---'", where=where, fix="Put '---' between request and response.")
@@ -165,7 +183,7 @@ def _halves(text: str) -> tuple[str, str, str]:
 
 def _message(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
     # The parser resolves names within the package only if its own is spelt with `msg`.
-    spelt = name.replace("/srv/", "/msg/")
+    spelt = name.replace("/srv/", "/msg/").replace("/action/", "/msg/")
     try:
         (fields,) = rosbags.get_types_from_msg(f"{text.strip()}\n", spelt).values()
     except rosbags.TypesysError as error:
@@ -174,7 +192,14 @@ def _message(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
             where=where,
             fix="Mend the definition.",
         ) from error
-    return {name: fields}
+    return {name: (fields[0], [(field, _of_action(kind)) for field, kind in fields[1]])}
+
+
+def _of_action(kind: Any) -> Any:
+    """Spell the name of a field's type as that of an action's part, where it is one: the parser knows messages only."""
+    number, detail = kind
+    is_part = number == NodeKind.TYPE and is_action_part(plain_type(detail))
+    return (number, stored_name(plain_type(detail))) if is_part else kind
 
 
 def _check_references(found: Mapping[str, Any], store: Typestore, definitions: Mapping[str, tuple[str, str]]) -> None:
@@ -191,7 +216,7 @@ def _check_references(found: Mapping[str, Any], store: Typestore, definitions: M
 
 def _file_of(name: str, definitions: Mapping[str, tuple[str, str]]) -> str:
     package, kind, short = name.split("/")
-    stem = short if kind == "msg" else short.rpartition("_")[0]
+    stem = short if kind == "msg" else short.partition("_")[0]
     return definitions.get(f"{package}/{stem}.{kind}", (name, ""))[0]
 
 

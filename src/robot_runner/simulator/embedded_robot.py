@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.robot import RobotLink, RobotName
     from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.simulator.modelled_robot import RobotModel
     from robot_runner.simulator.rooms import Room
     from robot_runner.simulator.simulated_turtlebot3 import Simulation
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
@@ -33,6 +34,9 @@ _MODULES = ("robot_runner.simulator.simulated_link", "robot_runner.simulator.sim
 _SIMULATION = "robot_runner.simulator.simulated_turtlebot3"  # imports MuJoCo
 _REAL_TIME_FACTOR = "real_time_factor"
 _ROOM = "room"
+_MODEL = "model"
+#: The joints of a model's wheels, where their names do not say left and right.
+_WHEELS = ("left", "right")
 
 
 class _EmbeddedRobot:
@@ -121,17 +125,25 @@ class SimulationOptions:
         parameters: what its robots are made of.
         real_time_factor: simulated seconds a real second (1.0: real time); None for as fast as the physics goes.
         room: where they live.
+        model: what they are made of instead of a TurtleBot3; None for those.
     """
 
     parameters: Turtlebot3Parameters
     real_time_factor: float | None
     room: Room
+    model: RobotModel | None = None
 
     def simulation(self, seed: int) -> Simulation:
         """Return a simulation of this kind, at its beginning."""
         from robot_runner.simulator.simulated_turtlebot3 import Simulation  # noqa: PLC0415  # it imports MuJoCo
 
-        return Simulation(seed, parameters=self.parameters, room=self.room, real_time_factor=self.real_time_factor)
+        return Simulation(
+            seed,
+            parameters=self.parameters,
+            room=self.room,
+            model=self.model,
+            real_time_factor=self.real_time_factor,
+        )
 
 
 def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
@@ -150,7 +162,8 @@ def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
 
     kinds: dict[str, type] = {each.name: int if each.type == "int" else float for each in fields(Turtlebot3Parameters)}
     kinds[_REAL_TIME_FACTOR] = float
-    kinds[_ROOM] = Path
+    kinds[_ROOM] = kinds[_MODEL] = Path
+    kinds |= dict.fromkeys(_WHEELS, str)
     values: dict[str, Any] = {}
     for name, text in options.items():
         if name not in kinds:
@@ -166,5 +179,20 @@ def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
     if pace is not None and not 0 < pace < inf:
         problem = f"the simulated robot's {_REAL_TIME_FACTOR} is {pace:g}, which no clock can keep"
         raise LinkError(problem, where=_WHERE, fix="Give 1 for real time, 2 for twice as fast.")
-    room = read_room(values.pop(_ROOM).expanduser()) if _ROOM in values else DEFAULT_ROOM
-    return SimulationOptions(Turtlebot3Parameters(**values), pace, room)
+    room = read_room(values.pop(_ROOM).expanduser()) if _ROOM in values else None
+    model = _model(values, room)
+    return SimulationOptions(Turtlebot3Parameters(**values), pace, room or DEFAULT_ROOM, model)
+
+
+def _model(values: dict[str, Any], room: Room | None) -> RobotModel | None:
+    """Take a model and its wheels out of the options, and read it."""
+    wheels = {side: values.pop(side) for side in _WHEELS if side in values}
+    path = values.pop(_MODEL, None)
+    if path is not None:
+        from robot_runner.simulator.modelled_robot import RobotModel  # noqa: PLC0415  # it imports MuJoCo
+
+        return RobotModel(path.expanduser(), room, **wheels)
+    if wheels:
+        problem = f"{', '.join(wheels)} names the joint of a wheel, and no model is named"
+        raise LinkError(problem, where=_WHERE, fix="Name the MJCF file: model=robot.xml.")
+    return None

@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.connect import SIMULATION_TOPIC
-from robot_runner.core.links.robot import Qos
+from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, RELEASE_SERVICE, RELEASE_TYPE, Watchdog
+from robot_runner.simulator.camera import CAMERA_TOPICS
 from robot_runner.simulator.simulated_devices import MeterTerminal
-from robot_runner.simulator.simulated_turtlebot3 import COMMAND_TOPICS, SERVICES
 
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, RobotLink
+    from robot_runner.simulator.sensors import Listening
     from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
 __all__ = ["GraphRobot", "stamp"]
@@ -27,6 +29,10 @@ _SECOND_NS = 1_000_000_000
 _TRANSFORM_TYPE = "tf2_msgs/TFMessage"
 #: Best effort, as of the robot's own drivers; all else is reliable.
 _QOS = {"scan": Qos.SENSOR_DATA, "imu": Qos.SENSOR_DATA}
+
+_VELOCITY = "cmd_vel"
+_CAMERA_INFO = "sensor_msgs/CameraInfo"
+_STANDSTILL = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
 
 _logger = logging.getLogger(__name__)
 
@@ -48,6 +54,7 @@ class GraphRobot:
         is_clock: whether stamps show the simulation's time; if not, they show this machine's wall clock.
         has_meter: whether its power meter is opened on a terminal.
         has_watchdog: whether it stops once the run that drives it has fallen silent.
+        has_camera: whether its camera's topics are there; pictures are made while somebody subscribes.
 
     Attributes:
         meter: its power meter on a terminal, if it has one.
@@ -66,8 +73,11 @@ class GraphRobot:
         is_clock: bool = False,
         has_meter: bool = False,
         has_watchdog: bool = True,
+        has_camera: bool = False,
     ) -> None:
         self._link = link
+        self._has_camera = has_camera
+        self._pictures: dict[str, Listening] = {}
         self._namespace = namespace
         self._is_clock = is_clock
         self._has_transform = _is_known(link, _TRANSFORM_TYPE)
@@ -84,19 +94,39 @@ class GraphRobot:
                 self._closing.callback(self.meter.close)
             self._offer()
             self._subscribe()
+            if has_camera:
+                self._show_camera()
             self._link.publish(SIMULATION_TOPIC, "std_msgs/String", {"data": "turtlebot3"}, qos=Qos.TRANSIENT_LOCAL)
             undoing.pop_all()
 
     def enter(self, simulation: Simulation) -> None:
         """Be the robot of this simulation from now on; its topics go on."""
         self._listening.close()
+        self._pictures.clear()
         self._clock = simulation.clock
-        self._robot = simulation.turtlebot3(self._namespace)
+        self._robot = simulation.robot(self._namespace)
         for name, topic in self._robot.topics.items():
+            if name in CAMERA_TOPICS:
+                continue
             publish = partial(self._publish, name, topic.message_type, _QOS.get(name, Qos.DEFAULT))
             self._listening.callback(topic.listen(publish).close)
         if self.meter is not None:
             self.meter.enter(simulation)
+
+    def watch_camera(self) -> None:
+        """Have the camera's pictures made while somebody subscribes to them, and no longer."""
+        if not self._has_camera:
+            return
+        for name in CAMERA_TOPICS:
+            topic = self._robot.topics.get(name)
+            if topic is None:
+                continue
+            others = [each for each in self._link.subscribers(full_name(self._namespace, name)) if not each.is_own]
+            if others and name not in self._pictures:
+                publish = partial(self._publish, name, topic.message_type, Qos.SENSOR_DATA)
+                self._pictures[name] = topic.listen(publish)
+            elif not others and name in self._pictures:
+                self._pictures.pop(name).close()
 
     def put_back(self) -> None:
         """Stand still where it stood at the beginning."""
@@ -105,7 +135,7 @@ class GraphRobot:
     def watch(self) -> None:
         """Stop where the run that drives it has fallen silent."""
         if self._watchdog.must_stop(time.monotonic()):
-            self._robot.drive(0.0, 0.0)
+            self._stop()
 
     def close(self) -> None:
         """End all offers and subscriptions; closing twice does nothing."""
@@ -113,20 +143,33 @@ class GraphRobot:
         self._closing.close()
 
     def _offer(self) -> None:
-        for name, service_type in SERVICES.items():
+        for name, service_type in self._robot.services.items():
             self._keep(self._link.offer(name, service_type, partial(self._call, name)))
         self._keep(self._link.offer(RELEASE_SERVICE, RELEASE_TYPE, self._release))
 
     def _subscribe(self) -> None:
-        for topic, message_type in COMMAND_TOPICS.items():
-            self._keep(self._link.subscribe(topic, message_type, self._drive))
+        for topic, message_type in self._robot.command_topics.items():
+            self._keep(self._link.subscribe(topic, message_type, partial(self._command, topic)))
         self._keep(self._link.subscribe(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, self._take_heartbeat))
+
+    def _show_camera(self) -> None:
+        """Publish one picture, so that the topics are seen, and that it is known whether any can be made."""
+        for name in CAMERA_TOPICS:
+            topic = self._robot.topics.get(name)
+            if topic is None:
+                fix = "Give it one: <camera pos=... xyaxes=.../>; or leave --camera out."
+                raise LinkError("the model has no camera", where="the simulated robot", fix=fix)
+            self._publish(name, topic.message_type, Qos.SENSOR_DATA, topic.latest())
 
     def _keep(self, subscription: Any) -> None:
         self._closing.callback(subscription.close)
 
     def _publish(self, name: str, message_type: str, qos: Qos, message: dict[str, Any]) -> None:
         stamped = {**message, "header": {**message["header"], "stamp": self._stamp()}}
+        if (
+            message_type == _CAMERA_INFO and self._link.encoding is Encoding.ROS1
+        ):  # which writes its matrices in capitals
+            stamped |= {each.upper(): stamped.pop(each) for each in "dkrp"}
         self._link.publish(name, message_type, stamped, qos=qos)
         if name == "odom" and self._has_transform:
             self._link.publish("tf", _TRANSFORM_TYPE, {"transforms": [_transform(stamped)]})
@@ -134,11 +177,19 @@ class GraphRobot:
     def _stamp(self) -> dict[str, int]:
         return stamp(self._clock.now_ns if self._is_clock else time.time_ns())
 
-    def _drive(self, message: Message) -> None:
-        speed, rate = float(message["linear"]["x"]), float(message["angular"]["z"])
+    def _command(self, topic: str, message: Message) -> None:
+        is_moving = topic != _VELOCITY or bool(message["linear"]["x"] or message["angular"]["z"])
         with self._lock:
-            self._watchdog.hear_command(is_moving=bool(speed or rate), now=time.monotonic())
-            self._robot.drive(speed, rate)
+            self._watchdog.hear_command(is_moving=is_moving, now=time.monotonic())
+            try:
+                self._robot.command(topic, message)
+            except LinkError as error:  # somebody's mistake on the graph is not the simulation's end
+                _logger.warning("a command was not carried out: %s", error)
+
+    def _stop(self) -> None:
+        """Stop the wheels; joints stay where they were told to go."""
+        if _VELOCITY in self._robot.command_topics:
+            self._robot.command(_VELOCITY, _STANDSTILL)
 
     def _take_heartbeat(self, message: Message) -> None:
         with self._lock:

@@ -14,6 +14,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.simulator.graph_robot import GraphRobot, stamp
+from robot_runner.simulator.modelled_robot import RobotModel
 from robot_runner.simulator.room_file import read_room
 from robot_runner.simulator.rooms import DEFAULT_ROOM
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -32,6 +33,8 @@ __all__ = ["GraphSimulation", "SimulatedPlace", "check_pace", "on_graph"]
 _TICK = 0.01
 #: How far, real s, it may be behind before it gives up to catch up.
 _LONGEST_LAG = 0.25
+#: How often, in ticks, it is asked who looks through the cameras: once a simulated second.
+_CAMERA_TICKS = 100
 _SERVICE_TYPE = "std_srvs/Empty"
 
 
@@ -51,6 +54,7 @@ class GraphSimulation:
         real_time_factor: simulated seconds a real second.
         has_meter: whether each robot's power meter is opened on a terminal.
         has_watchdog: whether a robot stops once the run that drives it has fallen silent.
+        has_camera: whether the topics of the robots' cameras are there; pictures are made while somebody subscribes.
 
     Attributes:
         robots: its robots, by namespace.
@@ -77,6 +81,7 @@ class GraphSimulation:
         real_time_factor: float = 1.0,
         has_meter: bool = False,
         has_watchdog: bool = True,
+        has_camera: bool = False,
     ) -> None:
         self._make = make
         self._seed = seed
@@ -86,6 +91,7 @@ class GraphSimulation:
         self._factor = real_time_factor
         self._lock = threading.RLock()  # callbacks come from threads of the links; the simulation has one at a time
         self._is_reset = False
+        self._ticks = 0
         self._closing = ExitStack()
         self.robots: dict[str, GraphRobot] = {}
         self.lags = 0
@@ -102,6 +108,7 @@ class GraphSimulation:
                     is_clock=is_clock,
                     has_meter=has_meter,
                     has_watchdog=has_watchdog,
+                    has_camera=has_camera,
                 )
                 self.robots[namespace] = robot
                 self._closing.callback(robot.close)
@@ -182,7 +189,10 @@ class GraphSimulation:
         if self._is_clock:
             clock = {"clock": stamp(self._simulation.clock.now_ns)}
             self._link.publish("/clock", "rosgraph_msgs/Clock", clock)
+        self._ticks += 1
         for robot in self.robots.values():
+            if self._ticks % _CAMERA_TICKS == 0:
+                robot.watch_camera()
             if robot.meter is not None:
                 robot.meter.exchange()
 
@@ -208,6 +218,8 @@ class SimulatedPlace:
         is_clock: whether its time is published on `/clock`.
         has_watchdog: whether it stops once the run that drives it has fallen silent.
         room: a file that describes where it lives; None for the usual room.
+        model: an MJCF file that describes it; None for a TurtleBot3.
+        has_camera: whether its camera's topics are there.
 
     Example:
         >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
@@ -221,6 +233,8 @@ class SimulatedPlace:
     is_clock: bool = False
     has_watchdog: bool = True
     room: Path | None = None
+    model: Path | None = None
+    has_camera: bool = False
 
 
 def check_pace(place: SimulatedPlace) -> None:
@@ -255,7 +269,8 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
     if name.link not in GRAPH_LINKS:
         fix = did_you_mean(name.link, GRAPH_LINKS)
         raise LinkError(f"no robot can be put on {name.link!r}", where="the simulated robot", fix=fix)
-    room = DEFAULT_ROOM if place.room is None else read_room(place.room)
+    room = None if place.room is None else read_room(place.room)
+    model = None if place.model is None else RobotModel(place.model, room)
     namespaces = _namespaces(place, room)
     with ExitStack() as closing:
         links = []
@@ -264,12 +279,13 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
             closing.callback(links[-1].close)
         graph = GraphSimulation(
             dict(zip(namespaces, links, strict=True)),
-            lambda seed: Simulation(seed, room=room),
+            lambda seed: Simulation(seed, room=room or DEFAULT_ROOM, model=model),
             seed=place.seed,
             is_clock=place.is_clock,
             real_time_factor=place.real_time_factor,
-            has_meter=True,
+            has_meter=model is None,
             has_watchdog=place.has_watchdog,
+            has_camera=place.has_camera,
         )
         closing.callback(graph.close)
         if place.is_clock:
@@ -277,9 +293,9 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
         yield graph
 
 
-def _namespaces(place: SimulatedPlace, room: Room) -> list[str]:
+def _namespaces(place: SimulatedPlace, room: Room | None) -> list[str]:
     """Return the robots to put on the graph."""
-    if not room.robots:
+    if room is None or not room.robots or place.model is not None:
         return [place.namespace]
     if place.namespace:
         raise LinkError(

@@ -49,6 +49,7 @@ _BODY_MASS_HEIGHT = 0.03  # above the axle; the battery and both boards are low
 _BODY_INERTIA = "0.0022124 0.0021194 0.0020064"  # ROBOTIS' URDF: base_link, principal axes
 _IMU_HEIGHT = 0.045  # above the axle (ROBOTIS' URDF: imu_joint)
 _GROUND_CLEARANCE = 0.01
+_CAMERA_X, _CAMERA_HEIGHT = 0.04, 0.06  # own: before the front of the body, below the scanner; from the axle
 _GRAVITY = 9.81
 
 
@@ -148,7 +149,15 @@ def _body(body: Body, parameters: Turtlebot3Parameters) -> str:
         diaginertia="{_BODY_INERTIA}"/>
       <geom name="{_part(body, "body")}" type="box" pos="{_BODY_X} 0 {height}"
         size="{parameters.body_length / 2} {parameters.body_width / 2} {half_height}"/>
-      <site name="{_part(body, "imu")}" pos="{_BODY_X} 0 {_IMU_HEIGHT}"/>"""
+      <site name="{_part(body, "imu")}" pos="{_BODY_X} 0 {_IMU_HEIGHT}"/>
+      <camera name="{_part(body, "camera")}" pos="{_CAMERA_X} 0 {_CAMERA_HEIGHT}" xyaxes="0 -1 0 0 0 1"
+        fovy="{_vertical_view(parameters)}"/>"""
+
+
+def _vertical_view(parameters: Turtlebot3Parameters) -> float:
+    """Return the camera's angle of view from top to bottom in degrees; the parameter is from side to side."""
+    half = math.tan(math.radians(parameters.camera_view) / 2) * parameters.camera_height / parameters.camera_width
+    return math.degrees(2 * math.atan(half))
 
 
 def _caster(body: Body, parameters: Turtlebot3Parameters) -> str:

@@ -55,6 +55,11 @@ class Physics:
         mujoco.mj_step(self._model, self._data, nstep=_SETTLING_STEPS)
         self._settled = np.array(self._data.qpos)
 
+    @property
+    def parts(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Its model and its state, for pictures."""
+        return self._model, self._data
+
     def ride(self, rider: Rider) -> None:
         """Have a rider note each step from now on."""
         self._riders.append(rider)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import mujoco
 
+from robot_runner.simulator.camera import paint
 from robot_runner.simulator.model import burger_model
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["RobotPicture"]
 
-#: Colours of the floor, walls, body and the rest, red to alpha 0..1: those of the report's pages.
-_FLOOR, _WALL, _BODY, _WHEEL = (0.86, 0.88, 0.91, 1), (0.62, 0.68, 0.75, 1), (0.1, 0.45, 0.85, 1), (0.12, 0.14, 0.17, 1)
 #: From where it is looked at: m away, degrees around and above.
 _DISTANCE, _AZIMUTH, _ELEVATION = 1.1, 140.0, -30.0
 
@@ -39,7 +38,7 @@ class RobotPicture:
         self._model = mujoco.MjModel.from_xml_string(burger_model(parameters, (parameters.wheel_radius,) * 2))
         self._data = mujoco.MjData(self._model)
         self._height = parameters.wheel_radius
-        self._paint()
+        paint(self._model)
         self._renderer = mujoco.Renderer(self._model, height, width)
         self._camera = mujoco.MjvCamera()
         self._camera.distance, self._camera.azimuth, self._camera.elevation = _DISTANCE, _AZIMUTH, _ELEVATION
@@ -51,15 +50,6 @@ class RobotPicture:
         self._camera.lookat[:] = (x, y, 0.1)
         self._renderer.update_scene(self._data, self._camera)
         return _png(self._renderer.render())
-
-    def _paint(self) -> None:
-        self._model.vis.headlight.ambient[:], self._model.vis.headlight.diffuse[:] = (0.45,) * 3, (0.6,) * 3
-        wheel = mujoco.mjtGeom.mjGEOM_ELLIPSOID
-        for place in range(self._model.ngeom):
-            name, kind = self._model.geom(place).name, self._model.geom_type[place]
-            is_wall = kind == mujoco.mjtGeom.mjGEOM_BOX and name != "body"
-            colour = _FLOOR if name == "floor" else _WALL if is_wall else _WHEEL if kind == wheel else _BODY
-            self._model.geom_rgba[place] = colour
 
 
 def _png(pixels: npt.NDArray[np.uint8]) -> bytes:

@@ -14,6 +14,8 @@ from robot_runner.simulator.supply import CELLS
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    import numpy.typing as npt
+
     from robot_runner.simulator.cut_off import ProtectedDrive
     from robot_runner.simulator.drive import DifferentialDrive, OdometryState, WheelOdometry
     from robot_runner.simulator.rooms import Obstacle, Pose
@@ -30,11 +32,13 @@ __all__ = [
     "SensorBoard",
     "battery_state",
     "body_outline",
+    "header",
     "imu",
     "joint_state",
     "laser_scan",
     "odometry",
     "published_topics",
+    "scan_of",
     "seen_by_scanner",
 ]
 
@@ -43,6 +47,8 @@ Message = dict[str, Any]
 
 _SECOND_NS = 1_000_000_000
 _UNKNOWN_COVARIANCE = [0.0] * 36
+
+_WHEEL_JOINTS = ("wheel_left_joint", "wheel_right_joint")
 
 # Constants of sensor_msgs/BatteryState.
 _DISCHARGING = 2
@@ -60,7 +66,7 @@ def odometry(now_ns: int, state: OdometryState) -> Message:
     }
     twist = {"linear": _vector(state.linear, 0.0, 0.0), "angular": _vector(0.0, 0.0, state.angular)}
     return {
-        "header": _header(now_ns, "odom"),
+        "header": header(now_ns, "odom"),
         "child_frame_id": "base_footprint",
         "pose": {"pose": pose, "covariance": list(_UNKNOWN_COVARIANCE)},
         "twist": {"twist": twist, "covariance": list(_UNKNOWN_COVARIANCE)},
@@ -78,7 +84,7 @@ def imu(
 ) -> Message:
     """Return a sensor_msgs/Imu; the deviations become the diagonals of its covariances."""
     return {
-        "header": _header(now_ns, "imu_link"),
+        "header": header(now_ns, "imu_link"),
         "orientation": _quaternion(*orientation),
         "orientation_covariance": _diagonal(0.0),
         "angular_velocity": _vector(*angular_velocity),
@@ -92,7 +98,7 @@ def laser_scan(now_ns: int, *, ranges: list[float], rate: int, nearest: float, f
     """Return a sensor_msgs/LaserScan of a whole turn, counter-clockwise from straight ahead."""
     increment = 2 * math.pi / len(ranges)
     return {
-        "header": _header(now_ns, "base_scan"),
+        "header": header(now_ns, "base_scan"),
         "angle_min": 0.0,
         "angle_max": increment * (len(ranges) - 1),
         "angle_increment": increment,
@@ -120,7 +126,7 @@ def battery_state(
         is_dead: whether it fell below its cut-off voltage.
     """
     return {
-        "header": _header(now_ns, ""),
+        "header": header(now_ns, ""),
         "voltage": voltage,
         "temperature": math.nan,
         "current": -current,
@@ -139,18 +145,21 @@ def battery_state(
     }
 
 
-def joint_state(now_ns: int, *, positions: list[float], velocities: list[float]) -> Message:
-    """Return a sensor_msgs/JointState of the two wheels, left and right."""
+def joint_state(
+    now_ns: int, *, positions: list[float], velocities: list[float], names: Sequence[str] = _WHEEL_JOINTS
+) -> Message:
+    """Return a sensor_msgs/JointState; left out, the joints are the two wheels', left and right."""
     return {
-        "header": _header(now_ns, "base_link"),
-        "name": ["wheel_left_joint", "wheel_right_joint"],
+        "header": header(now_ns, "base_link"),
+        "name": list(names),
         "position": positions,
         "velocity": velocities,
         "effort": [],
     }
 
 
-def _header(now_ns: int, frame: str) -> Message:
+def header(now_ns: int, frame: str) -> Message:
+    """Return a std_msgs/Header."""
     seconds, nanoseconds = divmod(now_ns, _SECOND_NS)
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": frame}
 
@@ -175,23 +184,43 @@ class PublishedTopic:
         message_type: ROS name, such as `nav_msgs/Odometry`.
         rate: messages a second.
         make: makes the message of this moment.
+        prepare: called before the first subscriber is taken; what it raises refuses it.
     """
 
-    def __init__(self, clock: SimulatedClock, message_type: str, rate: int, make: Callable[[], dict[str, Any]]) -> None:
+    def __init__(
+        self,
+        clock: SimulatedClock,
+        message_type: str,
+        rate: int,
+        make: Callable[[], dict[str, Any]],
+        *,
+        prepare: Callable[[], object] = lambda: None,
+    ) -> None:
         self.message_type = message_type
         self._clock = clock
         self._rate = rate
         self._make = make
+        self._prepare = prepare
         self._listeners: dict[Listening, Listener] = {}
         self._ticker: Ticker | None = None
 
     def listen(self, listener: Listener) -> Listening:
         """Have `listener` called with each message while the clock is slept on, until the listening is closed."""
+        self._prepare()
         listening = Listening(self)
         self._listeners[listening] = listener
         if self._ticker is None:
             self._ticker = self._clock.every(self._rate, self._publish)
         return listening
+
+    def latest(self) -> dict[str, Any]:
+        """Return the message of this moment, whether or not anybody subscribes.
+
+        Raises:
+            LinkError: there is none to be had.
+        """
+        self._prepare()
+        return self._make()
 
     def forget(self, listening: Listening) -> None:
         """Call this subscriber no more; a topic without subscribers is no longer computed."""
@@ -222,6 +251,16 @@ RAYS = 360
 _RAY_ANGLES = np.arange(RAYS, dtype=np.float64) * (2 * math.pi / RAYS)
 _SCANNER_X = -0.032  # ROBOTIS' URDF: scan_joint
 _SCANNER_HEIGHT = 0.182  # above the floor (ROBOTIS' URDF: base_joint and scan_joint)
+
+
+def scan_of(
+    true: npt.NDArray[np.float64], noise: npt.NDArray[np.float64], parameters: Turtlebot3Parameters
+) -> list[float]:
+    """Return what a scanner reads of true distances (m): with its noise, and infinite where nothing is in range."""
+    read = true * (1 + parameters.scan_deviation / 100 * noise)
+    is_in_range = (read >= parameters.scan_minimum) & (read <= parameters.scan_maximum)
+    ranges: list[float] = np.where(is_in_range, read, np.inf).tolist()
+    return ranges
 
 
 def seen_by_scanner(obstacles: Sequence[Obstacle]) -> tuple[Obstacle, ...]:
@@ -277,11 +316,9 @@ class SensorBoard:
         y = pose.y + _SCANNER_X * math.sin(pose.yaw)
         true = ray_distances(self.surroundings(), x, y, pose.yaw + _RAY_ANGLES)
         noise = self.scan_noise.at(self.clock.step)[0]
-        read = true * (1 + parameters.scan_deviation / 100 * noise)
-        is_in_range = (read >= parameters.scan_minimum) & (read <= parameters.scan_maximum)
         return laser_scan(
             self.clock.now_ns,
-            ranges=np.where(is_in_range, read, np.inf).tolist(),
+            ranges=scan_of(true, noise, parameters),
             rate=parameters.scan_rate,
             nearest=parameters.scan_minimum,
             farthest=parameters.scan_maximum,

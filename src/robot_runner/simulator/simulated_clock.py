@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import heapq
+import threading
 import time
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.joint_missions import sleep_with_others
+from robot_runner.core.events.joint_missions import sleep_by, sleep_with_others
+from robot_runner.core.links.goals import ActionCanceled
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,6 +23,8 @@ STEPS_PER_SECOND = 200
 _SECOND_NS = 1_000_000_000
 #: In real time the simulation is at most this far ahead.
 _PACE_NS = 20_000_000
+#: How long, real s, work that lives by the clock may compute between two sleeps on it.
+_LONGEST_WORK = 60.0
 
 
 def tick_time(number: int, rate: int) -> int:
@@ -62,6 +66,85 @@ class _PeriodTicker(Ticker):
         while (due := self._begun_ns + round(self._number * self._period * _SECOND_NS)) <= now_ns:
             self._number += 1
         return due
+
+
+class _OnceTicker(Ticker):
+    """Something that happens once."""
+
+    def __init__(self, due_ns: int, callback: Callable[[], None]) -> None:
+        super().__init__(1, self._call, now_ns=due_ns)
+        self._due_ns = due_ns
+        self._once = callback
+
+    def due_after(self, now_ns: int) -> int:
+        """Return its one time in ns."""
+        del now_ns
+        return self._due_ns
+
+    def _call(self) -> None:
+        self.close()
+        self._once()
+
+
+class ClockWorker:
+    """A thread that lives by a simulated clock: it runs only while that clock is moved on, and nobody else does then.
+
+    So what is done in it comes at the same simulated time in each execution, whatever the machine is busy with.
+
+    Args:
+        clock: that it may sleep on.
+        work: what it does.
+    """
+
+    def __init__(self, clock: SimulatedClock, work: Callable[[], None]) -> None:
+        self._clock = clock
+        self._work = work
+        self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
+        self._is_over, self._is_stopped = False, False
+        self._thread = threading.Thread(target=self._run, name="simulated work", daemon=True)
+        self._thread.start()
+        clock.after(0.0, self._hand_over)
+
+    def sleep(self, seconds: float) -> None:
+        """Let this many simulated seconds go by; for its own thread.
+
+        Raises:
+            ActionCanceled: it was stopped.
+        """
+        if not self._is_stopped:
+            # At least one nanosecond: time must pass for all others, too.
+            self._clock.after(max(seconds, 1 / _SECOND_NS), self._hand_over)
+            self._back.release()
+            self._go.acquire()
+        if self._is_stopped:
+            raise ActionCanceled("its time does not go on")
+
+    def stop(self) -> None:
+        """Have its sleep raise, and wait until it ends."""
+        self._is_stopped = True
+        if self._thread is not threading.current_thread():
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        if self._is_over:
+            return
+        self._go.release()
+        if not self._back.acquire(timeout=_LONGEST_WORK):
+            raise LinkError(
+                f"what lives by the simulated clock does not come back to it within {_LONGEST_WORK:g} s",
+                where="the simulated clock",
+                fix="Wait on the run's clock in it, and for nothing else.",
+            )
+
+    def _run(self) -> None:
+        sleep_by(self.sleep)
+        self._go.acquire()
+        try:
+            if not self._is_stopped:
+                self._work()
+        finally:
+            self._is_over = True
+            self._back.release()
 
 
 class SimulatedClock:
@@ -133,6 +216,14 @@ class SimulatedClock:
         ticker = _PeriodTicker(period, callback, now_ns=self._now_ns)
         self._schedule(ticker)
         return ticker
+
+    def after(self, seconds: float, callback: Callable[[], None]) -> None:
+        """Have `callback` called once, in so many seconds; where that is zero, as soon as time is to pass."""
+        self._schedule(_OnceTicker(self._now_ns + max(0, round(seconds * _SECOND_NS)), callback))
+
+    def work(self, work: Callable[[], None]) -> ClockWorker:
+        """Begin to do work in a thread that may sleep on this clock, from the next moment that passes."""
+        return ClockWorker(self, work)
 
     def _move_in_pace(self, target_ns: int, factor: float) -> None:
         began, began_ns = time.monotonic(), self._now_ns

@@ -11,8 +11,8 @@ from robot_runner.core.links.robot import Encoding, GraphEndpoint, RawMessage
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
 from robot_runner.ros.shapes import Field, Shape, plain_type
+from robot_runner.simulator.simulated_actions import SimulatedActions
 from robot_runner.simulator.simulated_clock import STEP_NS
-from robot_runner.simulator.simulated_turtlebot3 import COMMAND_TOPICS, SERVICES
 
 if TYPE_CHECKING:
     import threading
@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, Qos
     from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.type_catalogue import TypeCatalogue
-    from robot_runner.simulator.simulated_turtlebot3 import SimulatedTurtlebot3, Simulation
+    from robot_runner.simulator.simulated_turtlebot3 import SimulatedRobot, Simulation
 
 __all__ = ["SimulatedRobotLink", "SimulatedTransport"]
 
 _STEP = STEP_NS / 1e9
+#: The shortest time that a simulated clock knows, s.
+_LEAST = 1e-9
 _NODE = "turtlebot3_node"
 
 # The types that the embedded robot takes and answers with are known without any ROS package.
@@ -102,18 +104,19 @@ class SimulatedTransport:
 
     def __init__(self, simulation: Simulation, namespace: str) -> None:
         self.types = SimulatedTypes()
+        self.actions = SimulatedActions(simulation.clock, simulation.actions, self.types)
         self._simulation = simulation
-        self._robot: SimulatedTurtlebot3 = simulation.turtlebot3(namespace)
+        self._robot: SimulatedRobot = simulation.robot(namespace)
         self._has_started_task = False
-        self._commands: _CommandPublisher | None = None
+        self._commands: dict[str, _CommandPublisher] = {}
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _CommandPublisher:
-        """Return what drives the robot; it receives velocity commands and nothing else."""
+        """Return what commands the robot; it receives its commands and nothing else."""
         del qos
-        name = self._own_name(topic, COMMAND_TOPICS, kind="topic that the robot subscribes")
-        check_type(topic, message_type, [COMMAND_TOPICS[name]])
-        self._commands = self._commands or _CommandPublisher(self._robot)
-        return self._commands
+        known = self._robot.command_topics
+        name = self._own_name(topic, known, kind="topic that the robot subscribes")
+        check_type(topic, message_type, [known[name]])
+        return self._commands.setdefault(name, _CommandPublisher(self._robot, name))
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
@@ -134,8 +137,8 @@ class SimulatedTransport:
             true, answer = offered
             _check_service_type(service, service_type, true)
             return answer(request)
-        name = self._own_name(service, SERVICES, kind="service of the robot")
-        _check_service_type(service, service_type, SERVICES[name])
+        name = self._own_name(service, self._robot.services, kind="service of the robot")
+        _check_service_type(service, service_type, self._robot.services[name])
         response = self._robot.call(name)
         self._has_started_task |= bool(name.endswith("/start") and response["success"])
         return response
@@ -152,15 +155,15 @@ class SimulatedTransport:
         types: dict[str, str] = {}
         for namespace, robot in self._simulation.robots.items():
             types |= {f"{namespace}/{name}": topic.message_type for name, topic in robot.topics.items()}
-            types |= {f"{namespace}/{name}": message_type for name, message_type in COMMAND_TOPICS.items()}
+            types |= {f"{namespace}/{name}": message_type for name, message_type in robot.command_topics.items()}
         return types
 
     def services(self) -> Mapping[str, str]:
         """Return the type of each service of each robot of the simulation, and of what is offered to them."""
         own = {
             f"{namespace}/{name}": service_type
-            for namespace in self._simulation.robots
-            for name, service_type in SERVICES.items()
+            for namespace, robot in self._simulation.robots.items()
+            for name, service_type in robot.services.items()
         }
         return own | {name: service_type for name, (service_type, _) in self._simulation.offers.items()}
 
@@ -174,11 +177,9 @@ class SimulatedTransport:
 
     def subscribers(self, topic: str) -> Sequence[GraphEndpoint]:
         """Return the robot that subscribes a topic."""
-        return self._robots_of(topic, lambda _: COMMAND_TOPICS)
+        return self._robots_of(topic, lambda robot: robot.command_topics)
 
-    def _robots_of(
-        self, topic: str, types_of: Callable[[SimulatedTurtlebot3], Mapping[str, str]]
-    ) -> list[GraphEndpoint]:
+    def _robots_of(self, topic: str, types_of: Callable[[SimulatedRobot], Mapping[str, str]]) -> list[GraphEndpoint]:
         return [
             GraphEndpoint(f"{namespace}/{_NODE}", message_type)
             for namespace, robot in self._simulation.robots.items()
@@ -191,7 +192,8 @@ class SimulatedTransport:
         clock = self._simulation.clock
         deadline = clock.now() + seconds
         while not event.is_set() and clock.now() < deadline:
-            clock.sleep(min(_STEP, deadline - clock.now()))
+            # What is left may round to no time at all, in which nothing would ever come.
+            clock.sleep(max(_LEAST, min(_STEP, deadline - clock.now())))
 
     def close(self) -> None:
         """Stop the robot's task, if one was started here.
@@ -201,8 +203,8 @@ class SimulatedTransport:
         """
         if self._has_started_task:
             self._robot.call("task/stop")
-        if self._commands is not None:
-            self._commands.check_motors()
+        for each in self._commands.values():
+            each.check_motors()
 
     def _own_name(self, given: str, known: Iterable[str], *, kind: str) -> str:
         """Return a name within the robot's namespace."""
@@ -216,20 +218,20 @@ class SimulatedTransport:
 
 
 class _CommandPublisher:
-    """Drives the robot, which keeps to a command until the next, or until its battery is too low."""
+    """Commands the robot, which keeps to a command until the next, or until its battery is too low."""
 
-    def __init__(self, robot: SimulatedTurtlebot3) -> None:
+    def __init__(self, robot: SimulatedRobot, topic: str) -> None:
         self._robot = robot
+        self._topic = topic
         self._is_driving = False
 
     def publish(self, message: Message) -> None:
-        linear, angular = message["linear"]["x"], message["angular"]["z"]
-        if linear or angular:
+        if self._topic != "cmd_vel" or message["linear"]["x"] or message["angular"]["z"]:
             self._is_driving = True
             self.check_motors()
         elif self._robot.cut_off is None:
             self._is_driving = False
-        self._robot.drive(linear, angular)
+        self._robot.command(self._topic, message)
 
     def flush(self, seconds: float) -> None:
         """Do nothing: a command is carried out at once."""

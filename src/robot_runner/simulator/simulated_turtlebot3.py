@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.cut_off import CutOff, ProtectedDrive
 from robot_runner.simulator.drive import DifferentialDrive, WheelOdometry
 from robot_runner.simulator.model import Body
@@ -22,7 +23,13 @@ from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    import mujoco
+
+    from robot_runner.simulator.modelled_robot import ModelledRobot, RobotModel
     from robot_runner.simulator.rooms import Obstacle, Pose, Room
+    from robot_runner.simulator.simulated_actions import SimulatedAction
+
+    SimulatedRobot: TypeAlias = "SimulatedTurtlebot3 | ModelledRobot"
 
 __all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
 
@@ -75,6 +82,7 @@ class SimulatedTurtlebot3:
         namespace: its name in the simulation: empty, or `/alice`.
         parameters: the figures that it is made of.
         topics: the topics that it publishes, by name within its namespace.
+        command_topics, services: those that it subscribes and offers, with their types.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -86,6 +94,9 @@ class SimulatedTurtlebot3:
         (1.0, True)
         >>> simulation.close()
     """
+
+    command_topics: Mapping[str, str] = MappingProxyType(COMMAND_TOPICS)
+    services: Mapping[str, str] = MappingProxyType(SERVICES)
 
     def __init__(
         self, namespace: str, clock: SimulatedClock, seed: int, parameters: Turtlebot3Parameters, world: _World
@@ -115,7 +126,8 @@ class SimulatedTurtlebot3:
             streams.numbered("imu", width=6),
             streams.numbered("scan", width=RAYS),
         )
-        self.topics = published_topics(board)
+        camera = Camera(partial(self._seen, world.physics), world.numbers[namespace], parameters, is_painted=True)
+        self.topics = published_topics(board) | camera_topics(clock, camera, parameters.camera_rate)
 
     @property
     def pose(self) -> Pose:
@@ -151,6 +163,11 @@ class SimulatedTurtlebot3:
         self._powered.reach(self._clock.step)
         self._powered.command(linear, angular)
 
+    def command(self, topic: str, message: Mapping[str, Any]) -> None:
+        """Carry out a message of one of its `command_topics`."""
+        del topic  # there is one
+        self.drive(float(message["linear"]["x"]), float(message["angular"]["z"]))
+
     def put_back(self) -> None:
         """Stand where it stood at the beginning, with its odometry at zero; its battery and its task go on."""
         self._powered.reach(self._clock.step)
@@ -184,6 +201,10 @@ class SimulatedTurtlebot3:
         # What changes now shows from the next step on: this one's power may have been read already.
         return self._clock.step + 1
 
+    def _seen(self, physics: Physics) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        self._powered.reach(self._clock.step)
+        return physics.parts
+
     def _start(self, task: Task) -> dict[str, bool | str]:
         if self._tasks.start(task, step=self._next_step):
             return {"success": True, "message": f"{task.value} started"}
@@ -216,8 +237,10 @@ class Simulation:
         clock: moves on only while it is slept on.
         parameters: what its robots are made of.
         room: where they live.
+        model: what its robots are made of instead of a TurtleBot3; None for those.
         real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
         offers: the services that others than the robots offer, by full name: their types and what answers.
+        actions: the actions that are offered, by full name.
 
     Example:
         >>> simulation = Simulation(seed=1)
@@ -232,22 +255,40 @@ class Simulation:
         *,
         parameters: Turtlebot3Parameters | None = None,
         room: Room = DEFAULT_ROOM,
+        model: RobotModel | None = None,
         real_time_factor: float | None = None,
     ) -> None:
         self.clock = SimulatedClock(real_time_factor)
         self.parameters = parameters or Turtlebot3Parameters()
         self.room = room
+        self.model = model
         self._seed = seed
         self.offers: dict[str, tuple[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]] = {}
-        self._robots: dict[str, SimulatedTurtlebot3] = {}
+        self.actions: dict[str, SimulatedAction] = {}
+        self._robots: dict[str, SimulatedRobot] = {}
         self._is_closed = False
 
     @property
-    def robots(self) -> Mapping[str, SimulatedTurtlebot3]:
+    def robots(self) -> Mapping[str, SimulatedRobot]:
         """The robots that were asked for so far, by namespace: empty, or `/alice`."""
         return MappingProxyType(self._robots)
 
     def turtlebot3(self, namespace: str = "") -> SimulatedTurtlebot3:
+        """Return the TurtleBot3 of this namespace, as `robot` does.
+
+        Raises:
+            LinkError: as `robot`, or the simulation's robots are no TurtleBot3.
+        """
+        found = self.robot(namespace)
+        if isinstance(found, SimulatedTurtlebot3):
+            return found
+        raise LinkError(
+            f"the simulated robot is that of {found.path.name}, which has no power meter and no on-board computer",
+            where=f"robot {namespace!r}",
+            fix="Leave out what measures its power or its computer, or leave out model=.",
+        )
+
+    def robot(self, namespace: str = "") -> SimulatedRobot:
         """Return the robot of this namespace, which is made when it is first asked for.
 
         Raises:
@@ -263,17 +304,23 @@ class Simulation:
         full = f"/{name}" if name else ""
         if full not in self._robots:
             self._check_room(full)
-            self._make(tuple(self.room.robots) if self.room.is_shared else (full,))
+            self._make(tuple(self.room.robots) if self.room.is_shared and self.model is None else (full,))
         return self._robots[full]
 
     def _make(self, namespaces: Sequence[str]) -> None:
         """Make the robots of one world."""
+        if self.model is not None:
+            from robot_runner.simulator.modelled_robot import ModelledRobot  # noqa: PLC0415  # only where asked for
+
+            made = ModelledRobot(namespaces[0], self.clock, self._seed, self.parameters, self.model)
+            self._robots[namespaces[0]] = made
+            return
         world = _World(self.room, self.parameters, self._seed, namespaces)
         for each in namespaces:
             self._robots[each] = SimulatedTurtlebot3(each, self.clock, self._seed, self.parameters, world)
 
     def _check_room(self, namespace: str) -> None:
-        declared = self.room.robots
+        declared = () if self.model is not None else self.room.robots
         if declared and namespace not in declared:
             raise LinkError(
                 f"no robot {namespace or '/'!r} starts in the room",

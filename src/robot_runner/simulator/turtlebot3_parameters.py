@@ -23,9 +23,16 @@ _MAY_BE_ZERO = (
     *("_deviation", "cpu_", "memory_", "initial_charge", "rolling_resistance"),
     *("activation_energy", "cold_loss", "cut_off_voltage"),
 )
-#: What may be negative, with its least and its largest value: a slope that rises by as much as it is long, and the
-#: temperatures at which lithium-polymer batteries can be discharged at all.
-_BOUNDS = {"floor_slope": (-100.0, 100.0), "battery_temperature": (-30.0, 60.0)}
+#: What has a largest value, or may be negative: a slope that rises by as much as it is long, the temperatures at which
+#: lithium-polymer batteries can be discharged at all, and pictures that a laptop renders without a graphics card.
+_BOUNDS = {
+    "floor_slope": (-100.0, 100.0),
+    "battery_temperature": (-30.0, 60.0),
+    "camera_rate": (1, 30),
+    "camera_width": (16, 1280),
+    "camera_height": (16, 960),
+    "camera_view": (10.0, 150.0),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,6 +136,10 @@ class Turtlebot3Parameters:
     scan_minimum: float = 0.12
     scan_maximum: float = 3.5
     scan_deviation: float = 1.2
+    camera_rate: int = 5
+    camera_width: int = 320
+    camera_height: int = 240
+    camera_view: float = 62.2
 
     def __post_init__(self) -> None:
         for parameter in fields(self):

@@ -62,7 +62,7 @@ class Subject(System):
     measures: Sequence[Measure] = (Measure("StartupTime", "s", "From its start until it was ready, in real time."),)
     needs: ClassVar[str] = "The program; on another computer Python 3.6 and a key for ssh."
     bytes_per_run: int = 100_000
-    starts_nodes: ClassVar[bool] = True
+    starts_nodes: bool = True
 
     def __init__(  # noqa: PLR0913 - keywords of a user's config
         self,

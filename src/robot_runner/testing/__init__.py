@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.host import UtilisationSample as UtilisationSample
     from robot_runner.core.links.serial_line import Chunk as Chunk
     from robot_runner.testing.condition_contract import ConditionContract as ConditionContract
+    from robot_runner.testing.fake_actions import FakeAction as FakeAction
     from robot_runner.testing.fake_devices import FakeHostLink as FakeHostLink
     from robot_runner.testing.fake_devices import FakeSerialLine as FakeSerialLine
     from robot_runner.testing.fake_robot import FakeRobotLink as FakeRobotLink

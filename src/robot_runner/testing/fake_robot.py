@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.errors import GoalRejectedError, LinkError, did_you_mean
+from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos, RawMessage
-from robot_runner.ros.graph_link import FirstMessage
+from robot_runner.ros.action_calls import missing_action
+from robot_runner.ros.first_message import FirstMessage
 from robot_runner.ros.graph_links import full_name
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_of
+from robot_runner.testing.fake_actions import FakeAction, FakeGoal
 
 if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import Message
+    from robot_runner.core.links.robot import GoalExecution, Message
     from robot_runner.ros.type_catalogue import TypeCatalogue
 
 __all__ = ["Answer", "FakeRobotLink", "Publication", "ServiceCall"]
@@ -66,18 +70,18 @@ class _Subscription:
 
 
 class _Offer:
-    """A service that is offered to the fake link, until it is closed."""
+    """A service or action that is offered to the fake link, until it is closed."""
 
-    def __init__(self, services: dict[str, Answer], service: str) -> None:
-        self._services = services
-        self._service = service
+    def __init__(self, offered: dict[str, Any], name: str) -> None:
+        self._offered = offered
+        self._name = name
         self._is_closed = False
 
     def close(self) -> None:
         """Offer it no more; closing twice does nothing."""
         if not self._is_closed:
             self._is_closed = True
-            del self._services[self._service]
+            del self._offered[self._name]
 
 
 class FakeRobotLink:
@@ -88,6 +92,7 @@ class FakeRobotLink:
     Attributes:
         publications: what was published, oldest first.
         calls: the services that were called, oldest first.
+        goals: the goals that were sent, oldest first.
         is_closed: whether it was closed.
         fault: raised by whatever is asked of the link, once it is set.
         known_topics: what others publish or subscribe on the graph, by name, with their types.
@@ -105,10 +110,16 @@ class FakeRobotLink:
     """
 
     def __init__(
-        self, clock: Clock, *, services: Mapping[str, Answer] | None = None, is_simulated: bool = False
+        self,
+        clock: Clock,
+        *,
+        services: Mapping[str, Answer] | None = None,
+        actions: Mapping[str, FakeAction] | None = None,
+        is_simulated: bool = False,
     ) -> None:
         self.publications: list[Publication] = []
         self.calls: list[ServiceCall] = []
+        self.goals: list[FakeGoal] = []
         self.is_closed = False
         self.fault: LinkError | None = None
         self._clock = clock
@@ -116,6 +127,9 @@ class FakeRobotLink:
         self.known_publishers: dict[str, list[GraphEndpoint]] = {}
         self.known_subscribers: dict[str, list[GraphEndpoint]] = {}
         self._services = dict(services or {})
+        self._actions = dict(actions or {})
+        self._executes: dict[str, Callable[[GoalExecution], Message]] = {}
+        self._accepts: dict[str, Callable[[Message], bool] | None] = {}
         self._service_types: dict[str, str] = {}
         self._is_simulated = is_simulated
         self._advertised: dict[str, str] = {}
@@ -258,6 +272,58 @@ class FakeRobotLink:
         self._service_types[service] = service_type
         return _Offer(self._services, service)
 
+    def send_goal(
+        self,
+        action: str,
+        action_type: str,
+        goal: Message | None = None,
+        *,
+        on_feedback: Callable[[Message], None] | None = None,
+        timeout: float = 5.0,
+    ) -> FakeGoal:
+        """Record the goal, which goes on as scripted.
+
+        Raises:
+            LinkError: the action was not scripted, has another type or rejects the goal, the link was closed, or the
+                fault that was set.
+        """
+        del timeout
+        self._check()
+        script = self._actions.get(action)
+        if script is None or script.action_type not in {_ANY_TYPE, action_type}:
+            raise missing_action(action, action_type, {name: each.action_type for name, each in self._actions.items()})
+        accept = self._accepts.get(action)
+        if script.status is GoalStatus.REJECTED or not (accept is None or accept(goal or {})):
+            raise GoalRejectedError("the action server rejects the goal", where=action, fix="Send another.")
+        sent = action, action_type, goal or {}
+        self.goals.append(FakeGoal(self._clock, script, sent, on_feedback, self._executes.get(action)))
+        return self.goals[-1]
+
+    def offer_action(
+        self,
+        action: str,
+        action_type: str,
+        execute: Callable[[GoalExecution], Message],
+        *,
+        accept: Callable[[Message], bool] | None = None,
+    ) -> _Offer:
+        """Have goals executed by a function, at once, where they are first waited for, until the offer is closed.
+
+        Raises:
+            LinkError: there is such an action, the link was closed, or the fault that was set.
+        """
+        self._check()
+        if action in self._actions:
+            raise LinkError(f"there is an action {action!r} already", where=_WHERE, fix="Choose another name.")
+        self._actions[action] = FakeAction(action_type=action_type)
+        self._executes[action], self._accepts[action] = execute, accept
+        return _Offer(self._actions, action)
+
+    def actions(self) -> dict[str, str]:
+        """Return the types of the actions; `*` where a test scripted one without."""
+        self._check()
+        return {full_name("", name): script.action_type for name, script in self._actions.items()}
+
     def topics(self) -> dict[str, str]:
         """Return the types of what is published and subscribed here, and of what the test says is there."""
         self._check()
@@ -308,7 +374,11 @@ class FakeRobotLink:
         return _standard_types().definition(message_type)
 
     def close(self) -> None:
-        """End all subscriptions; closing twice does nothing."""
+        """Cancel the goals that are not over and end all subscriptions; closing twice does nothing."""
+        if not self.is_closed:
+            for goal in self.goals:
+                with suppress(LinkError):
+                    goal.cancel()
         self.is_closed = True
         self._subscriptions.clear()
 

@@ -18,7 +18,8 @@ from robot_runner.core.links.robot import Advertiser, Encoding, Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
 from robot_runner.testing.fake_run import FakeLinks, make_context
-from robot_runner.testing.link_contract import PATIENCE, RobotLinkContract, punctual_refusal, refusal
+from robot_runner.testing.link_contract import RobotLinkContract
+from robot_runner.testing.link_tries import PATIENCE, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
 
 if TYPE_CHECKING:

@@ -122,12 +122,16 @@ class Graph:
 
     Args:
         types: what messages are made of.
+
+    Attributes:
+        action_types: returns the type of each action that is offered; for rosapi.
     """
 
     def __init__(self, types: TypeCatalogue) -> None:
         self.types = types
         self.topics: dict[str, ServedTopic] = {}
         self.services: dict[str, ServedService] = {}
+        self.action_types: Callable[[], Mapping[str, str]] = dict
 
     def advertise(self, name: str, type_name: str, publisher: object, *, is_latched: bool = False) -> None:
         """Take a publisher; raises a `Refusal` where the topic carries another type."""
@@ -254,6 +258,8 @@ class ServedRosapi:
         if self._generation == 1:
             questions |= self._parameter_questions()
         else:
+            questions["action_servers"] = lambda _: {"action_servers": list(self._graph.action_types())}
+            questions["action_type"] = lambda asked: {"type": self._graph.action_types().get(asked["action"], "")}
             questions["get_ros_version"] = lambda _: {"version": self._generation, "distro": self._distro}
         question = questions.get(service.removeprefix("/rosapi/")) if service.startswith("/rosapi/") else None
         if question is None:

@@ -5,6 +5,7 @@ Source: rosbridge v2.0 protocol specification.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import logging
@@ -27,10 +28,12 @@ from robot_runner.testing.rosbridge_graph import (
     received,
     with_typed_arrays,
 )
+from robot_runner.testing.served_actions import ACTION_OPERATIONS, ServedActions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
+    from ssl import SSLContext
 
     from robot_runner.core.links.robot import Message
     from robot_runner.testing.rosbridge_graph import ServedTopic
@@ -56,6 +59,7 @@ class ServedClient:
         self._compressions: dict[str, str] = {}
         self._fragment_sizes: dict[str, int] = {}
         self._open_requests: dict[str, tuple[ServedClient, Any]] = {}
+        self._is_authenticated = False
 
     def serve(self) -> None:
         """Take operations until the connection ends."""
@@ -104,6 +108,10 @@ class ServedClient:
         response = {"op": "service_response", "id": number, "service": service, "values": values, "result": is_good}
         self._send(self._server.spelt(response))
 
+    def send(self, operation: dict[str, Any]) -> None:
+        """Send an operation."""
+        self._send(self._server.spelt(operation))
+
     def _take(self, operation: dict[str, Any]) -> None:
         takers: dict[str, Callable[[dict[str, Any]], None]] = {
             "advertise": self._advertise,
@@ -116,7 +124,16 @@ class ServedClient:
             "unadvertise_service": self._unadvertise_service,
             "service_response": self._pass_on,
             "set_level": lambda _: None,
+            **{name: lambda op: self._server.actions.take(op, self) for name in ACTION_OPERATIONS},
         }
+        if self._server.secret and not self._is_authenticated:
+            # As rosauth: the SHA-512 of the secret and all that the client says, in this order.
+            said = "".join(str(operation.get(name)) for name in ("client", "dest", "rand", "t", "level", "end"))
+            mac = hashlib.sha512((self._server.secret + said).encode()).hexdigest()
+            self._is_authenticated = operation["op"] == "auth" and operation.get("mac") == mac
+            if not self._is_authenticated:
+                self.close()
+            return
         try:
             with self._server.lock:
                 taker = takers.get(operation["op"])
@@ -176,6 +193,7 @@ class ServedClient:
 
     def _leave(self) -> None:
         with self._server.lock:
+            self._server.actions.forget(self)
             self._server.graph.forget(self)
             for caller, number in self._open_requests.values():
                 caller.respond(number, "", "the service's node is gone", is_good=False)
@@ -223,9 +241,13 @@ class RosbridgeServer:
         tells: whether it sends status messages, as the protocol says; today's servers only write them to their log.
         compressions: that it knows; a server sends JSON where it does not know one.
         types: files and folders with message types that the robot has beyond the standard ones.
+        tls: by which it proves who it is; None for a server without TLS.
+        authorization: the HTTP header without which it answers 401; empty for a server that asks for none.
+        secret: by which clients authenticate themselves as rosauth has it, or are hung up on; empty for none.
 
     Attributes:
         graph: topics and services behind it.
+        actions: actions behind it, where it is a bridge to ROS 2.
         lock: to be held while the graph is used.
 
     Example:
@@ -248,6 +270,9 @@ class RosbridgeServer:
         tells: bool = False,
         compressions: Sequence[str] = _ALL,
         types: Sequence[Path] = (),
+        tls: SSLContext | None = None,
+        authorization: str = "",
+        secret: str = "",
     ) -> None:
         from websockets.sync.server import serve  # noqa: PLC0415  # an extra
 
@@ -255,11 +280,24 @@ class RosbridgeServer:
         self.tells = tells
         self.compressions = tuple(compressions)
         self.graph = Graph(TypeCatalogue.of(generation, _DISTROS[generation], tuple(types)))
+        self.actions = ServedActions(self.graph, is_known=generation > 1)
         self.lock = threading.RLock()
         nodes = ["/rosbridge_websocket", *(["/rosapi"] if has_rosapi else [])]
         self._rosapi = ServedRosapi(self.graph, generation, _DISTROS[generation], nodes) if has_rosapi else None
         self._clients: list[ServedClient] = []
-        self._server = serve(self._serve, "127.0.0.1", 0, max_size=None, compression=None, logger=_quiet())
+        self._scheme = "rosbridge" if tls is None else "rosbridge+tls"
+        self.secret = secret
+        self._authorization = authorization
+        self._server = serve(
+            self._serve,
+            "127.0.0.1",
+            0,
+            ssl=tls,
+            process_request=self._judge,
+            max_size=None,
+            compression=None,
+            logger=_quiet(),
+        )
         self._thread = threading.Thread(target=self._server.serve_forever, name="rosbridge server", daemon=True)
         self._thread.start()
 
@@ -271,7 +309,7 @@ class RosbridgeServer:
     @property
     def url(self) -> str:
         """What `robot` is set to, to reach it."""
-        return f"rosbridge://127.0.0.1:{self.port}"
+        return f"{self._scheme}://127.0.0.1:{self.port}"
 
     @property
     def encoding(self) -> Encoding:
@@ -344,6 +382,11 @@ class RosbridgeServer:
 
     def _spelt_type(self, name: str, kind: str) -> str:
         return name if self.generation == 1 else name.replace("/", f"/{kind}/", 1)
+
+    def _judge(self, connection: Any, request: Any) -> Any:
+        if self._authorization in {"", request.headers.get("Authorization")}:
+            return None
+        return connection.respond(401, "who are you?")
 
     def _serve(self, connection: Any) -> None:
         client = ServedClient(self, connection)

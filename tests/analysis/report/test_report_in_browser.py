@@ -208,3 +208,10 @@ def test_a_comparison_opens_as_well(browser, two_tasks, tmp_path):
     assert browser.requests == [page.as_uri()]
     titles = browser.evaluate(f"{VISIBLE.format('h2')}.map(each => each.lastChild.textContent)")
     assert titles == ["In brief", "What is compared", "Differences", "Agreement"]
+
+
+@pytest.mark.parametrize("which", ["demo_page", "sampled_page"])
+def test_axe_finds_nothing_against_a_report(browser, which, request):
+    browser.open(request.getfixturevalue(which))
+    browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
+    assert browser.inaccessible() == []

@@ -34,7 +34,7 @@ def claims(write_config: Callable[..., Path]) -> Callable[..., Any]:
     """Return what gives the claims of a config's first run, and those that it holds against other experiments."""
 
     def of(body: str) -> tuple[dict[str, list[str]], frozenset[str]]:
-        experiment = prepare_or_refuse(write_config(body, head=HEAD))
+        experiment = prepare_or_refuse(write_config(body, head=HEAD), looks_at_graph=False)
         found = Claims(experiment.parameters, experiment.plugins, experiment.events)
         combination = next(iter(experiment.model.plan())).combination
         return found.of(combination), held_claims(found, experiment.model)

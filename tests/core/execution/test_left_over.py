@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.core.execution.left_over import end_left_over, left_over
+from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
@@ -52,3 +54,9 @@ def test_who_only_reads_the_file_of_the_mark_is_no_run_and_is_not_killed(
     assert end_left_over(folder) == [run.pid]
     assert run.wait(10) == -9
     assert backup.poll() is None
+
+
+def test_a_slow_machine_is_no_earlier_execution_that_stood_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = itertools.count(step=0.5)  # between any two looks at the clock
+    monkeypatch.setattr("robot_runner.core.execution.standby.time.monotonic", lambda: next(seconds))
+    assert await_standby(ExperimentFolder(tmp_path)) is None

@@ -55,7 +55,7 @@ class DriveServer:
                     self.cancelled += 1
                     raise ActionCanceled
                 if self.x > self.aborts_at:
-                    raise ActionAborted("no valid path")
+                    raise ActionAborted("no valid path", {"error_code": 208})
                 self.link.publish("cmd_vel", _TWIST, {"linear": {"x": 0.2}})
                 execution.feedback({"distance_remaining": goal - self.x, "number_of_recoveries": 2})
                 self.clock.sleep(0.1)

@@ -31,7 +31,8 @@ class TestActionMission(SystemContract):
     breaking_points = 4
 
     def make_plugin(self) -> ActionMission:
-        return _mission(feedback={"Recoveries": _RECOVERIES}, odometry="odom", scan="scan", stop_topic="cmd_vel")
+        recoveries = Measure("Recoveries", "1", "How often the robot recovered.")
+        return _mission(feedback={recoveries: _RECOVERIES}, odometry="odom", scan="scan", stop_topic="cmd_vel")
 
     def make_context(self, folder: Path, plugin: Any, *, run_seed: int = 1) -> RobotRunnerContext:
         context = super().make_context(folder, plugin, run_seed=run_seed)
@@ -97,13 +98,14 @@ def test_a_goal_that_is_not_reached_fails_the_run_or_is_a_measure(
     offered(context, **server)
     with pytest.raises(LinkError, match=said):
         rehearse(context, failing)
-    measuring = _mission(timeout_s=timeout_s, failure="measure", odometry="odom", result={"Nothing": "result"})
+    measuring = _mission(timeout_s=timeout_s, failure="measure", odometry="odom", result={"ErrorCode": "error_code"})
     context = contexts(measuring)
     offered(context, **server)
     measured = rehearse(context, measuring)
     assert measured["Success"] is False
     assert measured["Outcome"] == outcome
     assert measured["PathLength"] < 0.4
+    assert measured["ErrorCode"] == {"aborted": 208}.get(outcome)
 
 
 def test_a_server_that_is_missing_or_has_another_type_fails_the_run_in_its_deadline(contexts: Any) -> None:

@@ -52,8 +52,11 @@ class GraphCheck:
         for robot in dict.fromkeys(robots):
             if any(finding.is_error for finding in link_findings(robot)):
                 continue  # which is found already
+            needs = _needs(plugins, model, robot, self._failed)
+            if not needs and any(plugin.starts_nodes for plugin in plugins):
+                continue  # of a graph that a run fills itself, nothing can be said before
             try:
-                self._looks[robot] = begin_graph_look(robot, _needs(plugins, model, robot, self._failed))
+                self._looks[robot] = begin_graph_look(robot, needs)
             except LinkError as error:
                 self._failed.append(error.as_finding())
 

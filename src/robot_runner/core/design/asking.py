@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
-from robot_runner.core.design.design import Design
+from robot_runner.core.design.design import CombinationDesign, Design
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
@@ -114,4 +114,5 @@ class AdaptiveDesign(Protocol):
 
 def decides_order(design: object) -> bool:
     """Return whether a design decides on order and blocks, once and for all: neither the model nor results do."""
-    return isinstance(design, Design) and not isinstance(design, AdaptiveDesign)
+    # Designs that choose combinations may have an attribute `runs`, too: their number.
+    return isinstance(design, Design) and not isinstance(design, CombinationDesign | AdaptiveDesign)

@@ -1,4 +1,4 @@
-"""How an experiment grows whose design decides on order and blocks: by what the same design plans for more."""
+"""How an experiment grows that has a design of its own: by what the same design plans for more."""
 
 from __future__ import annotations
 

@@ -18,7 +18,8 @@ from robot_runner.core.design.design import (
 )
 from robot_runner.core.design.design_findings import design_findings, order_findings, size_findings
 from robot_runner.core.design.exclusions import Allowed, apply_exclusions
-from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial, treatment_text
+from robot_runner.core.design.factor import Combination, Factor, full_factorial
+from robot_runner.core.design.grown_choice import Choice, grown_choice
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
@@ -196,13 +197,16 @@ class RunTableModel:
     def combinations_of(self, factors: Sequence[Factor]) -> list[Combination]:
         """Return the combinations of other factors that the design's exclusions leave, in order.
 
-        A design other than the full factorial chose its combinations from the factors of the model, and gives these.
+        A design other than the full factorial chose its combinations from the factors of the model, and gives these,
+        with those that it chooses besides where it can grow.
 
         Raises:
             DesignError: an exclusion does not fit these factors, or the design did not choose from them.
         """
         if not self.is_full_factorial:
-            return self._combinations_in_plan(factors)
+            planned = (run.combination for run in self.plan())
+            choice = Choice(self.design, self.factors, planned, self.repetitions, self.allowed_of)
+            return grown_choice(choice, factors)
         exclusions = _applied(factors, self._exclusions)
         if exclusions is None:
             return full_factorial(factors)
@@ -344,18 +348,6 @@ class RunTableModel:
             DesignError: an exclusion does not fit these factors.
         """
         return Allowed(factors, self._exclusions)
-
-    def _combinations_in_plan(self, factors: Sequence[Factor]) -> list[Combination]:
-        """Return the combinations of the plan, each once; `factors` are the model's, perhaps in another order."""
-        if {factor.name: set(factor.texts) for factor in factors} != {
-            factor.name: set(factor.texts) for factor in self.factors
-        }:
-            problem = "the design chose its combinations from the factors as the config has them"
-            fix = "Add repetitions, or execute an experiment of its own with the other factors."
-            raise DesignError(problem, where="design", fix=fix)
-        places = factor_places(factor.name for factor in factors)
-        found = {tuple(map(treatment_text, run.combination.values())): run.combination for run in self.plan()}
-        return [Combination(places, tuple(each[name] for name in places)) for each in found.values()]
 
     def _block_of(self, blocks: str | None) -> list[int] | None:
         """Return the number of each run's block in the order as written, from 0 without gaps."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock
 
-__all__ = ["JointMission", "SharedClock", "StoppedWithOthers", "execute_together", "sleep_with_others"]
+__all__ = ["JointMission", "SharedClock", "StoppedWithOthers", "execute_together", "sleep_by", "sleep_with_others"]
 
 #: How long a sleeping mission takes to notice that it is to stop, s.
 _NOTICE = 0.05
@@ -76,6 +76,11 @@ def sleep_with_others(seconds: float) -> bool:
     finally:
         _of_thread.sleep = sleep
     return True
+
+
+def sleep_by(sleep: Callable[[float], None]) -> None:
+    """Have this thread sleep by a function of its own wherever it would sleep on the clock of a simulation."""
+    _of_thread.sleep = sleep
 
 
 class SharedClock:
@@ -187,7 +192,7 @@ class _Together(ABC):
         return any(each.error is not None for each in self.ended)
 
     def _carry_out(self, mission: JointMission) -> None:
-        _of_thread.sleep = partial(self.sleep, mission)
+        sleep_by(partial(self.sleep, mission))
         try:
             self._begin(mission)
             mission.work()

@@ -164,18 +164,19 @@ def await_standby(folder: ExperimentFolder) -> Finding | None:
         ExecutionError: it is still there afterwards; that takes another user's process.
     """
     began = time.monotonic()
-    for slot in map(folder.at_slot, folder.used_slots()):
-        _await_at(slot)
-    waited = time.monotonic() - began
-    if waited < _LOOK:
+    # All of them are awaited, whichever stood by.
+    if not any([_await_at(slot) for slot in map(folder.at_slot, folder.used_slots())]):  # noqa: C419
         return None
+    waited = time.monotonic() - began
     problem = f"an earlier execution was killed; its systems were still being made safe, which took {waited:.1f} s"
     return Finding.warning(str(folder.root), problem, "Look where the robot stands.")
 
 
-def _await_at(slot: ExperimentFolder) -> None:
-    began = time.monotonic()
+def _await_at(slot: ExperimentFolder) -> bool:
+    """Wait until nobody stands by at a slot; return whether anybody did."""
+    began, stood_by = time.monotonic(), False
     while (pid := _locked_by(slot)) is not None:
+        stood_by = True
         waited = time.monotonic() - began
         if waited > _LONGEST:
             _kill(pid, slot)
@@ -185,6 +186,7 @@ def _await_at(slot: ExperimentFolder) -> None:
         time.sleep(_LOOK)
     if was_open_to_strangers(slot.standing_by, slot.root):  # as earlier versions made it
         remove(slot.standing_by, slot.root)
+    return stood_by
 
 
 def _kill(pid: int, folder: ExperimentFolder) -> None:

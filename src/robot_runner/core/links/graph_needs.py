@@ -1,9 +1,14 @@
-"""What a plugin needs of the robot's graph, as it declares it: topics, services and actions by name and type."""
+"""What a plugin needs of the robot's graph, as it declares it: topics, services, actions and parameters of nodes."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 __all__ = ["GraphNeed", "GraphPart"]
 
@@ -17,6 +22,8 @@ class GraphPart(StrEnum):
     SUBSCRIBED = "subscribed"
     SERVICE = "service"
     ACTION = "action"
+    #: A node whose parameters can be set to these values.
+    PARAMETERS = "parameters"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +37,7 @@ class GraphNeed:
         is_sole: whether nobody else may publish the topic: of a topic that is published, a second publisher is an
             error; of one that the plugin commands, any other publisher is a warning.
         fix: what to do where it is not there.
+        values: of parameters that are to be set, by their names, as JSON; the name is the node's then.
 
     Example:
         >>> GraphNeed.published("odom", "nav_msgs/Odometry", is_sole=True).types
@@ -41,6 +49,7 @@ class GraphNeed:
     types: tuple[str, ...] = ()
     is_sole: bool = False
     fix: str = ""
+    values: str = ""
 
     @classmethod
     def published(cls, topic: str, *types: str, is_sole: bool = False, fix: str = "") -> GraphNeed:
@@ -61,3 +70,8 @@ class GraphNeed:
     def action(cls, name: str, *types: str, fix: str = "") -> GraphNeed:
         """Need an action server."""
         return cls(GraphPart.ACTION, name, types, fix=fix)
+
+    @classmethod
+    def parameters(cls, node: str, values: Mapping[str, object], *, fix: str = "") -> GraphNeed:
+        """Need a node whose parameters can be set to these values, as JSON holds them; nothing is set by looking."""
+        return cls(GraphPart.PARAMETERS, node, fix=fix, values=json.dumps(values))

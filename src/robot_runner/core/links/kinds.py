@@ -118,7 +118,7 @@ class LooksAtGraph(Protocol):
     def begin_look(self, name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Callable[[], Sequence[Finding]]:
         """Begin to look, in a process of its own, and return what waits for the findings, within a deadline.
 
-        Nothing is moved, called or started by looking.
+        Nothing is moved, changed or started by looking.
 
         Args:
             name: of the robot.

@@ -1,4 +1,4 @@
-"""What a link to a robot can do, whatever stands behind it, and the name of a robot as a config gives it."""
+"""What a link to a robot can do, whatever stands behind it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,24 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.links.goals import ActionAborted, ActionCanceled, ActionResult, GoalStatus
+from robot_runner.core.links.robot_name import RobotName
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 __all__ = [
+    "ActionAborted",
+    "ActionCaller",
+    "ActionCanceled",
+    "ActionOfferer",
+    "ActionResult",
     "Advertiser",
     "Caller",
     "Encoding",
+    "Goal",
+    "GoalExecution",
+    "GoalStatus",
     "GraphEndpoint",
     "GraphListing",
     "Message",
@@ -102,7 +111,7 @@ class GraphEndpoint:
 
 @runtime_checkable
 class Subscription(Protocol):
-    """A subscription, or an offered service, that can be ended."""
+    """A subscription, or an offered service or action, that can be ended."""
 
     def close(self) -> None:
         """End it; closing twice does nothing."""
@@ -208,6 +217,111 @@ class Offerer(Protocol):
         ...
 
 
+class Goal(Protocol):
+    """A goal that an action server accepted, until it is over."""
+
+    @property
+    def status(self) -> GoalStatus:
+        """What the server said last of it."""
+        ...
+
+    def result(self, *, timeout: float) -> ActionResult:
+        """Wait until it is over and return what came of it, in whichever way it ended; `timeout` is in seconds.
+
+        Raises:
+            LinkError: it is not over in time, and goes on; or its server is gone.
+        """
+        ...
+
+    def cancel(self, *, timeout: float = 5.0) -> None:
+        """Ask for its end and wait until it is over; nothing is done where it is over. `timeout` is in seconds.
+
+        Raises:
+            LinkError: the server refuses, or does not end it in time.
+        """
+        ...
+
+
+@runtime_checkable
+class ActionCaller(Protocol):
+    """Sends goals to the action servers of a robot."""
+
+    def send_goal(
+        self,
+        action: str,
+        action_type: str,
+        goal: Message | None = None,
+        *,
+        on_feedback: Callable[[Message], None] | None = None,
+        timeout: float = 5.0,
+    ) -> Goal:
+        """Send a goal and return it once the server has accepted it; a goal that is not over ends with the link.
+
+        Args:
+            action: name of the action.
+            action_type: ROS name, such as `nav2_msgs/NavigateToPose`.
+            goal: fields that are left out take their ROS default.
+            on_feedback: called with the feedback of this goal, as the callbacks of subscriptions are.
+            timeout: how long the server may take to accept it, s.
+
+        Raises:
+            LinkError: there is no such action, it has another type, the server rejects the goal or does not answer in
+                time, or the goal does not follow its definition.
+        """
+        ...
+
+
+class GoalExecution(Protocol):
+    """A goal that is executed by an action that this link offers."""
+
+    @property
+    def goal(self) -> Message:
+        """What is asked for, with every field of its type."""
+        ...
+
+    @property
+    def is_cancel_requested(self) -> bool:
+        """Whether it is to end: raise `ActionCanceled` then."""
+        ...
+
+    def feedback(self, message: Message) -> None:
+        """Tell whoever sent the goal how far it is.
+
+        Raises:
+            LinkError: the message does not follow its definition, or the graph is lost.
+        """
+        ...
+
+
+@runtime_checkable
+class ActionOfferer(Protocol):
+    """Offers actions in the namespace of a robot."""
+
+    def offer_action(
+        self,
+        action: str,
+        action_type: str,
+        execute: Callable[[GoalExecution], Message],
+        *,
+        accept: Callable[[Message], bool] | None = None,
+    ) -> Subscription:
+        """Offer an action until it is closed.
+
+        Args:
+            action: name of the action.
+            action_type: ROS name.
+            execute: carries out a goal, in a thread of its own, and returns the result: the goal succeeded. It raises
+                `ActionAborted` or `ActionCanceled` for the other ends; whatever else it raises aborts the goal and
+                fails the run. On the simulated link the thread runs only while the simulation's clock is slept on, and
+                may sleep on that clock itself.
+            accept: whether a goal is taken; None for all.
+
+        Raises:
+            LinkError: there is no such type, or somebody offers an action of this name already.
+        """
+        ...
+
+
 @runtime_checkable
 class GraphListing(Protocol):
     """Lists what is on the graph."""
@@ -218,6 +332,10 @@ class GraphListing(Protocol):
 
     def services(self) -> Mapping[str, str]:
         """Return the type of each service on the graph, by its full name; empty where the graph does not tell."""
+        ...
+
+    def actions(self) -> Mapping[str, str]:
+        """Return the type of each action that a server offers, by its full name."""
         ...
 
     def nodes(self) -> Sequence[str]:
@@ -234,11 +352,12 @@ class GraphListing(Protocol):
 
 
 @runtime_checkable
-class RobotLink(Publisher, Subscriber, Caller, Offerer, GraphListing, Protocol):
+class RobotLink(Publisher, Subscriber, Caller, Offerer, ActionCaller, ActionOfferer, GraphListing, Protocol):
     """A link to one robot. Names are relative to the robot's namespace unless they begin with `/`.
 
     Message types are ROS names without a generation, such as `geometry_msgs/Twist`. What needs only a part of a link
-    may ask for that part: `Publisher`, `Subscriber`, `Caller`, `Offerer` or `GraphListing`.
+    may ask for that part: `Publisher`, `Subscriber`, `Caller`, `Offerer`, `ActionCaller`, `ActionOfferer` or
+    `GraphListing`.
     """
 
     @property
@@ -260,66 +379,9 @@ class RobotLink(Publisher, Subscriber, Caller, Offerer, GraphListing, Protocol):
         ...
 
     def close(self) -> None:
-        """End all subscriptions and offers and leave; closing twice does nothing.
+        """Cancel the goals that are not over, end all subscriptions and offers, and leave; once.
 
         Raises:
-            LinkError: a robot that was driven could not be told to stand still, or a callback raised.
+            LinkError: a goal or a robot that was driven could not be stopped, or a callback raised.
         """
         ...
-
-
-_WHERE = "robot"
-
-
-@dataclass(frozen=True, slots=True)
-class RobotName:
-    """What `robot` in a config says: `link`, `link:option=value,option=value`, or an address: `link://host:port`.
-
-    Of a link that reaches a whole graph, what stands in the place of an address names one of its robots by its
-    namespace: `ros2://alice`, or with other options `ros2:domain=7,namespace=/alice`.
-
-    Attributes:
-        link: the name of the robot link.
-        options: what is set on it, as written, in that order.
-        address: the whole of an address; None where it is none.
-        namespace: of the robot that is named on a graph; empty where none is.
-
-    Example:
-        >>> RobotName.parse("simulated:task_power_factor=1.1")
-        RobotName(link='simulated', options={'task_power_factor': '1.1'}, address=None)
-    """
-
-    link: str
-    options: Mapping[str, str] = field(default_factory=dict)
-    address: str | None = None
-    namespace: str = field(default="", repr=False)
-
-    @property
-    def on_graph(self) -> RobotName:
-        """The robot of a graph that stands in the place of an address."""
-        return RobotName(self.link, namespace=(self.address or "").partition("://")[2])
-
-    @classmethod
-    def parse(cls, text: str) -> RobotName:
-        """Take a name apart.
-
-        Raises:
-            LinkError: an option has no name or no value, or is given twice.
-        """
-        link, colon, rest = text.partition(":")
-        if rest.startswith("//"):
-            return cls(link.strip(), {}, text.strip())
-        options: dict[str, str] = {}
-        for part in rest.split(",") if colon else ():
-            name, equals, value = (piece.strip() for piece in part.partition("="))
-            if not name or not equals or not value:
-                raise LinkError(
-                    f"{part.strip()!r} in {text!r} sets no option",
-                    where=_WHERE,
-                    fix=f"Write it as in '{link.strip()}:option=value,option=value'.",
-                )
-            if name in options:
-                raise LinkError(f"{text!r} sets {name!r} twice", where=_WHERE, fix="Leave one of them out.")
-            options[name] = value
-        namespace = options.pop("namespace", "")
-        return cls(link.strip(), options, namespace=namespace)

@@ -32,6 +32,7 @@ class _OfRun(_Dated):
 class _AttemptStarted(_OfRun):
     combination: NotRequired[dict[str, str] | None]
     repetition: NotRequired[int | None]
+    slot: NotRequired[int]
 
 
 class _Measure(TypedDict):

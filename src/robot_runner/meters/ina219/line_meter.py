@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.window import Window
 from robot_runner.meters.ina219.doubts import silence
-from robot_runner.meters.ina219.frames import FIRST_SENSOR
-from robot_runner.meters.ina219.registers import evaluate_registers
+from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, SampleFrame
+from robot_runner.meters.ina219.registers import DEFAULT_SHUNT, Calibration, evaluate_registers
 from robot_runner.meters.ina219.sample_stream import SampleStream
 
 if TYPE_CHECKING:
@@ -66,6 +67,8 @@ _POLL = 0.01
 _AFTERMATH = 0.03
 #: How long to wait for it at most, s, where a busy machine hands bytes over late.
 _LONGEST_AFTERMATH = 0.5
+#: What is looked at for the power of this moment: a bridge hands over a few samples at a time, of 16 bytes each.
+_LATEST_CHUNKS, _LATEST_BYTES = 8, 256
 
 
 class SharedLine:
@@ -78,6 +81,7 @@ class SharedLine:
     def __init__(self, line: SerialLine) -> None:
         self._line = line
         self._chunks: list[Chunk] = []
+        self._lock = threading.Lock()  # who watches looks from a thread of its own
 
     @property
     def is_simulated(self) -> bool:
@@ -90,12 +94,22 @@ class SharedLine:
         Raises:
             LinkError: the line was lost, and there is nothing more.
         """
-        try:
-            self._chunks += self._line.drain()
-        except LinkError:
-            if count == len(self._chunks):
-                raise
-        return self._chunks[count:]
+        with self._lock:
+            try:
+                self._chunks += self._line.drain()
+            except LinkError:
+                if count == len(self._chunks):
+                    raise
+            return self._chunks[count:]
+
+    def latest(self) -> bytes:
+        """Return the last bytes that arrived, enough for a few samples.
+
+        Raises:
+            LinkError: the line was lost, and there is nothing more.
+        """
+        self.since(len(self._chunks))
+        return b"".join(chunk.data for chunk in self._chunks[-_LATEST_CHUNKS:])[-_LATEST_BYTES:]
 
     def close(self) -> None:
         """Do nothing."""
@@ -145,6 +159,23 @@ class LineMeter:
             self._clock.sleep(_POLL)
             self._take()
         self._start = self._clock.now()
+
+    def latest_power(self) -> float | None:
+        """Return the power of the last sample that arrived, W, for who watches; None where none is whole.
+
+        It is decoded apart from the others, and may be called from another thread.
+
+        Raises:
+            LinkError: the line was lost.
+        """
+        frames = FrameDecoder().feed(self._line.latest())
+        address = self._stream.address
+        for each in reversed(frames):
+            if isinstance(each, SampleFrame) and each.address == address:
+                said = self._stream.sensing or self._stream.hello
+                calibration = Calibration(self._shunt_ohm or (said.shunt_ohm if said else 0.0) or DEFAULT_SHUNT)
+                return calibration.current(each.shunt_raw) * calibration.voltage(each.bus_raw)
+        return None
 
     def end(self) -> None:
         """Take what arrived; a second call does nothing.

@@ -16,6 +16,9 @@ from robot_runner.core.links.serial_line import found_ports, port_problem
 from robot_runner.core.links.ssh_host import ssh_findings
 from robot_runner.core.plugin import Profiler, probe_window
 from robot_runner.core.sampling.evaluation import publish_measures
+from robot_runner.core.sampling.live_samples import LiveSamples
+from robot_runner.core.sampling.periodic import PeriodicSampler, TickingClock
+from robot_runner.core.sampling.quality import Column
 from robot_runner.meters.ina219.card import CardMeter
 from robot_runner.meters.ina219.frames import FIRST_SENSOR
 from robot_runner.meters.ina219.line_meter import LineMeter, SharedLine
@@ -174,6 +177,8 @@ def _limits(limits: Sequence[float] | None, where: str) -> tuple[float, float] |
 _REMEDY = "Look at the sensor, its cable and samples.csv before you use this run."
 #: What one row of samples.csv takes, and how long a mission is taken to be where it is unknown: the paper's, s.
 _BYTES_PER_ROW, _USUAL_SECONDS = 55, 95
+#: How often the power is shown to who watches, Hz.
+_SHOWN_HZ = 2.0
 
 
 _ENERGY = "Energy drawn over the measured window: the integral of power by the trapezoid rule."
@@ -260,6 +265,8 @@ class Ina219(Profiler):
         self.bytes_per_run = round(rate * _USUAL_SECONDS * _BYTES_PER_ROW)
         self._meter: Meter | None = None
         self._evaluation: Evaluation | None = None
+        self._watcher: PeriodicSampler[float | None] | None = None
+        self._live: LiveSamples | None = None
 
     def claims(self, robot: str | None) -> Iterable[str]:
         """Return what a run needs for itself: the meter; a simulated one belongs to the run."""
@@ -281,6 +288,7 @@ class Ina219(Profiler):
         meter = self._open_meter(context)
         meter.begin()
         self._meter = meter
+        self._show_live(meter, context)
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Take what the line has kept.
@@ -289,6 +297,9 @@ class Ina219(Profiler):
             LinkError: the sensor was lost meanwhile; the samples until then are kept all the same.
         """
         del context
+        watcher, self._watcher = self._watcher, None
+        if watcher is not None:
+            watcher.stop()
         if self._meter is not None:
             self._meter.end()
 
@@ -296,6 +307,22 @@ class Ina219(Profiler):
         """Write the raw samples: later than `stop_measurement`, so that other profilers need not wait for the disk."""
         if self._meter is not None and self._meter.has_samples_at_once:
             self._evaluate(self._meter, context)
+        if self._live is not None:
+            self._live.close()
+
+    def _show_live(self, meter: Meter, context: RobotRunnerContext) -> None:
+        """Show a power now and then to who watches; the samples themselves wait on the line until the end."""
+        clock = context.clock
+        if not isinstance(meter, LineMeter) or isinstance(clock, TickingClock):
+            return  # a simulated mission is over in a moment, and a card or a driver tells at its end
+        live = self._live = LiveSamples(context.raw_data_folder / "samples.csv")
+
+        def show(time: float, power: float | None) -> None:
+            live.show(lambda: [Column("time_s", [time]), Column("power_W", [power])])
+
+        self._watcher = PeriodicSampler(meter.latest_power, rate=_SHOWN_HZ, clock=clock)
+        self._watcher.on_reading = show
+        self._watcher.start()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish energy and mean power; no value where too little was seen.

@@ -2,16 +2,25 @@
 import { $, ask, chips, colours, drawing, element, number, setText } from "./parts.js";
 
 const FIRST = [/^power/i, /^cpu_percent$|^cpu/i, /rate|_hz$/i, /^voltage/i];
-const view = { base: "", flying: null, chosen: null, run: null, version: -1, files: [], names: [], off: null, plots: [], isAsking: false, isDue: false };
+const view = { base: "", flying: null, watched: null, versions: {}, chosen: null, run: null, version: -1, files: [], names: [], off: null, plots: [], isAsking: false, isDue: false };
 
 export function begin(base) {
-  Object.assign(view, { base: base, flying: null, chosen: null, run: null, version: -1, files: [], names: [], off: null });
+  Object.assign(view, { base: base, flying: null, watched: null, versions: {}, chosen: null, run: null, version: -1, files: [], names: [], off: null });
   clear();
 }
 
 export function changed(data) {
-  view.flying = data.run;
-  if (view.chosen === null && (view.run !== data.run || view.version !== data.version)) { view.version = data.version; load(data.run); }
+  view.versions = data.runs;
+  view.flying = view.watched in data.runs ? view.watched : Object.keys(data.runs)[0];
+  const version = data.runs[view.flying];
+  if (view.chosen === null && (view.run !== view.flying || view.version !== version)) { view.version = version; load(view.flying); }
+}
+
+// Of several runs in flight, follow this one; null is the first.
+export function watch(run) {
+  if (run === view.watched) { return; }
+  view.watched = run;
+  if (run !== null) { view.chosen = null; changed({ runs: view.versions }); }
 }
 
 export function choose(run) {

@@ -13,7 +13,7 @@ const EVENTS = {
   before_run: "is being prepared", start_run: "starts", start_measurement: "measurement begins", launch_mission: "on its mission",
   stop_measurement: "measurement ends", stop_run: "stops", populate_run_data: "values are computed", continue: "over", null: "is about to start",
 };
-const shown = { id: null, about: null, state: null, means: null, factor: 0, measure: 0, asked: "", arrived: 0 };
+const shown = { id: null, about: null, state: null, means: null, factor: 0, measure: 0, asked: "", arrived: 0, logs: {}, watched: null };
 
 export function word(name) {
   const [text, kind] = WORDS[name] || [name, "quiet"];
@@ -21,7 +21,7 @@ export function word(name) {
 }
 
 export function begin(id, about) {
-  Object.assign(shown, { id: id, about: about, state: null, means: null, factor: 0, measure: 0, asked: "" });
+  Object.assign(shown, { id: id, about: about, state: null, means: null, factor: 0, measure: 0, asked: "", logs: {}, watched: null });
   for (const part of ["ask", "flights", "curves", "way", "means", "table", "findings", "log"]) { $(part).hidden = true; }
   setText($("title"), "…");
   setText($("said"), "");
@@ -35,7 +35,7 @@ export function take(name, data) {
   if (name === "rows") { table.change(data); }
   if (name === "means") { shown.means = data; showMeans(); }
   if (name === "findings") { showFindings(data); }
-  if (name === "log") { showLog(data); }
+  if (name === "log") { shown.logs = data.runs; showLog(); }
   if (name === "samples") { curves.changed(data); }
 }
 
@@ -74,9 +74,10 @@ function showState(state) {
 
 function toldOf(state) {
   const told = [];
+  if (state.word === "reading" && state.read !== null) { told.push(Math.round(100 * state.read) + " % of its journal is read"); }
   if (state.pause_is_requested && ["running", "waiting"].includes(state.word)) { told.push("pauses before the next run"); }
   if (state.gate) { told.push(state.gate.run + " waits until " + state.gate.condition + (state.gate.seen ? " (" + state.gate.seen + ")" : "")); }
-  told.push(...state.precision);
+  told.push(...(state.precision || []));
   if (state.damaged) { told.push(state.damaged + " lines of the journal are damaged and passed over"); }
   return told.join(" · ");
 }
@@ -106,15 +107,32 @@ function moment(stamp) {
 function showFlights(state) {
   const list = state.in_flight || [];
   $("flights").hidden = list.length === 0;
+  if (!list.some((run) => run.run === shown.watched)) { watch(null); }
   const items = list.map((run) => {
     const phase = run.phase ? "phase " + run.phase + (run.phase_number ? " (" + run.phase_number + " of " + (run.phase_count || "?") + ")" : "") : "";
     const doing = run.event === "launch_mission" && phase ? phase : EVENTS[run.event] || run.event;
     return element("li", {},
       element("p", { class: "row" }, element("strong", {}, run.run), element("span", {}, doing), run.place ? element("span", { class: "soft" }, run.place) : null),
       element("p", { class: "soft" }, treatments(run.treatments) + (run.attempt > 1 ? " · attempt " + run.attempt : "")),
-      run.since ? element("p", { class: "soft", "data-since": run.since, "data-expected": run.expected || "" }) : null);
+      run.since ? element("p", { class: "soft", "data-since": run.since, "data-expected": run.expected || "" }) : null,
+      list.length > 1 ? watchButton(run.run, list[0].run) : null);
   });
+  const focused = document.activeElement ? document.activeElement.dataset.watch : undefined;
   $("flight-list").replaceChildren(...items);
+  if (focused) { document.querySelector("[data-watch=" + CSS.escape(focused) + "]")?.focus(); }
+}
+
+// Where several runs are in flight, the log and the samples are those of one: the first, or the one that was chosen.
+function watchButton(run, first) {
+  const button = element("button", { type: "button", "data-watch": run, "aria-pressed": String(run === (shown.watched || first)) }, "Log and samples");
+  button.addEventListener("click", () => { watch(run); showFlights(shown.state); });
+  return button;
+}
+
+function watch(run) {
+  shown.watched = run;
+  curves.watch(run);
+  showLog();
 }
 
 // ---- what a person can do
@@ -268,11 +286,14 @@ function showFindings(data) {
   $("finding-list").replaceChildren(...failures, ...findings);
 }
 
-function showLog(data) {
-  $("log").hidden = !data.text;
-  setText($("log-title"), "Log of " + data.run);
+function showLog() {
+  const run = shown.watched || Object.keys(shown.logs || {})[0];
+  const text = (shown.logs || {})[run];
+  if (text === undefined) { return; }
+  $("log").hidden = !text;
+  setText($("log-title"), "Log of " + run);
   const box = $("log-text");
   const isAtEnd = box.scrollTop + box.clientHeight >= box.scrollHeight - 8;
-  setText(box, data.text);
+  setText(box, text);
   if (isAtEnd) { box.scrollTop = box.scrollHeight; }
 }

@@ -8,24 +8,28 @@ from contextlib import ExitStack
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, GoalRejectedError, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.links.goals import GoalRejected, GoalStatus
+from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.message_fields import field_of
 from robot_runner.core.plugin import System
 from robot_runner.core.words import listed
 from robot_runner.ros.missions.cancelling import cancel_all_goals
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
+from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.measure import MeasureValue
     from robot_runner.core.links.goals import ActionResult
     from robot_runner.core.links.robot import Goal, RobotLink
     from robot_runner.core.plugin import Circumstances
@@ -69,6 +73,8 @@ class ActionMission(System):
         success: fields of the result and what they have to be for a success, where the status alone does not tell:
             `{"error_code": 0}`.
         odometry: topic of `nav_msgs/Odometry` for the measure `PathLength`; None for none.
+        path_frames: the same by transforms instead of odometry: the frame in which the robot moves, and the robot's
+            own, such as `("map", "base_link")`.
         scan: topic of `sensor_msgs/LaserScan` for the measure `ClosestObstacle`; None for none.
         stop_topic: topic of the robot's velocity commands, where a robot is told to stand still when the mission breaks
             off and its server may not do so any more; None for none.
@@ -108,6 +114,7 @@ class ActionMission(System):
         failure: str = "fail",
         success: Mapping[str, Any] | None = None,
         odometry: str | None = None,
+        path_frames: Sequence[str] | None = None,
         scan: str | None = None,
         stop_topic: str | None = None,
         connect_timeout_s: float = 5.0,
@@ -138,12 +145,12 @@ class ActionMission(System):
         self.commands = (action,)
         self._of_result = ResultMeasures(result, where=self.name)
         self._of_feedback = FeedbackMeasures(feedback, where=self.name)
-        self._of_way = WayMeasures(odometry, scan, where=self.name)
+        self._of_way = WayMeasures(odometry, scan, path_frames, where=self.name)
         self.measures = (*_MEASURES, *self._of_result.measures, *self._of_feedback.measures, *self._of_way.measures)
         self._check_names()
         self._link: RobotLink | None = None
         self._goal: Goal | None = None
-        self._values: dict[str, Any] | None = None
+        self._values: dict[str, MeasureValue] | None = None
         self._is_simulated = False
         self._heartbeat: Heartbeat | None = None
 
@@ -167,6 +174,16 @@ class ActionMission(System):
                 "the plugin sends goals to a robot, and the experiment names none",
                 "Name it in the config: robot = 'ros2'. Or: --set robot=ros2.",
             )
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Return the action, and the topics that are named."""
+        del circumstances
+        fix = "Start the node that offers it, or correct its name or the plugin's namespace."
+        yield GraphNeed.action(self.action, plain_type(self.action_type), fix=fix)
+        yield from self._of_way.required()
+        if self.stop_topic is not None:
+            fix = "Start the robot's bringup, or leave stop_topic out."
+            yield GraphNeed.subscribed(self.stop_topic, *sorted(VELOCITY_COMMANDS), fix=fix)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, and see that what is measured beside arrives."""
@@ -192,9 +209,10 @@ class ActionMission(System):
         begun = context.clock.now()
         self._of_way.begin_mission()
         outcome, ended = self._executed(link, context)
-        values = {"Duration": context.clock.now() - begun, "Outcome": outcome}
+        values: dict[str, MeasureValue] = {"Duration": context.clock.now() - begun, "Outcome": outcome}
         values |= self._of_result.values(None if ended is None else ended.result)
-        values |= self._of_feedback.values() | self._of_way.end_mission(context)
+        values.update(self._of_feedback.values())
+        values.update(self._of_way.end_mission(context))
         reason = self._reason_of_failure(outcome, ended)
         self._values = {**values, "Success": not reason}
         if reason and self.failure is _Failure.FAIL:
@@ -251,7 +269,7 @@ class ActionMission(System):
                 on_feedback=self._of_feedback.take,
                 timeout=self.connect_timeout_s,
             )
-        except GoalRejected as error:
+        except GoalRejectedError as error:
             if self.failure is _Failure.FAIL:
                 raise
             context.warn(error.problem, fix=error.fix)

@@ -11,7 +11,7 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.joint_missions import JointMission, SharedClock, execute_together
 from robot_runner.core.events.manager import CLOSED_BY, EVENTS_BY_CALLBACK, RobotRunnerEvents
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.plugin import Plugin, System
 from robot_runner.core.words import enumerated
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext, RunBroker
     from robot_runner.core.events.measure import Origin
     from robot_runner.core.events.window import MissionTimes
+    from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.plugin import Circumstances
 
 __all__ = ["Together"]
@@ -65,6 +66,7 @@ class Together(System):
             for system in systems
             for measure in system.measures
         )
+        self.starts_nodes = any(system.starts_nodes for system in systems)
         self.bytes_per_run = sum(system.bytes_per_run for system in systems)
         self._entered: dict[RobotRunnerEvents, list[System]] = {}
         for callback, event in EVENTS_BY_CALLBACK.items():
@@ -106,6 +108,14 @@ class Together(System):
                 problem = f"{enumerated(names)} command the same robot at the same time, on {topic!r}"
                 fix = "Give each its robot's namespace, as in Waypoints(..., namespace='/alice')."
                 yield Finding.error(f"plugin {self.name}", problem, fix)
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Return what its systems need, each below its own namespace."""
+        for system in self.systems:
+            prefix = namespace_prefix(getattr(system, "namespace", "") or "")
+            for need in system.required_graph(circumstances):
+                name = need.name if need.name.startswith("/") or not prefix else f"{prefix[1:]}/{need.name}"
+                yield replace(need, name=name)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long the longest of the missions takes, s; None where one of them is not known."""

@@ -11,6 +11,7 @@ from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.plugin import System
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
@@ -36,7 +37,7 @@ class TopicMission(System):
         topic: where it is published, relative to the robot's namespace unless it begins with `/`.
         message_type: its ROS type, such as `geometry_msgs/Twist`.
         publish: the message; `treatment(...)` may stand for any field, and what is left out has its ROS default.
-        until: a condition of `robot_runner.conditions`, such as `topic_above(...)`, or a number of seconds.
+        until: a condition, such as `topic_above(...)`, or a number of seconds.
         rate_hz: how often it is published, 1/s; 0 for once.
         timeout_s: how long the condition may take, s of the run's clock; the run fails then.
         afterwards: the safe message, published when the mission is over or breaks off, and by whoever is left when the
@@ -114,6 +115,12 @@ class TopicMission(System):
                 "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
             )
         yield from self.until.check(circumstances.robot)
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Return that somebody subscribes what is published."""
+        del circumstances
+        fix = "Start the node that subscribes it, or correct its name or the plugin's namespace."
+        yield GraphNeed.subscribed(self.topic, self.message_type, fix=fix)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long it takes, s, where that is fixed."""

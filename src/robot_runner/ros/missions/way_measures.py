@@ -4,80 +4,108 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Measure
-from robot_runner.ros.turtlebot3.odometry import Odometer
+from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.ros.transform_buffer import TransformBuffer
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY, Odometer
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
-    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.robot import Message, RobotLink
+    from robot_runner.ros.transforms import Transform
 
 __all__ = ["WayMeasures"]
 
 PATH_LENGTH = Measure("PathLength", "m", "Way covered during the mission, by odometry.", low=0.0)
 CLOSEST_OBSTACLE = Measure("ClosestObstacle", "m", "The shortest range of the laser scanner during the mission.")
+_SCAN, _TRANSFORMS = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"
 _FIX = "Look whether the robot publishes it, or leave the parameter out."
+_PAIR = 2
 
 
 class WayMeasures:
-    """Follows odometry and laser scans during a mission, as far as they are asked for.
+    """Follows odometry or transforms, and laser scans, during a mission, as far as they are asked for.
 
     Args:
         odometry: topic of `nav_msgs/Odometry`, or None.
         scan: topic of `sensor_msgs/LaserScan`, or None.
+        frames: instead of odometry the frame in which the robot moves, and the robot's own: `("map", "base_link")`.
         where: the plugin, for errors.
 
     Attributes:
         measures: what it yields.
+
+    Raises:
+        PluginError: the frames are no pair of names, or the way is to come from both.
     """
 
-    def __init__(self, odometry: str | None, scan: str | None, *, where: str) -> None:
-        self._odometry, self._scan = odometry, scan
+    def __init__(self, odometry: str | None, scan: str | None, frames: Sequence[str] | None, *, where: str) -> None:
+        if frames is not None and (isinstance(frames, str) or len(frames) != _PAIR or not all(map(_is_name, frames))):
+            fix = "Name the frame that stands still and the robot's: ('map', 'base_link')."
+            raise PluginError(f"path_frames is {frames!r}", where=where, fix=fix)
+        if frames is not None and odometry is not None:
+            problem = "the path cannot come from odometry and from transforms at the same time"
+            raise PluginError(problem, where=where, fix="Leave out odometry or path_frames.")
+        self._odometry, self._scan, self._frames = odometry, scan, frames
         self._where = where
-        self.measures: Sequence[Measure] = (
-            *([PATH_LENGTH] if odometry else []),
-            *([CLOSEST_OBSTACLE] if scan else []),
-        )
-        self._odometer: Odometer | None = None
+        path = [] if odometry is None and frames is None else [PATH_LENGTH]
+        if frames is not None:
+            path = [replace(PATH_LENGTH, description=f"Way of {frames[1]} in {frames[0]} during the mission, by tf.")]
+        self.measures: Sequence[Measure] = (*path, *([CLOSEST_OBSTACLE] if scan else []))
+        self._way: Odometer | _WayOfFrame | None = None
         self._way_before: float | None = None
         self._closest: float | None = None
         self._scans = 0
         self._closing = ExitStack()
 
+    def required(self) -> Iterable[GraphNeed]:
+        """Return the topics that are followed."""
+        if self._odometry is not None:
+            yield GraphNeed.published(self._odometry, ODOMETRY, fix=_FIX)
+        if self._frames is not None:
+            yield GraphNeed.published("/tf", _TRANSFORMS, fix=_FIX)
+        if self._scan is not None:
+            yield GraphNeed.published(self._scan, _SCAN, fix=_FIX)
+
     def begin(self, link: RobotLink, context: RobotRunnerContext, *, timeout: float) -> None:
-        """Subscribe, and wait for the first odometry, s.
+        """Subscribe, and wait so many seconds at most until it is known where the robot is.
 
         Raises:
-            LinkError: none came.
+            LinkError: that is not known in time.
         """
         self._closing.close()
         self._way_before = self._closest = None
         if self._odometry is not None:
             # However fast the robot is: what it could drive is its own affair here.
             odometer = Odometer(context.clock, timeout=math.inf, where=self._where, fastest=math.inf)
-            self._closing.callback(link.subscribe(self._odometry, "nav_msgs/Odometry", odometer.take).close)
+            self._closing.callback(link.subscribe(self._odometry, ODOMETRY, odometer.take).close)
             odometer.wait(timeout)
-            self._odometer = odometer
+            self._way = odometer
+        if self._frames is not None:
+            self._way = _WayOfFrame(*self._frames)
+            self._way.begin(link, self._closing, context.clock, timeout)
         if self._scan is not None:
-            self._closing.callback(link.subscribe(self._scan, "sensor_msgs/LaserScan", self._take_scan).close)
+            self._closing.callback(link.subscribe(self._scan, _SCAN, self._take_scan).close)
 
     def begin_mission(self) -> None:
         """Measure from now on."""
         self._closest, self._scans = None, 0
-        if self._odometer is not None:
-            self._way_before = self._odometer.travelled
+        if self._way is not None:
+            self._way_before = self._way.travelled
 
     def end_mission(self, context: RobotRunnerContext) -> dict[str, float | None]:
         """Return what was measured since `begin_mission`; a value that is not known is doubted."""
         values: dict[str, float | None] = {}
-        if self._odometer is not None and self._way_before is not None:
-            values[PATH_LENGTH.name] = self._odometer.travelled - self._way_before
+        if self._way is not None and self._way_before is not None:
+            values[PATH_LENGTH.name] = self._way.travelled - self._way_before
             try:
-                self._odometer.pose()
+                self._way.pose()
             except LinkError as error:
                 context.doubt(error.problem, fix=error.fix, measures=[PATH_LENGTH.name])
         if self._scan is not None:
@@ -98,3 +126,41 @@ class WayMeasures:
         seen = min((each for each in message["ranges"] if near <= each <= far), default=None)
         if seen is not None and (self._closest is None or seen < self._closest):
             self._closest = float(seen)
+
+
+def _is_name(frame: object) -> bool:
+    return isinstance(frame, str) and bool(frame)
+
+
+class _WayOfFrame:
+    """The way that one frame covers in another, by what is told on tf.
+
+    Attributes:
+        travelled: the way so far, m. Where localisation mends the place of the robot, that counts as a way, too.
+    """
+
+    def __init__(self, fixed: str, moving: str) -> None:
+        self.travelled = 0.0
+        self._fixed, self._moving = fixed, moving
+        self._buffer = TransformBuffer()
+        self._last: Transform | None = None
+
+    def begin(self, link: RobotLink, opened: ExitStack, clock: Clock, timeout: float) -> None:
+        """Follow the frame until `opened` is closed; a `LinkError` says that it is not known within the timeout."""
+        self._buffer.subscribe(link, opened)
+        opened.callback(link.subscribe("/tf", _TRANSFORMS, self._take).close)
+        self._buffer.wait_for(self._fixed, self._moving, clock, timeout=timeout)
+
+    def pose(self) -> Transform:
+        """Return where the frame is; a `LinkError` says that this is not known any more."""
+        return self._buffer.look_up(self._fixed, self._moving)
+
+    def _take(self, message: Message) -> None:
+        del message  # the buffer has it
+        try:
+            now = self.pose()
+        except LinkError:  # its part of the tree has not been told of yet
+            return
+        if self._last is not None:
+            self.travelled += math.dist(now.translation, self._last.translation)
+        self._last = now

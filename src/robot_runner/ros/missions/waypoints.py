@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
+from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.plugin import System
 from robot_runner.core.sampling.live_samples import LiveSamples
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp, Wheels
-from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC, Odometer, Pose, Trajectory, wrapped
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Pose, Trajectory, wrapped
 from robot_runner.ros.turtlebot3.steered_robot import Robot
+from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -142,6 +144,14 @@ class Waypoints(System):
                 "the plugin operates a robot, and the experiment names none",
                 "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
             )
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Return odometry and velocity commands."""
+        del circumstances
+        fix = "Start the robot's bringup, or correct the plugin's namespace."
+        yield GraphNeed.published(self.odometry_topic, ODOMETRY, is_sole=self.sole_control, fix=fix)
+        commands = sorted(VELOCITY_COMMANDS)
+        yield GraphNeed.subscribed(self.command_topic, *commands, is_sole=self.sole_control, fix=fix)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long the legs between the waypoints take, s; None where the first begins anywhere."""

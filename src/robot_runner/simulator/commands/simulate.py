@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 __all__ = ["add_arguments", "execute"]
 
 _ROBOTS = ("turtlebot3",)
+_MODEL = ".xml"
 
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    parser.add_argument("robot", metavar="ROBOT", help="the robot to offer: turtlebot3")
+    parser.add_argument("robot", metavar="ROBOT", help="the robot to offer: turtlebot3, or an MJCF file (robot.xml)")
     parser.add_argument(
         "--link",
         metavar="LINK",
@@ -59,6 +60,11 @@ def add_arguments(parser: Parser) -> None:
         help="simulated seconds a real second; 1 if it is left out, and another needs --use-sim-time",
     )
     parser.add_argument(
+        "--camera",
+        action="store_true",
+        help="have its camera's topics, whose pictures are rendered while somebody subscribes; needs EGL or OSMesa",
+    )
+    parser.add_argument(
         "--no-watchdog",
         action="store_true",
         help="have no watchdog, as a robot on which ours was not installed: it carries out its last command for ever",
@@ -67,7 +73,8 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Let the robot live on the graph until it is stopped."""
-    if arguments.robot not in _ROBOTS:
+    model = Path(arguments.robot) if arguments.robot.endswith(_MODEL) else None
+    if model is None and arguments.robot not in _ROBOTS:
         fix = did_you_mean(arguments.robot, _ROBOTS)
         raise UsageError(f"there is no simulated {arguments.robot!r}", where="robot-runner simulate", fix=fix)
     findings = link_findings(SIMULATED)
@@ -83,6 +90,8 @@ def execute(arguments: Namespace) -> int:
         is_clock=arguments.use_sim_time,
         has_watchdog=not arguments.no_watchdog,
         room=arguments.room,
+        model=model,
+        has_camera=arguments.camera,
     )
     check_pace(place)
     console = output()

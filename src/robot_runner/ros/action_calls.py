@@ -1,0 +1,173 @@
+"""Goals that a link sends to action servers: how they are followed until they are over, whatever the graph speaks."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Protocol
+
+from robot_runner.core.errors import LinkError, nearest
+from robot_runner.core.words import enumerated
+from robot_runner.ros.sent_goal import SentGoal
+from robot_runner.ros.shapes import completed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
+    from robot_runner.ros.action_server import ActionTypes, GoalServer
+
+__all__ = ["ActionClient", "ActionDialect", "LinkGoals", "check_one_server", "missing_action"]
+
+_logger = logging.getLogger(__name__)
+
+#: How long the goals that are not over may take to end when their link is closed, s, all together.
+CLOSING_SECONDS = 2.0
+
+
+class ActionClient(Protocol):
+    """One action of a graph, as it is used from here; kept for all goals of a link."""
+
+    def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
+        """Send a complete goal, and return once it is accepted; raise a `LinkError` where it is not."""
+        ...
+
+    def cancel(self, sent: SentGoal, timeout: float) -> None:
+        """Ask for the end of a goal; raise a `LinkError` where the server refuses."""
+        ...
+
+    def is_served(self) -> bool:
+        """Whether its server is still there."""
+        ...
+
+    def close(self) -> None:
+        """Leave the action."""
+        ...
+
+
+class ActionDialect(Protocol):
+    """How a graph speaks of actions: over services and topics, over topics only, or by itself."""
+
+    def types(self, action_type: str) -> ActionTypes:
+        """Return what an action is made of; raise a `LinkError` where there is no such type."""
+        ...
+
+    def actions(self) -> Mapping[str, str]:
+        """Return the type of each action that is offered, by full name."""
+        ...
+
+    def client(self, action: str, action_type: str, timeout: float) -> ActionClient:
+        """Return what sends goals to an action; raise a `LinkError` where it is not offered, or has another type."""
+        ...
+
+    def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
+        """Have goals executed by a server of this link; raise a `LinkError` where the action is offered already."""
+        ...
+
+
+def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> LinkError:
+    """Return the error that nobody offers an action of this type; it names what comes near.
+
+    Example:
+        >>> missing_action("/navigate_to_pos", "nav2_msgs/NavigateToPose", {"/navigate_to_pose": ""}).fix
+        "Did you mean '/navigate_to_pose'?"
+    """
+    true = known.get(action)
+    if true:
+        problem = f"the action is of the type {true}, not {action_type}"
+        return LinkError(problem, where=action, fix=f"Name the type {true!r}.")
+    near = nearest(action, known)
+    fix = f"Did you mean {near!r}?" if near else "Start the node that offers it."
+    return LinkError(f"there is no action {action!r}", where=action, fix=fix)
+
+
+def check_one_server(action: str, servers: Iterable[GraphEndpoint]) -> None:
+    """Raise a `LinkError` where several nodes offer an action: each of them would execute the goal.
+
+    Args:
+        action: full name of the action.
+        servers: who tells the states of its goals.
+
+    Example:
+        >>> check_one_server("/dock", [])
+    """
+    names = sorted(map(str, servers))
+    if len(names) > 1:
+        problem = f"{len(names)} nodes offer the action: {enumerated(names)}"
+        raise LinkError(problem, where=action, fix="End all but one, or give the robots namespaces of their own.")
+
+
+class LinkGoals:
+    """The goals of one link: its clients of actions, and what is to be cancelled when it is closed.
+
+    Args:
+        dialect: how the graph speaks of actions.
+        wait: waits for an event, as the link's transport does.
+    """
+
+    def __init__(self, dialect: ActionDialect, wait: Callable[[threading.Event, float], None]) -> None:
+        self._dialect = dialect
+        self._wait = wait
+        self._lock = threading.Lock()
+        self._clients: dict[tuple[str, str], ActionClient] = {}
+        self._goals: list[SentGoal] = []
+
+    def send(
+        self, action: str, action_type: str, goal: Message, take_feedback: Callable[[Message], None], timeout: float
+    ) -> SentGoal:
+        """Send a goal, and return it once it is accepted; names are full, `timeout` is in seconds."""
+        complete = completed(self._dialect.types(action_type).goal, goal, where=action)
+        client = self._client(action, action_type, timeout)
+        sent = SentGoal(action, self._wait, take_feedback)
+        sent.client = client
+        with self._lock:
+            self._goals = [each for each in self._goals if not each.is_over]
+            self._goals.append(sent)  # before it is accepted: a link that is closed meanwhile cancels it
+        try:
+            client.send(complete, sent, timeout)
+        except LinkError as error:
+            sent.is_abandoned = True
+            sent.lose(error)
+            raise
+        return sent
+
+    def close(self) -> None:
+        """Cancel the goals that are not over, wait for it shortly, and leave the actions.
+
+        Raises:
+            LinkError: one of them could not be cancelled.
+        """
+        deadline = time.monotonic() + CLOSING_SECONDS
+        faults: list[LinkError] = []
+        open_goals = [goal for goal in self._goals if not goal.is_over]
+        for goal in open_goals:  # all are asked before any is waited for
+            with suppress(LinkError):  # it is asked again, and said then
+                goal.ask_for_end(CLOSING_SECONDS)
+        for goal in open_goals:
+            try:
+                goal.cancel(timeout=max(0.1, deadline - time.monotonic()))
+            except LinkError as error:
+                faults.append(error)
+        for client in self._clients.values():
+            try:
+                client.close()
+            except LinkError as error:
+                _logger.info("an action could not be left: %s", error)
+        if faults:
+            first = faults[0]
+            problem = f"a goal that is not over could not be cancelled: {first.problem}"
+            raise LinkError(problem, where=first.where, fix=f"See that the robot stands still. {first.fix}") from first
+
+    def _client(self, action: str, action_type: str, timeout: float) -> ActionClient:
+        with self._lock:
+            known = self._clients.get((action, action_type))
+        if known is not None and known.is_served():
+            return known
+        fresh = self._dialect.client(action, action_type, timeout)
+        with self._lock:
+            if known is not None:
+                known.close()
+            self._clients[action, action_type] = fresh
+        return fresh

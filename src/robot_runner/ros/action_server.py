@@ -1,0 +1,236 @@
+"""The executions of the goals of an action that a link offers, whatever the graph speaks."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import TYPE_CHECKING, Protocol
+
+from robot_runner.core.links.goals import ActionAborted, ActionCanceled, ActionResult, GoalStatus
+from robot_runner.ros.shapes import completed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from robot_runner.core.links.robot import GoalExecution, Message
+    from robot_runner.ros.shapes import Shape
+
+__all__ = ["ActionTypes", "Execution", "GoalServer", "Outlet"]
+
+_logger = logging.getLogger(__name__)
+
+#: How long a goal that is over is remembered, so that its client may still ask for its result, s; actionlib: 5.
+_REMEMBERED_SECONDS = 60.0
+#: How long the executions may take to end when their action is withdrawn, s.
+_ENDING_SECONDS = 2.0
+
+
+class ActionTypes(Protocol):
+    """What an action is made of; each is a `Shape`.
+
+    Attributes:
+        goal: what is sent.
+        result: what comes of it.
+        feedback: what is told meanwhile.
+    """
+
+    @property
+    def goal(self) -> Shape: ...  # noqa: D102 - see above
+
+    @property
+    def result(self) -> Shape: ...  # noqa: D102 - see above
+
+    @property
+    def feedback(self) -> Shape: ...  # noqa: D102 - see above
+
+
+class Outlet(Protocol):
+    """Tells the graph what becomes of the goals of one action."""
+
+    def tell_feedback(self, execution: Execution, message: Message) -> None:
+        """Tell complete feedback of a goal."""
+        ...
+
+    def tell_status(self, executions: Sequence[Execution]) -> None:
+        """Tell the states of all goals that are remembered."""
+        ...
+
+    def tell_result(self, execution: Execution, result: ActionResult) -> None:
+        """Tell what came of a goal, with every field of its result."""
+        ...
+
+
+class Execution:
+    """A goal while it is executed, and for some time after.
+
+    Attributes:
+        key: how the dialect knows the goal.
+        goal: with every field of its type.
+        accepted_ns: when it was accepted, ns since the epoch.
+        status: its state.
+        result: what came of it, once it is over.
+    """
+
+    def __init__(self, server: GoalServer, key: str, goal: Message) -> None:
+        self.key = key
+        self.goal = goal
+        self.accepted_ns = time.time_ns()
+        self.status = GoalStatus.ACCEPTED
+        self.result: ActionResult | None = None
+        self.over = threading.Event()
+        self.over_since = 0.0
+        self._server = server
+
+    @property
+    def is_cancel_requested(self) -> bool:
+        """Whether it is to end."""
+        return self.status is GoalStatus.CANCELING
+
+    def feedback(self, message: Message) -> None:
+        """Tell whoever sent the goal how far it is."""
+        self._server.tell_feedback(self, message)
+
+
+class GoalServer:
+    """Executes goals, each in a thread of its own.
+
+    Args:
+        action: full name of the action.
+        types: what it is made of.
+        execute: carries a goal out.
+        accept: whether a goal is taken; None for all.
+        on_fault: called with what `execute` or `accept` raised that is no end of a goal.
+        start: starts a function in a thread of its own, whose name is given.
+    """
+
+    def __init__(
+        self,
+        action: str,
+        types: ActionTypes,
+        execute: Callable[[GoalExecution], Message],
+        accept: Callable[[Message], bool] | None,
+        on_fault: Callable[[Exception], None],
+    ) -> None:
+        self.action = action
+        self.types = types
+        self.start: Callable[[Callable[[], None]], None] = _start_thread
+        self._execute = execute
+        self._accept = accept
+        self._on_fault = on_fault
+        self._lock = threading.Lock()
+        self._executions: dict[str, Execution] = {}
+        self._outlet: Outlet | None = None
+        self._is_closed = False
+
+    @property
+    def executions(self) -> list[Execution]:
+        """The goals that are remembered, the oldest first."""
+        now = time.monotonic()
+        with self._lock:
+            stale = [
+                key
+                for key, each in self._executions.items()
+                if each.over.is_set() and now - each.over_since > _REMEMBERED_SECONDS
+            ]
+            for key in stale:
+                del self._executions[key]
+            return list(self._executions.values())
+
+    def connect(self, outlet: Outlet) -> None:
+        """Take where it is told what becomes of goals."""
+        self._outlet = outlet
+
+    def find(self, key: str) -> Execution | None:
+        """Return the execution of a goal, or None where it is not known."""
+        with self._lock:
+            return self._executions.get(key)
+
+    def accept(self, key: str, goal: Mapping[str, object]) -> Execution | None:
+        """Take a goal and begin to execute it, or return None where it is rejected."""
+        try:
+            complete = completed(self.types.goal, goal, where=self.action)
+            if self._is_closed or not (self._accept is None or self._accept(complete)):
+                return None
+        except Exception as fault:  # noqa: BLE001 - the link fails the run for it
+            self._on_fault(fault)
+            return None
+        execution = Execution(self, key, complete)
+        with self._lock:
+            if key in self._executions:
+                return None  # sent twice
+            self._executions[key] = execution
+        self.start(lambda: self._run(execution))
+        return execution
+
+    def cancel(self, execution: Execution) -> bool:
+        """Ask for the end of a goal; return whether it is not over yet."""
+        with self._lock:
+            if execution.status.is_over:
+                return False
+            execution.status = GoalStatus.CANCELING
+        self._tell_status()
+        return True
+
+    def tell_feedback(self, execution: Execution, message: Message) -> None:
+        """Tell feedback of a goal; raises a `LinkError` where it does not follow its definition."""
+        complete = completed(self.types.feedback, message, where=f"the feedback of {self.action}")
+        if self._outlet is not None and not execution.over.is_set():
+            self._outlet.tell_feedback(execution, complete)
+
+    def close(self) -> None:
+        """Take no more goals, and ask for the end of those that are executed; those that do not end are aborted."""
+        self._is_closed = True
+        running = [each for each in self.executions if not each.over.is_set()]
+        for execution in running:
+            self.cancel(execution)
+        deadline = time.monotonic() + _ENDING_SECONDS
+        for execution in running:
+            if not execution.over.wait(max(0.0, deadline - time.monotonic())):
+                self._finish(execution, GoalStatus.ABORTED, "the action is not offered any more", {})
+
+    def _run(self, execution: Execution) -> None:
+        with self._lock:
+            if execution.status is GoalStatus.ACCEPTED:
+                execution.status = GoalStatus.EXECUTING
+        self._tell_status()
+        try:
+            result = self._execute(execution)
+            complete = completed(self.types.result, result, where=f"the result of {self.action}")
+            self._finish(execution, GoalStatus.SUCCEEDED, "", complete)
+        except ActionCanceled as ending:
+            # One that nobody asked for is no state of ROS: the server gave the goal up.
+            status = GoalStatus.CANCELED if execution.is_cancel_requested else GoalStatus.ABORTED
+            self._finish(execution, status, ending.text, ending.result)
+        except ActionAborted as ending:
+            self._finish(execution, GoalStatus.ABORTED, ending.text, ending.result)
+        except Exception as fault:  # noqa: BLE001 - the link fails the run for it
+            self._on_fault(fault)
+            self._finish(execution, GoalStatus.ABORTED, str(fault), {})
+
+    def _finish(self, execution: Execution, status: GoalStatus, text: str, result: Mapping[str, object]) -> None:
+        try:
+            complete = completed(self.types.result, result, where=f"the result of {self.action}")
+        except Exception as fault:  # noqa: BLE001 - as above
+            self._on_fault(fault)
+            status, complete = GoalStatus.ABORTED, completed(self.types.result, {}, where=self.action)
+        with self._lock:
+            if execution.over.is_set():
+                return
+            execution.status, execution.over_since = status, time.monotonic()
+            execution.result = ActionResult(status, complete, text)
+            execution.over.set()
+        try:
+            if self._outlet is not None:
+                self._outlet.tell_result(execution, execution.result)
+            self._tell_status()
+        except Exception:
+            _logger.info("the end of a goal of %s could not be told", self.action, exc_info=True)
+
+    def _tell_status(self) -> None:
+        if self._outlet is not None:
+            self._outlet.tell_status(self.executions)
+
+
+def _start_thread(work: Callable[[], None]) -> None:
+    threading.Thread(target=work, name="action", daemon=True).start()

@@ -1,0 +1,61 @@
+"""The first message of a topic that satisfies a condition, whoever delivers it."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from robot_runner.core.links.robot import Message
+
+__all__ = ["FirstMessage"]
+
+
+class FirstMessage:
+    """Keeps the first message that satisfies a condition, or what the condition raised.
+
+    Args:
+        condition: None for any message.
+        timeout: how long it is waited for, s; for the error.
+
+    Attributes:
+        is_over: set once there is one, or the condition raised.
+    """
+
+    def __init__(self, condition: Callable[[Message], bool] | None, timeout: float) -> None:
+        self.is_over = threading.Event()
+        self._condition = condition
+        self._timeout = timeout
+        self._found: Message | None = None
+        self._fault: Exception | None = None
+
+    def take(self, message: Message) -> None:
+        """Look at one message."""
+        if self.is_over.is_set():
+            return
+        try:
+            if self._condition is None or self._condition(message):
+                self._found = message
+                self.is_over.set()
+        except Exception as fault:  # noqa: BLE001 - it is raised to the caller whose condition this is
+            self._fault = fault
+            self.is_over.set()
+
+    def result(self, topic: str, explain: Callable[[], str]) -> Message:
+        """Return the message.
+
+        Raises:
+            LinkError: there was none in time; `explain` says what to do.
+            Exception: what the condition raised.
+        """
+        if self._fault is not None:
+            raise self._fault
+        if self._found is None:
+            what = "no message" if self._condition is None else "no message that satisfies the condition"
+            fix = explain() or "Look whether the topic's node is alive, or give a longer timeout."
+            raise LinkError(f"{what} came within {self._timeout:g} s", where=topic, fix=fix)
+        return self._found

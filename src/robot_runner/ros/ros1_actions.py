@@ -1,0 +1,383 @@
+"""Actions as ROS 1's actionlib has them: five topics below the action's name, and states that are told again and again.
+
+Source: wiki.ros.org/actionlib/DetailedDescription, and the client and server of actionlib.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import os
+import threading
+import time
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import GoalRejectedError, LinkError
+from robot_runner.core.links.goals import ActionResult, GoalStatus
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros.action_calls import check_one_server, missing_action
+from robot_runner.ros.graph_transport import already_offered
+from robot_runner.ros.shapes import completed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from robot_runner.core.links.robot import Message, Subscription
+    from robot_runner.ros.action_server import Execution, GoalServer
+    from robot_runner.ros.graph_transport import GraphTypes, Reception, TopicPublisher, Transport
+    from robot_runner.ros.sent_goal import SentGoal
+    from robot_runner.ros.shapes import Shape
+
+__all__ = ["Ros1Actions"]
+
+_logger = logging.getLogger(__name__)
+
+_GOAL, _CANCEL, _STATUS, _FEEDBACK, _RESULT = "/goal", "/cancel", "/status", "/feedback", "/result"
+_ID_TYPE, _STATUS_TYPE = "actionlib_msgs/GoalID", "actionlib_msgs/GoalStatusArray"
+_GOAL_ENDING, _RESULT_ENDING = "ActionGoal", "ActionResult"
+#: actionlib_msgs/GoalStatus: pending, active, preempted, succeeded, aborted, rejected, preempting, recalling, recalled,
+#: lost.
+_STATES: Mapping[int, GoalStatus] = MappingProxyType(
+    {
+        0: GoalStatus.ACCEPTED,
+        1: GoalStatus.EXECUTING,
+        2: GoalStatus.CANCELED,
+        3: GoalStatus.SUCCEEDED,
+        4: GoalStatus.ABORTED,
+        5: GoalStatus.REJECTED,
+        6: GoalStatus.CANCELING,
+        7: GoalStatus.CANCELING,
+        8: GoalStatus.CANCELED,
+        9: GoalStatus.ABORTED,
+    }
+)
+_NUMBERS: Mapping[GoalStatus, int] = MappingProxyType(
+    {
+        GoalStatus.UNKNOWN: 0,
+        GoalStatus.ACCEPTED: 0,
+        GoalStatus.EXECUTING: 1,
+        GoalStatus.CANCELING: 6,
+        GoalStatus.CANCELED: 2,
+        GoalStatus.SUCCEEDED: 3,
+        GoalStatus.ABORTED: 4,
+        GoalStatus.REJECTED: 5,
+    }
+)
+#: How often a server tells its states, s, and for how long those of goals that are over: as actionlib's does.
+_STATUS_PERIOD, _STATUS_SECONDS = 0.2, 5.0
+#: A server that told no states for so long is gone, s: actionlib's own limit.
+_SILENCE = 5.0
+#: How long a server that is not there is waited for, s; a node that starts up takes as long.
+_PATIENCE = 1.5
+_POLL = 0.05
+#: How long a result may come after the state that says that there is one, s.
+_RESULT_SECONDS = 3.0
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Ros1ActionTypes:
+    """What an action is made of."""
+
+    goal: Shape
+    result: Shape
+    feedback: Shape
+
+    @classmethod
+    def of(cls, types: GraphTypes, action_type: str) -> Ros1ActionTypes:
+        """Look them up among the types of its topics; raise a `LinkError` where there are none."""
+        try:
+            return cls(*(_inner(types, f"{action_type}Action{part}", part) for part in ("Goal", "Result", "Feedback")))
+        except LinkError as error:
+            problem = f"there is no action type {action_type!r}: {error.problem}"
+            raise LinkError(problem, where=action_type, fix=error.fix.replace(_GOAL_ENDING, "")) from error
+
+
+def _inner(types: GraphTypes, type_name: str, part: str) -> Shape:
+    shape = types.shape(type_name)
+    return next(field.kind for field in shape.fields if field.name == part.lower())  # type: ignore[return-value]
+
+
+class Ros1Actions:
+    """The actions of a graph of ROS 1, over the primitives of a transport.
+
+    Args:
+        transport: that reaches the graph.
+    """
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    def types(self, action_type: str) -> Ros1ActionTypes:
+        """Return what an action is made of."""
+        return Ros1ActionTypes.of(self._transport.types, action_type)
+
+    def actions(self) -> dict[str, str]:
+        """Return the type of each action whose states somebody tells, by full name."""
+        # By what the server publishes: of what it subscribes, the graph may not know the type.
+        topics = self._transport.topics()
+        return {
+            name: kind.removesuffix(_RESULT_ENDING)
+            for topic, kind in sorted(topics.items())
+            if topic.endswith(_RESULT) and kind.endswith(_RESULT_ENDING)
+            for name in [topic.removesuffix(_RESULT)]
+            if topics.get(name + _STATUS) == _STATUS_TYPE and list(self._transport.publishers(name + _STATUS))
+        }
+
+    def client(self, action: str, action_type: str, timeout: float) -> _Client:
+        """Return what sends goals to an action, once its server is there."""
+        deadline = time.monotonic() + min(timeout, _PATIENCE)
+        while (known := self.actions()).get(action) != action_type:
+            if time.monotonic() > deadline or action in known:
+                raise missing_action(action, action_type, known)
+            time.sleep(_POLL)
+        client = _Client(self._transport, action, action_type)
+        client.await_server(timeout)
+        return client
+
+    def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
+        """Have goals executed by a server of this link."""
+        if action in self.actions():
+            raise already_offered(action, what="action")
+        return _Served(self._transport, action, action_type, server)
+
+
+class _Client:
+    """Sends goals to one action."""
+
+    _numbers = itertools.count(1)
+
+    def __init__(self, transport: Transport, action: str, action_type: str) -> None:
+        self._transport = transport
+        self._action = action
+        self._goals: dict[str, SentGoal] = {}
+        self._expected: set[str] = set()
+        self._lock = threading.Lock()
+        self._heard = threading.Event()
+        self._heard_at = time.monotonic()
+        self._open: list[Any] = []
+        # The states last: once they come, the server has had the time to find the others.
+        for name, kind, take in (
+            (_RESULT, f"{action_type}ActionResult", self._take_result),
+            (_FEEDBACK, f"{action_type}ActionFeedback", self._take_feedback),
+            (_STATUS, _STATUS_TYPE, self._take_status),
+        ):
+            self._open.append(transport.subscribe(action + name, kind, take, qos=None, is_raw=False))
+        self._send = transport.advertise(action + _GOAL, f"{action_type}{_GOAL_ENDING}", Qos.DEFAULT)
+        self._cancel = transport.advertise(action + _CANCEL, _ID_TYPE, Qos.DEFAULT)
+        self._open += [self._send, self._cancel]
+
+    def await_server(self, timeout: float) -> None:
+        """Wait until the server tells its states; raise a `LinkError` where it does not in time."""
+        self._transport.wait(self._heard, timeout)
+        if not self._heard.is_set():
+            self.close()
+            problem = f"the action server does not tell its states within {timeout:g} s"
+            raise LinkError(problem, where=self._action, fix="Look whether its node is alive and reachable from here.")
+
+    def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
+        check_one_server(self._action, self._transport.publishers(self._action + _STATUS))
+        sent.key = f"/robot_runner_{os.getpid()}-{next(self._numbers)}-{time.time():.6f}"
+        with self._lock:
+            self._goals[sent.key] = sent
+        stamp = _stamp(time.time_ns())
+        header = {"seq": 0, "stamp": stamp, "frame_id": ""}
+        self._send.publish({"header": header, "goal_id": {"stamp": stamp, "id": sent.key}, "goal": goal})
+        sent.wait_for_status(lambda status: status not in {GoalStatus.UNKNOWN, GoalStatus.ACCEPTED}, timeout)
+        if sent.status is GoalStatus.REJECTED:
+            self._forget(sent)
+            fix = "Look at the log of its node: it may be busy, or not active yet."
+            raise GoalRejectedError("the action server rejects the goal", where=self._action, fix=fix)
+        if sent.status in {GoalStatus.UNKNOWN, GoalStatus.ACCEPTED}:
+            self._publish_cancel(sent)  # it must not begin when nobody waits for it any more
+            is_waiting = sent.status is GoalStatus.ACCEPTED
+            problem = "leaves the goal waiting" if is_waiting else "does not answer"
+            fix = "Look whether it is busy with another goal, or give a longer timeout."
+            raise LinkError(f"the action server {problem} for {timeout:g} s", where=self._action, fix=fix)
+
+    def cancel(self, sent: SentGoal, timeout: float) -> None:
+        self._publish_cancel(sent)
+        self._cancel.flush(timeout)
+
+    def is_served(self) -> bool:
+        # A server that is killed stays in the master's books; it is silent.
+        return time.monotonic() - self._heard_at < _SILENCE and bool(
+            list(self._transport.publishers(self._action + _STATUS))
+        )
+
+    def close(self) -> None:
+        for opened in reversed(self._open):
+            opened.close()
+        self._open.clear()
+
+    def _publish_cancel(self, sent: SentGoal) -> None:
+        self._cancel.publish({"stamp": _stamp(0), "id": sent.key})
+
+    def _take_status(self, reception: Reception) -> None:
+        self._heard_at = time.monotonic()
+        self._heard.set()
+        for told in reception.message()["status_list"]:
+            goal = self._find(told)
+            if goal is not None:
+                status = _STATES.get(told["status"], GoalStatus.UNKNOWN)
+                goal.note(status)
+                if status.is_over and status is not GoalStatus.REJECTED:
+                    self._expect_result(goal, told["text"])
+
+    def _expect_result(self, goal: SentGoal, text: str) -> None:
+        """Give a result up that does not come after the state that says that there is one."""
+        with self._lock:
+            if goal.key in self._expected or goal.key not in self._goals:
+                return
+            self._expected.add(goal.key)
+
+        def lose() -> None:
+            self._forget(goal)
+            problem = f"the goal is {goal.status}, and its result did not come: {text}".rstrip(": ")
+            goal.lose(LinkError(problem, where=self._action, fix="Send the goal again."))
+
+        timer = threading.Timer(_RESULT_SECONDS, lose)
+        timer.daemon = True
+        timer.start()
+
+    def _take_feedback(self, reception: Reception) -> None:
+        message = reception.message()
+        goal = self._find(message["status"])
+        if goal is not None:
+            goal.take_feedback(message["feedback"])
+
+    def _take_result(self, reception: Reception) -> None:
+        message = reception.message()
+        told = message["status"]
+        goal = self._find(told)
+        if goal is not None:
+            self._forget(goal)
+            goal.finish(ActionResult(_STATES.get(told["status"], GoalStatus.UNKNOWN), message["result"], told["text"]))
+
+    def _find(self, told: Mapping[str, Any]) -> SentGoal | None:
+        with self._lock:
+            return self._goals.get(told["goal_id"]["id"])
+
+    def _forget(self, goal: SentGoal) -> None:
+        with self._lock:
+            self._goals.pop(goal.key, None)
+            self._expected.discard(goal.key)
+
+
+class _Served:
+    """An action that is offered: its five topics, until it is closed."""
+
+    def __init__(self, transport: Transport, action: str, action_type: str, server: GoalServer) -> None:
+        self._server = server
+        self._rejected: list[tuple[str, float]] = []
+        self._stamps: dict[str, dict[str, int]] = {}
+        self._lock = threading.Lock()
+        self._is_closed = threading.Event()
+        self._open: list[Any] = []
+        try:
+            self._result = self._advertised(transport, action + _RESULT, f"{action_type}ActionResult")
+            self._feedback = self._advertised(transport, action + _FEEDBACK, f"{action_type}ActionFeedback")
+            server.connect(self)
+            for name, kind, take in (
+                (_GOAL, f"{action_type}{_GOAL_ENDING}", self._take_goal),
+                (_CANCEL, _ID_TYPE, self._take_cancel),
+            ):
+                self._open.append(transport.subscribe(action + name, kind, take, qos=None, is_raw=False))
+            self._status = self._advertised(transport, action + _STATUS, _STATUS_TYPE)
+        except LinkError:
+            self._leave()
+            raise
+        self._thread = threading.Thread(target=self._tell_again, name="action states", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Offer it no more."""
+        self._server.close()
+        self._is_closed.set()
+        if self._thread is not threading.current_thread():
+            self._thread.join(_STATUS_SECONDS)
+        self._leave()
+
+    def tell_feedback(self, execution: Execution, message: Message) -> None:
+        told = self._told(execution.key, execution.status)
+        self._feedback.publish({"header": _header(), "status": told, "feedback": message})
+
+    def tell_status(self, executions: Sequence[Execution]) -> None:
+        now = time.monotonic()
+        with self._lock:
+            self._rejected = [each for each in self._rejected if now - each[1] < _STATUS_SECONDS]
+            told = [self._told(key, GoalStatus.REJECTED) for key, _ in self._rejected]
+            told += [
+                self._told(each.key, each.status, "" if each.result is None else each.result.text)
+                for each in executions
+                if not each.over.is_set() or now - each.over_since < _STATUS_SECONDS
+            ]
+            self._status.publish({"header": _header(), "status_list": told})
+
+    def tell_result(self, execution: Execution, result: ActionResult) -> None:
+        told = self._told(execution.key, result.status, result.text)
+        self._result.publish({"header": _header(), "status": told, "result": result.result})
+
+    def _take_goal(self, reception: Reception) -> None:
+        message = reception.message()
+        named = message["goal_id"]
+        stamp = named["stamp"]
+        key = named["id"] or f"{stamp['sec']}.{stamp['nanosec']:09}"
+        self._stamps[key] = stamp
+        if self._server.find(key) is None and self._server.accept(key, message["goal"]) is None:
+            with self._lock:
+                self._rejected.append((key, time.monotonic()))
+            self._result.publish(
+                {
+                    "header": _header(),
+                    "status": self._told(key, GoalStatus.REJECTED, "the goal is not taken"),
+                    "result": completed(self._server.types.result, {}, where=self._server.action),
+                }
+            )
+        self.tell_status(self._server.executions)
+
+    def _take_cancel(self, reception: Reception) -> None:
+        asked = reception.message()
+        limit = _nanoseconds(asked["stamp"])
+        for execution in self._server.executions:
+            stamp = _nanoseconds(self._stamps.get(execution.key, {"sec": 0, "nanosec": 0}))
+            is_all = not asked["id"] and not limit
+            if is_all or asked["id"] == execution.key or (limit and stamp <= limit):
+                self._server.cancel(execution)
+
+    def _tell_again(self) -> None:
+        while not self._is_closed.wait(_STATUS_PERIOD):
+            try:
+                self.tell_status(self._server.executions)
+            except LinkError as error:
+                _logger.info("the states of an action are not told any more: %s", error)
+                return
+
+    def _told(self, key: str, status: GoalStatus, text: str = "") -> dict[str, Any]:
+        stamp = self._stamps.get(key, {"sec": 0, "nanosec": 0})
+        return {"goal_id": {"stamp": stamp, "id": key}, "status": _NUMBERS[status], "text": text}
+
+    def _advertised(self, transport: Transport, topic: str, message_type: str) -> TopicPublisher:
+        publisher = transport.advertise(topic, message_type, Qos.DEFAULT)
+        self._open.append(publisher)
+        return publisher
+
+    def _leave(self) -> None:
+        for opened in reversed(self._open):
+            opened.close()
+        self._open.clear()
+
+
+def _header() -> dict[str, Any]:
+    return {"seq": 0, "stamp": _stamp(time.time_ns()), "frame_id": ""}
+
+
+def _stamp(nanoseconds: int) -> dict[str, int]:
+    seconds, rest = divmod(nanoseconds, _SECOND_NS)
+    return {"sec": seconds, "nanosec": rest}
+
+
+def _nanoseconds(stamp: Mapping[str, int]) -> int:
+    return stamp["sec"] * _SECOND_NS + stamp["nanosec"]

@@ -1,0 +1,319 @@
+"""Actions as ROS 2 has them: three services and two topics, under a hidden name below the action's.
+
+Sources: design.ros2.org/articles/actions.html, and rcl_action for names, profiles and what is said when.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+import uuid
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import GoalRejectedError, LinkError
+from robot_runner.core.links.goals import ActionResult, GoalStatus
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros.action_calls import check_one_server, missing_action
+from robot_runner.ros.action_types import whole_action
+from robot_runner.ros.graph_transport import already_offered
+from robot_runner.ros.shapes import completed
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from robot_runner.core.links.robot import Message, Subscription
+    from robot_runner.ros.action_server import Execution, GoalServer
+    from robot_runner.ros.graph_transport import GraphTypes, Reception, TopicPublisher, Transport
+    from robot_runner.ros.sent_goal import SentGoal
+    from robot_runner.ros.shapes import Shape
+
+__all__ = ["GOAL_NUMBERS", "GOAL_STATES", "STATUS_TOPIC", "STATUS_TYPE", "Ros2ActionTypes", "Ros2Actions"]
+
+_logger = logging.getLogger(__name__)
+
+_SEND, _CANCEL, _RESULT = "/_action/send_goal", "/_action/cancel_goal", "/_action/get_result"
+_FEEDBACK, STATUS_TOPIC = "/_action/feedback", "/_action/status"
+_CANCEL_TYPE, STATUS_TYPE = "action_msgs/CancelGoal", "action_msgs/GoalStatusArray"
+#: action_msgs/GoalStatus.
+GOAL_STATES: Mapping[int, GoalStatus] = MappingProxyType(
+    {
+        0: GoalStatus.UNKNOWN,
+        1: GoalStatus.ACCEPTED,
+        2: GoalStatus.EXECUTING,
+        3: GoalStatus.CANCELING,
+        4: GoalStatus.SUCCEEDED,
+        5: GoalStatus.CANCELED,
+        6: GoalStatus.ABORTED,
+    }
+)
+GOAL_NUMBERS: Mapping[GoalStatus, int] = MappingProxyType({status: number for number, status in GOAL_STATES.items()})
+#: action_msgs/CancelGoal: why a server does not cancel.
+_NOT_REFUSED, _IS_OVER = 0, 3
+_REFUSALS = {1: "the server refuses", 2: "the server does not know the goal"}
+#: How long a server that is not there is waited for, s; a node that starts up takes as long.
+_PATIENCE = 1.5
+_POLL = 0.05
+#: How long the result of a goal that is over may take, s.
+_RESULT_SECONDS = 5.0
+_EVERY = bytes(16)
+
+
+def uuid_of(key: str) -> dict[str, bytes]:
+    """Return the message `unique_identifier_msgs/UUID` of a goal's key."""
+    return {"uuid": bytes.fromhex(key)}
+
+
+@dataclass(frozen=True, slots=True)
+class Ros2ActionTypes:
+    """What an action is made of."""
+
+    goal: Shape
+    result: Shape
+    feedback: Shape
+
+    @classmethod
+    def of(cls, types: GraphTypes, action_type: str) -> Ros2ActionTypes:
+        """Look them up among the types of its services and its feedback; raise a `LinkError` where there are none."""
+        return cls(
+            _inner(types.request(f"{action_type}_SendGoal"), "goal"),
+            _inner(types.response(f"{action_type}_GetResult"), "result"),
+            _inner(types.shape(f"{action_type}_FeedbackMessage"), "feedback"),
+        )
+
+
+def _inner(shape: Shape, name: str) -> Shape:
+    return next(field.kind for field in shape.fields if field.name == name)  # type: ignore[return-value]  # a message
+
+
+class Ros2Actions:
+    """The actions of a graph of ROS 2, over the primitives of a transport.
+
+    Args:
+        transport: that reaches the graph.
+    """
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    def types(self, action_type: str) -> Ros2ActionTypes:
+        """Return what an action is made of."""
+        return Ros2ActionTypes.of(self._transport.types, action_type)
+
+    def actions(self) -> dict[str, str]:
+        """Return the type of each action that is offered, by full name."""
+        return {
+            name.removesuffix(_SEND): whole_action(kind)
+            for name, kind in sorted(self._transport.services().items())
+            if name.endswith(_SEND)
+        }
+
+    def client(self, action: str, action_type: str, timeout: float) -> _Client:
+        """Return what sends goals to an action, once its server is there."""
+        deadline = time.monotonic() + min(timeout, _PATIENCE)
+        while (known := self.actions()).get(action) != action_type:
+            if time.monotonic() > deadline or action in known:
+                raise missing_action(action, action_type, known)
+            time.sleep(_POLL)
+        return _Client(self._transport, self, action, action_type)
+
+    def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
+        """Have goals executed by a server of this link."""
+        if action in self.actions():
+            raise already_offered(action, what="action")
+        return _Served(self._transport, action, action_type, server)
+
+
+class _Client:
+    """Sends goals to one action."""
+
+    def __init__(self, transport: Transport, graph: Ros2Actions, action: str, action_type: str) -> None:
+        self._transport = transport
+        self._graph = graph
+        self._action = action
+        self._type = action_type
+        self._goals: dict[str, SentGoal] = {}
+        self._fetched: set[str] = set()
+        self._lock = threading.Lock()
+        self._status = transport.subscribe(
+            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=None, is_raw=False
+        )
+        self._feedback = transport.subscribe(
+            action + _FEEDBACK, f"{action_type}_FeedbackMessage", self._take_feedback, qos=None, is_raw=False
+        )
+
+    def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
+        check_one_server(self._action, self._transport.publishers(self._action + STATUS_TOPIC))
+        sent.key = uuid.uuid4().hex
+        with self._lock:
+            self._goals[sent.key] = sent
+        request = {"goal_id": uuid_of(sent.key), "goal": goal}
+        answer = self._transport.call(self._action + _SEND, f"{self._type}_SendGoal", request, timeout)
+        if not answer["accepted"]:
+            sent.note(GoalStatus.REJECTED)
+            self._forget(sent)
+            fix = "Look at the log of its node: it may be busy, or not active yet."
+            raise GoalRejectedError("the action server rejects the goal", where=self._action, fix=fix)
+        if sent.status is GoalStatus.UNKNOWN:
+            sent.note(GoalStatus.ACCEPTED)
+
+    def cancel(self, sent: SentGoal, timeout: float) -> None:
+        request = {"goal_info": {"goal_id": uuid_of(sent.key), "stamp": {"sec": 0, "nanosec": 0}}}
+        answer = self._transport.call(self._action + _CANCEL, _CANCEL_TYPE, request, timeout)
+        code = answer["return_code"]
+        if code in {_NOT_REFUSED, _IS_OVER}:
+            return
+        problem = f"the goal is not cancelled: {_REFUSALS.get(code, f'the server answers {code}')}"
+        raise LinkError(problem, where=self._action, fix="Look at the log of its node.")
+
+    def is_served(self) -> bool:
+        return self._graph.actions().get(self._action) == self._type
+
+    def close(self) -> None:
+        self._feedback.close()
+        self._status.close()
+
+    def _take_feedback(self, reception: Reception) -> None:
+        message = reception.message()
+        goal = self._find(message)
+        if goal is not None:
+            goal.take_feedback(message["feedback"])
+
+    def _take_status(self, reception: Reception) -> None:
+        for told in reception.message()["status_list"]:
+            goal = self._find(told["goal_info"])
+            if goal is not None:
+                self._note(goal, GOAL_STATES.get(told["status"], GoalStatus.UNKNOWN))
+
+    def _note(self, goal: SentGoal, status: GoalStatus) -> None:
+        if status.is_over:
+            with self._lock:
+                if goal.key in self._fetched:
+                    return
+                self._fetched.add(goal.key)
+            # In a thread of its own: this one receives, and the answer comes in it.
+            threading.Thread(target=self._fetch, args=(goal, status), name="action result", daemon=True).start()
+        goal.note(status)
+        if goal.is_abandoned and not status.is_over:
+            self._forget(goal)
+            threading.Thread(target=self._drop, args=(goal,), name="action cancel", daemon=True).start()
+
+    def _fetch(self, goal: SentGoal, status: GoalStatus) -> None:
+        request = {"goal_id": uuid_of(goal.key)}
+        try:
+            answer = self._transport.call(self._action + _RESULT, f"{self._type}_GetResult", request, _RESULT_SECONDS)
+        except LinkError as error:
+            problem = f"the goal is {status}, and its result is not told: {error.problem}"
+            goal.lose(LinkError(problem, where=self._action, fix=error.fix))
+            return
+        finally:
+            self._forget(goal)
+        told = GOAL_STATES.get(answer["status"], GoalStatus.UNKNOWN)
+        goal.finish(ActionResult(told if told.is_over else status, answer["result"]))
+
+    def _drop(self, goal: SentGoal) -> None:
+        """Cancel a goal that was accepted after its deadline: nobody waits for it."""
+        try:
+            self.cancel(goal, _RESULT_SECONDS)
+        except LinkError as error:
+            _logger.warning("a goal of %s that was accepted too late goes on: %s", self._action, error)
+
+    def _find(self, identified: Mapping[str, Any]) -> SentGoal | None:
+        with self._lock:
+            return self._goals.get(bytes(identified["goal_id"]["uuid"]).hex())
+
+    def _forget(self, goal: SentGoal) -> None:
+        with self._lock:
+            self._goals.pop(goal.key, None)
+            self._fetched.discard(goal.key)
+
+
+class _Served:
+    """An action that is offered: its services and topics, until it is closed."""
+
+    def __init__(self, transport: Transport, action: str, action_type: str, server: GoalServer) -> None:
+        self._server = server
+        self._open: list[TopicPublisher | Subscription] = []
+        try:
+            self._feedback = transport.advertise(action + _FEEDBACK, f"{action_type}_FeedbackMessage", Qos.DEFAULT)
+            self._open.append(self._feedback)
+            self._status = transport.advertise(action + STATUS_TOPIC, STATUS_TYPE, Qos.TRANSIENT_LOCAL)
+            self._open.append(self._status)
+            server.connect(self)
+            # What is asked for first comes last: whoever finds it finds all of the action.
+            for name, kind, answer in (
+                (_RESULT, f"{action_type}_GetResult", self._answer_result),
+                (_CANCEL, _CANCEL_TYPE, self._answer_cancel),
+                (_SEND, f"{action_type}_SendGoal", self._answer_goal),
+            ):
+                self._open.append(transport.serve(action + name, kind, _complete(transport, kind, answer)))
+        except LinkError:
+            self._leave()
+            raise
+
+    def close(self) -> None:
+        """Offer it no more."""
+        self._server.close()
+        self._leave()
+
+    def tell_feedback(self, execution: Execution, message: Message) -> None:
+        self._feedback.publish({"goal_id": uuid_of(execution.key), "feedback": message})
+
+    def tell_status(self, executions: Sequence[Execution]) -> None:
+        told = [{"goal_info": _info(each), "status": GOAL_NUMBERS[each.status]} for each in executions]
+        self._status.publish({"status_list": told})
+
+    def tell_result(self, execution: Execution, result: ActionResult) -> None:
+        """Do nothing: whoever asked for it is answered, because the execution is over."""
+
+    def _answer_goal(self, request: Message) -> Message:
+        execution = self._server.accept(bytes(request["goal_id"]["uuid"]).hex(), request["goal"])
+        stamp = time.time_ns() if execution is None else execution.accepted_ns
+        return {"accepted": execution is not None, "stamp": _stamp(stamp)}
+
+    def _answer_cancel(self, request: Message) -> Message:
+        asked = request["goal_info"]
+        key = bytes(asked["goal_id"]["uuid"])
+        limit = asked["stamp"]["sec"] * 1_000_000_000 + asked["stamp"]["nanosec"]
+        if key != _EVERY and not limit:
+            execution = self._server.find(key.hex())
+            if execution is None:
+                return {"return_code": 2, "goals_canceling": []}
+            is_taken = self._server.cancel(execution)
+            return {"return_code": 0 if is_taken else 3, "goals_canceling": [_info(execution)] if is_taken else []}
+        # All goals, or those that were accepted by then and the one that is named.
+        chosen = [
+            each
+            for each in self._server.executions
+            if not limit or each.accepted_ns <= limit or bytes.fromhex(each.key) == key
+        ]
+        return {"return_code": 0, "goals_canceling": [_info(each) for each in chosen if self._server.cancel(each)]}
+
+    def _answer_result(self, request: Message) -> Message:
+        execution = self._server.find(bytes(request["goal_id"]["uuid"]).hex())
+        if execution is None:
+            return {"status": 0, "result": {}}
+        execution.over.wait()
+        result = execution.result
+        return {"status": GOAL_NUMBERS[execution.status], "result": {} if result is None else result.result}
+
+    def _leave(self) -> None:
+        for opened in reversed(self._open):
+            opened.close()
+        self._open.clear()
+
+
+def _complete(transport: Transport, kind: str, answer: Callable[[Message], Message]) -> Callable[[Message], Message]:
+    shape = transport.types.response(kind)
+    return lambda request: completed(shape, answer(request), where=kind)
+
+
+def _info(execution: Execution) -> dict[str, Any]:
+    return {"goal_id": uuid_of(execution.key), "stamp": _stamp(execution.accepted_ns)}
+
+
+def _stamp(nanoseconds: int) -> dict[str, int]:
+    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    return {"sec": seconds, "nanosec": rest}

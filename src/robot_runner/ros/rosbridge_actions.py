@@ -1,0 +1,301 @@
+"""Actions of ROS 2 through a rosbridge, by the operations that rosbridge_suite has for them since 2.0.
+
+What its servers do was read from rosbridge_library 2.0 to 3: they do not say that a goal was accepted, and those of 2.x
+say nothing of one that was rejected. So the states of the action's own topic are subscribed beside. By default a server
+takes no other operation of a connection while a goal is executed: each goal has a connection of its own.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import GoalRejectedError, LinkError
+from robot_runner.core.links.goals import ActionResult, GoalStatus
+from robot_runner.core.links.robot import Qos
+from robot_runner.ros.action_calls import missing_action
+from robot_runner.ros.graph_transport import already_offered
+from robot_runner.ros.ros2_actions import GOAL_NUMBERS, GOAL_STATES, STATUS_TOPIC, STATUS_TYPE, Ros2ActionTypes
+from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
+from robot_runner.ros.rosbridge_session import Session
+from robot_runner.ros.shapes import completed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from robot_runner.core.links.robot import Message, Subscription
+    from robot_runner.ros.action_server import Execution, GoalServer
+    from robot_runner.ros.graph_addresses import RosbridgeAddress
+    from robot_runner.ros.graph_transport import Reception, Transport
+    from robot_runner.ros.rosbridge_types import Rosapi
+    from robot_runner.ros.sent_goal import SentGoal
+
+__all__ = ["RosbridgeActions"]
+
+_logger = logging.getLogger(__name__)
+
+_REMEDY = "Have rosbridge_suite 2.0 or newer on the robot, with rosapi beside it."
+#: How long a server that is not there is waited for, and how long an action may take to be offered, s.
+_PATIENCE, _OFFERING = 1.5, 3.0
+_POLL = 0.05
+_SENDING, _CANCELLING = "send_action_goal", "cancel_action_goal"
+
+
+class RosbridgeActions:
+    """The actions of the ROS 2 graph behind a rosbridge.
+
+    Args:
+        transport: that reaches the graph.
+        session: its connection.
+        rosapi: what tells of the graph.
+        address: of the rosbridge.
+    """
+
+    def __init__(self, transport: Transport, session: Session, rosapi: Rosapi, address: RosbridgeAddress) -> None:
+        self.transport = transport
+        self.session = session
+        self.address = address
+        self._rosapi = rosapi
+        self._served: dict[str, _Served] = {}
+        session.on_action = self._take
+
+    def types(self, action_type: str) -> Ros2ActionTypes:
+        """Return what an action is made of; a rosbridge does not tell it."""
+        return Ros2ActionTypes.of(self.transport.types, action_type)
+
+    def actions(self) -> dict[str, str]:
+        """Return the type of each action that is offered, by full name; `*` where the server is too old to tell it."""
+        names = self._rosapi.action_servers()
+        return {name: self._rosapi.action_type(name) or "*" for name in sorted(names)}
+
+    def client(self, action: str, action_type: str, timeout: float) -> _Client:
+        """Return what sends goals to an action, once its server is there."""
+        deadline = time.monotonic() + min(timeout, _PATIENCE)
+        while (known := self.actions()).get(action) not in {action_type, "*"}:
+            if time.monotonic() > deadline or action in known:
+                raise missing_action(action, action_type, known)
+            time.sleep(_POLL)
+        return _Client(self, action, action_type, self.types(action_type))
+
+    def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:
+        """Have goals executed by a server of this link."""
+        if action in self._served or action in self.actions():
+            raise already_offered(action, what="action")
+        served = self._served[action] = _Served(self, action, action_type, server)
+        try:
+            served.offer()
+        except LinkError:
+            self.withdraw(action)
+            raise
+        return served
+
+    def withdraw(self, action: str) -> None:
+        """Hand on no more goals."""
+        self._served.pop(action, None)
+
+    def wait_for_offer(self, action: str) -> None:
+        """Return once an action is on the graph; raise a `LinkError` where the server does not offer it."""
+        deadline = time.monotonic() + _OFFERING
+        while action not in self._rosapi.action_servers():
+            if time.monotonic() > deadline:
+                problem = f"the rosbridge server does not offer the action within {_OFFERING:g} s"
+                raise LinkError(problem, where=action, fix=f"{_REMEDY} The package of its type must be there, too.")
+            time.sleep(_POLL)
+
+    def is_served(self, action: str) -> bool:
+        """Whether a server of this action is listed."""
+        return action in self._rosapi.action_servers()
+
+    def _take(self, operation: Mapping[str, Any]) -> None:
+        served = self._served.get(str(operation.get("action")))
+        if served is not None:
+            served.take(operation)
+
+
+class _Client:
+    """Sends goals to one action."""
+
+    def __init__(self, graph: RosbridgeActions, action: str, action_type: str, types: Ros2ActionTypes) -> None:
+        self._graph = graph
+        self._action = action
+        self._type = action_type
+        self._types = types
+        self._lock = threading.Lock()
+        self._sending = threading.Lock()  # one after the other: a new state is that of the goal that was sent last
+        self._connections: dict[str, Session] = {}
+        self._known: dict[str, SentGoal | None] = {}
+        self._awaiting: SentGoal | None = None
+        self._status = graph.transport.subscribe(
+            action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=Qos.TRANSIENT_LOCAL, is_raw=False
+        )
+
+    def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
+        with self._sending:
+            connection = Session(self._graph.address)
+            sent.key = connection.fresh_id(f"{_SENDING}:{id(sent)}")
+            connection.on_action = partial(self._take, sent)
+            connection.on_lost = partial(self._lose, sent)
+            with self._lock:
+                self._connections[sent.key] = connection
+                self._awaiting = sent
+            try:
+                self._send(connection, goal, sent)
+                sent.wait_for_status(lambda status: status is not GoalStatus.UNKNOWN, timeout)
+            finally:
+                with self._lock:
+                    self._awaiting = None
+            self._check(sent, timeout)
+
+    def cancel(self, sent: SentGoal, timeout: float) -> None:
+        del timeout
+        # Over the link's own connection: that of the goal may be taken up by it. A server knows all goals by their id.
+        operation = {"op": _CANCELLING, "id": sent.key, "action": self._action}
+        self._graph.session.send(operation)
+
+    def is_served(self) -> bool:
+        return self._graph.is_served(self._action)
+
+    def close(self) -> None:
+        self._status.close()
+        with self._lock:
+            connections = list(self._connections.values())
+            self._connections.clear()
+        for connection in connections:
+            connection.close()
+
+    def _send(self, connection: Session, goal: Message, sent: SentGoal) -> None:
+        spelt = self._type.replace("/", "/action/", 1)
+        operation = {"op": _SENDING, "id": sent.key, "action": self._action, "action_type": spelt, "feedback": True}
+        connection.send({**operation, "args": to_protocol(self._types.goal, goal)})
+
+    def _check(self, sent: SentGoal, timeout: float) -> None:
+        """Raise a `LinkError` where a goal was not accepted."""
+        fault = sent.fault
+        if fault is None and sent.status is GoalStatus.UNKNOWN:
+            sent.is_abandoned = True
+            with suppress(LinkError):
+                self.cancel(sent, timeout)
+            complaint = self._connections[sent.key].complaint(sent.key)
+            problem = complaint or f"the action server does not accept the goal within {timeout:g} s"
+            hint = "" if complaint else "Look whether its node is busy or rejects it: servers of 2.x do not tell. "
+            fix = f"{hint}{_REMEDY}"
+            fault = LinkError(problem, where=self._action, fix=fix)
+        if fault is not None:
+            self._leave(sent)
+            raise fault
+
+    def _lose(self, sent: SentGoal, error: LinkError) -> None:
+        """Have a goal end whose connection is lost, where the link's own is not: nobody hears what comes of it."""
+        sent.lose(error)
+        with suppress(LinkError):
+            self.cancel(sent, 0.0)
+
+    def _take(self, sent: SentGoal, operation: Mapping[str, Any]) -> None:
+        if operation.get("id") != sent.key:
+            return
+        with self._lock:
+            connection = self._connections.get(sent.key)
+        if connection is None:
+            return
+        if operation["op"] == "action_feedback":
+            connection.later(partial(self._take_feedback, sent, operation.get("values")))
+        elif operation["op"] == "action_result":
+            connection.later(partial(self._take_result, sent, operation))
+
+    def _take_feedback(self, sent: SentGoal, values: Any) -> None:
+        if sent.status in {GoalStatus.UNKNOWN, GoalStatus.ACCEPTED}:
+            sent.note(GoalStatus.EXECUTING)
+        sent.take_feedback(from_protocol(self._types.feedback, values, where=self._action))
+
+    def _take_result(self, sent: SentGoal, operation: Mapping[str, Any]) -> None:
+        if operation.get("result") is False:
+            problem = f"the goal failed: {operation.get('values')}"
+            kind = GoalRejectedError if "reject" in problem else LinkError
+            sent.lose(kind(problem, where=self._action, fix="Look at the log of the action's node."))
+        else:
+            told = GOAL_STATES.get(operation.get("status", 0), GoalStatus.UNKNOWN)
+            if not told.is_over:  # servers before 2.0 leave it out
+                told = GoalStatus.CANCELED if sent.status is GoalStatus.CANCELING else GoalStatus.ABORTED
+            values = from_protocol(self._types.result, operation.get("values") or {}, where=self._action)
+            sent.finish(ActionResult(told, values))
+        # In another thread: this one is the connection's own.
+        threading.Thread(target=self._leave, args=(sent,), name="action connection", daemon=True).start()
+
+    def _take_status(self, reception: Reception) -> None:
+        for told in reception.message()["status_list"]:
+            status = GOAL_STATES.get(told["status"], GoalStatus.UNKNOWN)
+            key = bytes(told["goal_info"]["goal_id"]["uuid"]).hex()
+            with self._lock:
+                if key not in self._known:
+                    self._known[key] = self._awaiting
+                    self._awaiting = None
+                goal = self._known[key]
+            if goal is not None and not status.is_over:
+                goal.note(status)  # the end comes with the result
+
+    def _leave(self, sent: SentGoal) -> None:
+        with self._lock:
+            connection = self._connections.pop(sent.key, None)
+        if connection is not None:
+            connection.close()
+
+
+class _Served:
+    """An action that is offered through the server, until it is closed."""
+
+    def __init__(self, graph: RosbridgeActions, action: str, action_type: str, server: GoalServer) -> None:
+        self._graph = graph
+        self._action = action
+        self._type = action_type
+        self._server = server
+        server.connect(self)
+
+    def offer(self) -> None:
+        """Have the server offer it."""
+        operation = {"op": "advertise_action", "action": self._action, "type": self._type.replace("/", "/action/", 1)}
+        try:
+            self._graph.session.request(operation, where=self._action)
+        except LinkError as error:
+            raise LinkError(error.problem, where=self._action, fix=_REMEDY) from error
+        self._graph.wait_for_offer(self._action)
+
+    def close(self) -> None:
+        """Offer it no more."""
+        self._server.close()
+        self._graph.withdraw(self._action)
+        if self._graph.session.is_usable:
+            self._graph.session.request({"op": "unadvertise_action", "action": self._action}, where=self._action)
+
+    def take(self, operation: Mapping[str, Any]) -> None:
+        """Take a goal, or the request to cancel one."""
+        key = str(operation.get("id"))
+        if operation["op"] == _CANCELLING:
+            execution = self._server.find(key)
+            if execution is not None:
+                self._server.cancel(execution)
+            return
+        goal = from_protocol(self._server.types.goal, operation.get("args") or {}, where=self._action)
+        if self._server.accept(key, goal) is None:
+            # The server has accepted it for us: all that is left is to give it up.
+            empty = completed(self._server.types.result, {}, where=self._action)
+            self._tell_end(key, ActionResult(GoalStatus.ABORTED, empty, "the goal is rejected"))
+
+    def tell_feedback(self, execution: Execution, message: Message) -> None:
+        values = to_protocol(self._server.types.feedback, message)
+        operation = {"op": "action_feedback", "action": self._action, "id": execution.key, "values": values}
+        self._graph.session.send(operation)
+
+    def tell_status(self, executions: Sequence[Execution]) -> None:
+        """Do nothing: the server tells the states."""
+
+    def tell_result(self, execution: Execution, result: ActionResult) -> None:
+        self._tell_end(execution.key, result)
+
+    def _tell_end(self, key: str, result: ActionResult) -> None:
+        values = to_protocol(self._server.types.result, result.result)
+        operation = {"op": "action_result", "action": self._action, "id": key, "values": values, "result": True}
+        self._graph.session.send({**operation, "status": GOAL_NUMBERS[result.status]})

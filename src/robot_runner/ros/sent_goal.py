@@ -1,0 +1,172 @@
+"""A goal that a link sent to an action server, until it is over."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING, Protocol
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.links.goals import ActionResult, GoalStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from robot_runner.core.links.robot import Message
+
+__all__ = ["SentGoal"]
+
+#: How often it is looked whether the server of an awaited goal is still there, s.
+_LOOK = 1.0
+
+
+class _Client(Protocol):
+    """What a goal asks of the client that it was sent with."""
+
+    def cancel(self, sent: SentGoal, timeout: float) -> None: ...
+    def is_served(self) -> bool: ...
+
+
+class SentGoal:
+    """A goal that was sent, until it is over. A dialect tells it what it hears; whoever sent it waits for it.
+
+    Args:
+        action: full name of its action.
+        wait: waits for an event, for so many seconds at most, as the link's transport does.
+        take_feedback: called with the feedback; it deals with what it raises.
+
+    Attributes:
+        key: how a dialect knows it.
+        is_abandoned: whether nobody waits for it any more, because it was not accepted in time.
+    """
+
+    def __init__(
+        self, action: str, wait: Callable[[threading.Event, float], None], take_feedback: Callable[[Message], None]
+    ) -> None:
+        self.action = action
+        self.key = ""
+        self.is_abandoned = False
+        self.client: _Client | None = None
+        self._wait = wait
+        self._take_feedback = take_feedback
+        self._lock = threading.Lock()
+        self._status = GoalStatus.UNKNOWN
+        self._changed = threading.Event()
+        self._is_over = threading.Event()
+        self._result: ActionResult | None = None
+        self._fault: LinkError | None = None
+
+    @property
+    def status(self) -> GoalStatus:
+        """What the server said last of it."""
+        return self._status
+
+    @property
+    def fault(self) -> LinkError | None:
+        """Why nothing will come of it, where that is so."""
+        return self._fault
+
+    @property
+    def is_over(self) -> bool:
+        """Whether there is a result, or there will be none."""
+        return self._is_over.is_set()
+
+    def result(self, *, timeout: float) -> ActionResult:
+        """Wait until it is over and return what came of it; `timeout` is in seconds.
+
+        Raises:
+            LinkError: it is not over in time, or its server is gone.
+        """
+        if not self._wait_until_over(timeout):
+            problem = f"the goal is not over within {timeout:g} s: it is {self._status}"
+            raise LinkError(problem, where=self.action, fix="Give a longer timeout, or cancel the goal.")
+        if self._result is None:
+            raise self._fault or self._gone()
+        return self._result
+
+    def cancel(self, *, timeout: float = 5.0) -> None:
+        """Ask for its end and wait until it is over; `timeout` is in seconds.
+
+        Raises:
+            LinkError: the server refuses, or does not end it in time.
+        """
+        deadline = time.monotonic() + timeout
+        self.ask_for_end(timeout)
+        if not self._wait_until_over(timeout, deadline):
+            raise LinkError(
+                f"the goal does not end within {timeout:g} s after it was asked to: it is {self._status}",
+                where=self.action,
+                fix="Look whether its server looks for cancel requests, or give a longer timeout.",
+            )
+
+    def ask_for_end(self, timeout: float) -> None:
+        """Ask for its end; nothing is done where it is over.
+
+        Raises:
+            LinkError: the server refuses, or is gone.
+        """
+        if self.is_over or self.client is None:
+            return
+        if not self.client.is_served():
+            self.lose(self._gone())
+            raise self._gone()
+        self.client.cancel(self, timeout)
+
+    def note(self, status: GoalStatus) -> None:
+        """Take what the server says of it; what is over stays over."""
+        with self._lock:
+            if not self._status.is_over:
+                self._status = status
+        self._changed.set()
+
+    def take_feedback(self, message: Message) -> None:
+        """Hand on feedback, while the goal is not over."""
+        if not self.is_over:
+            self._take_feedback(message)
+
+    def finish(self, result: ActionResult) -> None:
+        """Take what came of it; the first result counts."""
+        with self._lock:
+            if self._result is None and self._fault is None:
+                self._result = result
+                self._status = result.status
+        self._end()
+
+    def lose(self, fault: LinkError) -> None:
+        """Take that nothing will come of it any more."""
+        with self._lock:
+            if self._result is None and self._fault is None:
+                self._fault = fault
+        self._end()
+
+    def wait_for_status(self, claim: Callable[[GoalStatus], bool], timeout: float) -> bool:
+        """Wait until something holds of the status; return whether it does."""
+        deadline = time.monotonic() + timeout
+        while not claim(self._status):
+            left = deadline - time.monotonic()
+            if left <= 0 or self._fault is not None:
+                return claim(self._status)
+            self._changed.clear()
+            if not claim(self._status):
+                self._wait(self._changed, left)
+        return True
+
+    def _end(self) -> None:
+        self._is_over.set()
+        self._changed.set()
+
+    def _wait_until_over(self, timeout: float, deadline: float | None = None) -> bool:
+        # Its own count of the time: a simulated second is not one of this machine.
+        left = timeout if deadline is None else min(timeout, max(0.0, deadline - time.monotonic()))
+        while not self.is_over and left > 0:
+            self._wait(self._is_over, min(_LOOK, left))
+            left -= _LOOK
+            if not self.is_over and self.client is not None and not self.client.is_served():
+                self._wait(self._is_over, _LOOK)  # a result that is on its way
+                if not self.is_over:
+                    self.lose(self._gone())
+        return self.is_over
+
+    def _gone(self) -> LinkError:
+        problem = f"the action server is gone; the goal was {self._status}"
+        return LinkError(problem, where=self.action, fix="Look at the log of its node, and start it again.")

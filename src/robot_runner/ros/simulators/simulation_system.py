@@ -1,0 +1,299 @@
+"""The system that resets a simulator between runs, sees that it was reset, and measures how fast its time goes."""
+
+from __future__ import annotations
+
+import math
+import time
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, ClassVar
+
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.events.measure import Measure
+from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
+from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.plugin import System
+from robot_runner.ros.graph_links import follows_graph_clock
+from robot_runner.ros.simulators.simulator_dialects import dialect_of
+from robot_runner.ros.simulators.unpausing import unpause_from_elsewhere
+from robot_runner.ros.simulators.watched_pose import WatchedPose, checked_spot
+from robot_runner.ros.simulators.watched_time import CLOCK_TOPIC, WatchedTime
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.plugin import Circumstances
+    from robot_runner.ros.simulators.simulator_dialects import Demand, Spot
+
+__all__ = ["Simulation"]
+
+_RESETS = ("world", "simulation", "none")
+#: How long the first time of a simulator is awaited, s: Gazebo publishes it ten times a second at least.
+_FIRST_TIME = 2.0
+_LOOK = 0.02
+
+
+class Simulation(System):
+    """Resets a simulator before each run, sees that robot and time were reset, and measures its real-time factor.
+
+    The simulator is found on the robot's graph. Where a run is to start it, put what starts it before this system:
+    `RosLaunch("my_sim", "world.launch.py", arguments={"world": treatment("World")})`. Between runs it is paused.
+    List it before the systems that operate the robot, so that they find it reset.
+
+    Args:
+        simulator: how it is spoken to: `robot_runner` (robot-runner simulate), `gazebo_classic` (ROS 1),
+            `gazebo_classic_ros2`, `gz`, `webots`, `isaac`, or `simulation_interfaces` for others that keep to it.
+        name: tells several simulators apart; the class's name if left out.
+        namespace: the robot's, for its pose and for services that stand in it.
+        world: of gz, the world's name; of the others, what stands before the names of their services.
+        robot: the name of the robot's model in the simulator, where it is placed or told apart.
+        reset: `world` (poses; time goes on), `simulation` (time begins again, too) or `none`.
+        start: where the robot is to be seen after a reset: x, y (m) and yaw (rad).
+        is_placed: whether the robot is put there after the reset, for a start that is not the world's own.
+        pose_topic: the topic that tells where it stands.
+        tolerance_m: how far from its start it may be seen, m.
+        tolerance_rad: how far its heading may be off, rad.
+        pauses: whether the simulator is paused between runs.
+        lowest_real_time_factor: below this, in the slowest second of the mission, the values of a run are doubtful;
+            0 for never.
+        timeout_s: how long each answer, and the reset, may take, s.
+
+    Raises:
+        PluginError: there is no such simulator, or it cannot do what is asked for.
+
+    Example:
+        >>> Simulation("gz", world="maze", reset="simulation").measures[0].name
+        'RealTimeFactor'
+    """
+
+    measures: Sequence[Measure] = (
+        Measure("RealTimeFactor", "1", "Simulated seconds a second of this machine, over the mission."),
+        Measure("LowestRealTimeFactor", "1", "The same over the slowest second of the mission."),
+        Measure("ResetDuration", "s", "From the request to reset until robot and time were seen to be reset."),
+    )
+    needs: ClassVar[str] = "A simulator on the robot's graph, with the services that reset it."
+
+    def __init__(  # noqa: PLR0913 - one keyword for each thing that simulators differ in
+        self,
+        simulator: str = "robot_runner",
+        *,
+        name: str | None = None,
+        namespace: str = "",
+        world: str = "",
+        robot: str = "",
+        reset: str = "world",
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        is_placed: bool = False,
+        pose_topic: str = "odom",
+        tolerance_m: float = 0.05,
+        tolerance_rad: float = 0.1,
+        pauses: bool = True,
+        lowest_real_time_factor: float = 0.9,
+        timeout_s: float = 10.0,
+    ) -> None:
+        super().__init__(name=name)
+        self.namespace = namespace
+        self.robot = robot
+        self.reset = reset
+        self.start: Spot = checked_spot(start)
+        self.pose_topic = pose_topic
+        self.tolerance_m, self.tolerance_rad = tolerance_m, tolerance_rad
+        self.lowest_real_time_factor = lowest_real_time_factor
+        self.timeout_s = timeout_s
+        self._dialect = dialect_of(simulator, world)
+        self._reset = self._reset_demand()
+        self._place = self._placing(is_placed=is_placed)
+        self.pauses = pauses and self._dialect.pause is not None
+        self._check_figures()
+        self._time: WatchedTime | None = None
+        self._reset_duration: float | None = None
+        self._closing = ExitStack()
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, whose graph the simulator is on."""
+        del robot
+        return ()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot; and what is of no use."""
+        where = f"plugin {self.name}"
+        if circumstances.robot is None:
+            fix = "Name how its graph is reached: robot = 'ros2' (or ros1, dds, rosbridge)."
+            yield Finding.error(where, "the simulator is on the robot's graph, and the experiment names no robot", fix)
+        elif is_simulated(circumstances.robot):
+            yield Finding.warning(
+                where,
+                "the embedded robot begins each run anew: nothing is reset, and its time has no pace of its own",
+                "Leave the plugin out, or reach a simulator on a graph: --set robot=dds.",
+            )
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Need where the robot stands, and the services whose names are known beforehand."""
+        del circumstances
+        if self._reset is not None:
+            fix = "Name the topic that tells where the robot stands: pose_topic='odom'."
+            yield GraphNeed.published(self.pose_topic, fix=fix)
+        pausing = (self._dialect.pause, self._dialect.unpause) if self.pauses else ()
+        for demand in (self._reset, self._place, *pausing):
+            if demand is not None and len(demand.services) == 1:
+                fix = f"Start what offers it: {self._dialect.hint}."
+                yield GraphNeed.service(demand.services[0], demand.service_type, fix=fix)
+
+    def before_run(self, context: RobotRunnerContext) -> None:
+        """Let the simulator go on where the run lives by its time: a run cannot begin while that stands still."""
+        if self.pauses and follows_graph_clock(context.robot):
+            self._unpause_from_elsewhere(context)
+
+    def after_experiment(self, context: ExperimentContext) -> None:
+        """Leave the simulator as it was found: going on."""
+        if self.pauses and context.robot is not None and not is_simulated(context.robot):
+            signs = (CLOCK_TOPIC, self.pose_topic)  # a subject that started it may have ended it
+            self._unpause_from_elsewhere(context, signs)
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Reset the simulator, and see that it was reset.
+
+        Raises:
+            LinkError: it cannot be reset, or is not seen to be reset in time; it says what is seen instead.
+        """
+        self._reset_duration, self._time = None, None
+        self._closing.close()
+        link = connect_robot(context, namespace=self.namespace)
+        if link.is_simulated:
+            return
+        namespace = robot_namespace(context, self.namespace)
+        if CLOCK_TOPIC in link.topics():
+            self._time = WatchedTime(link, lambda before, now: context.fail(_went_back(before, now)))
+            self._closing.callback(self._time.close)
+        self._demand(self._dialect.unpause, link, namespace)
+        if self._reset is not None:
+            self._reset_duration = self._reset_and_see(self._reset, link, namespace)
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Measure the simulator's time from here on."""
+        del context
+        if self._time is not None:
+            self._time.begin()
+
+    def stop_measurement(self, context: RobotRunnerContext) -> None:
+        """Measure the simulator's time no more."""
+        del context
+        if self._time is not None:
+            self._time.end()
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Pause the simulator until the next run."""
+        self._closing.close()
+        link = connect_robot(context, namespace=self.namespace)
+        if self.pauses and not link.is_simulated:
+            self._demand(self._dialect.pause, link, robot_namespace(context, self.namespace))
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the real-time factor, and doubt the run where it was too low."""
+        measured = self._time
+        context.publish("RealTimeFactor", None if measured is None else measured.factor)
+        context.publish("LowestRealTimeFactor", None if measured is None else measured.slowest)
+        context.publish("ResetDuration", self._reset_duration)
+        if is_simulated(context.robot):
+            return
+        if measured is None or measured.factor is None:
+            problem = f"nothing was published on {CLOCK_TOPIC}: how fast the simulator's time went is not known"
+            context.warn(problem, fix="Have the simulator publish its time (robot-runner simulate: --use-sim-time).")
+            return
+        lowest = measured.factor if measured.slowest is None else min(measured.factor, measured.slowest)
+        if lowest < self.lowest_real_time_factor:
+            context.broker.doubt_run(
+                context.owner,
+                f"the simulator's real-time factor fell to {lowest:.2f} (below {self.lowest_real_time_factor:g}): what "
+                "goes by real time, such as software under test, had more of it than on a real robot",
+                "Give the simulator more of a machine, a simpler world, or let all nodes live by its time.",
+            )
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Let the simulator go on, also in a process that has not been connected before: none is left paused."""
+        link = connect_robot(context, namespace=self.namespace)
+        if self.pauses and not link.is_simulated:
+            self._demand(self._dialect.unpause, link, robot_namespace(context, self.namespace))
+
+    def _reset_and_see(self, reset: Demand, link: RobotLink, namespace: str) -> float:
+        """Return how long it took, s."""
+        with ExitStack() as closing:
+            pose = WatchedPose(link, self.pose_topic, namespace=namespace, model=self.robot)
+            closing.callback(pose.close)
+            before = None if self._time is None else self._time.now(timeout=_FIRST_TIME)
+            begun = time.monotonic()
+            self._demand(reset, link, namespace)
+            self._demand(self._dialect.unpause, link, namespace)  # some come back paused
+            self._demand(self._place, link, namespace)
+            pose.see(self.start, metres=self.tolerance_m, radians=self.tolerance_rad, timeout=self.timeout_s)
+            if before is not None:
+                self._see_time(before, begun + self.timeout_s)
+            return time.monotonic() - begun
+
+    def _see_time(self, before: float, deadline: float) -> None:
+        """See that time began again, or that it did not, as the reset was declared."""
+        while True:
+            now = before if self._time is None else self._time.now() or 0.0
+            if self.reset == "world" and now < before:
+                raise LinkError(
+                    f"resetting the world took the simulator's time back from {before:.3f} s to {now:.3f} s",
+                    where="the simulator",
+                    fix="Say so, and see that all its nodes stand it: reset='simulation'.",
+                )
+            if (now > before) if self.reset == "world" else (now < before):
+                return
+            if time.monotonic() > deadline:
+                stood = "stands still" if now == before else "was not reset"
+                raise LinkError(
+                    f"the simulator's time {stood}: {before:.3f} s before the reset, {now:.3f} s after it",
+                    where=CLOCK_TOPIC,
+                    fix="Look whether it goes on; reset='world' leaves its time as it is.",
+                )
+            time.sleep(_LOOK)
+
+    def _demand(self, demand: Demand | None, link: RobotLink, namespace: str) -> None:
+        if demand is not None:
+            demand.meet(link, namespace=namespace, timeout=self.timeout_s)
+
+    def _unpause_from_elsewhere(self, context: ExperimentContext, signs: Sequence[str] = ()) -> None:
+        demand, robot = self._dialect.unpause, context.robot
+        if demand is not None and robot is not None:
+            unpause_from_elsewhere(robot, self.namespace, demand, self.timeout_s, signs=signs)
+
+    def _reset_demand(self) -> Demand | None:
+        if self.reset not in _RESETS:
+            fix = did_you_mean(str(self.reset), _RESETS)
+            raise PluginError(f"reset is {self.reset!r}", where=self.name, fix=fix)
+        offered = {"world": self._dialect.reset_world, "simulation": self._dialect.reset_simulation, "none": None}
+        if self.reset != "none" and offered[self.reset] is None:
+            fix = f"Say reset={'simulation' if self.reset == 'world' else 'world'!r}. Needed: {self._dialect.hint}."
+            problem = f"{self._dialect.title} has no documented service for reset={self.reset!r}"
+            raise PluginError(problem, where=self.name, fix=fix)
+        return offered[self.reset]
+
+    def _placing(self, *, is_placed: bool) -> Demand | None:
+        if not is_placed:
+            return None
+        if self._dialect.place is None:
+            fix = "Leave is_placed out, and let the world say where its robot starts."
+            raise PluginError(
+                f"{self._dialect.title} has no service known here to place a robot", where=self.name, fix=fix
+            )
+        if not self.robot:
+            fix = "Name its model: robot='turtlebot3_burger'."
+            raise PluginError("the robot is to be placed and not named", where=self.name, fix=fix)
+        return self._dialect.place(self.robot, self.start)
+
+    def _check_figures(self) -> None:
+        figures = {"tolerance_m": self.tolerance_m, "tolerance_rad": self.tolerance_rad, "timeout_s": self.timeout_s}
+        for name, value in figures.items():
+            if not (math.isfinite(value) and value > 0):
+                raise PluginError(f"{name} is {value!r}", where=self.name, fix="Give a finite number above 0.")
+        if not (math.isfinite(self.lowest_real_time_factor) and self.lowest_real_time_factor >= 0):
+            problem = f"lowest_real_time_factor is {self.lowest_real_time_factor!r}"
+            raise PluginError(problem, where=self.name, fix="Give a number from 0 up, such as 0.9.")
+
+
+def _went_back(before: float, now: float) -> str:
+    return f"the simulator's time went back from {before:.3f} s to {now:.3f} s during the mission: somebody reset it"

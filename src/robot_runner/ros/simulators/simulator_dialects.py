@@ -1,0 +1,284 @@
+"""By which services each simulator is reset, paused and told where its robot stands: one table."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import LinkError, PluginError, did_you_mean
+from robot_runner.core.links.graph_names import full_name, missing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from robot_runner.core.links.robot import Message, RobotLink
+
+__all__ = ["DIALECTS", "Demand", "Dialect", "Spot", "dialect_of"]
+
+#: Where a robot is to stand: x, y (m) and yaw (rad).
+Spot = tuple[float, float, float]
+
+_EMPTY = "std_srvs/Empty"
+_LOOK = 0.02
+#: A graph on which no service is seen for so long, s, does not tell its services.
+_SILENT = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """A service that makes a simulator do something.
+
+    Attributes:
+        services: the names that it may have, the likeliest first, relative to the robot's namespace unless they begin
+            with `/`; one that is not there is looked for under any other name with the same end.
+        service_type: its type.
+        request: what it is called with.
+        refusal: says of a response why it was refused; empty where it was done.
+    """
+
+    services: tuple[str, ...]
+    service_type: str
+    request: Mapping[str, Any]
+    refusal: Callable[[Message], str]
+
+    def meet(self, link: RobotLink, *, namespace: str, timeout: float) -> None:
+        """Call the service.
+
+        Raises:
+            LinkError: there is no such service, it does not answer in time, or it says that it did nothing.
+        """
+        name = self._awaited(link, namespace, time.monotonic() + timeout)
+        refused = self.refusal(link.call(name, self.service_type, self.request, timeout=timeout))
+        if refused:
+            raise LinkError(
+                f"the simulator did not do it: {refused}", where=name, fix="Look at the simulator's output."
+            )
+
+    def _awaited(self, link: RobotLink, namespace: str, deadline: float) -> str:
+        """Return the name of the service; a graph that was just joined takes a moment to be discovered."""
+        silent_until = min(deadline, time.monotonic() + _SILENT)
+        while True:
+            try:
+                return self._found(link, namespace)
+            except LinkError:
+                if time.monotonic() > silent_until and not link.services():  # a graph that does not tell its services
+                    return full_name(namespace, self.services[0])
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(_LOOK)
+
+    def _found(self, link: RobotLink, namespace: str) -> str:
+        names = [full_name(namespace, each) for each in self.services]
+        known = link.services()
+        there = [each for each in names if each in known]
+        if there:
+            return there[0]
+        end = "/" + names[0].rpartition("/")[2]
+        alike = [name for name, kind in known.items() if name.endswith(end) and kind in {self.service_type, "*"}]
+        if len(alike) == 1:
+            return alike[0]
+        fix = f"Start the simulator with the plugin or the bridge that offers it ({self.service_type})."
+        raise missing("service", names[0], known, where="the simulator", fix=fix)
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How one simulator is spoken to. None stands for what it offers no documented service for.
+
+    Attributes:
+        title: the simulator's name.
+        pause, unpause: let its time stand still, or go on.
+        reset_world: puts everything back; time goes on.
+        reset_simulation: begins again, time too.
+        place: puts the robot of this name somewhere.
+        hint: what must be running besides, and where that is documented.
+    """
+
+    title: str
+    pause: Demand | None
+    unpause: Demand | None
+    reset_world: Demand | None
+    reset_simulation: Demand | None
+    place: Callable[[str, Spot], Demand] | None
+    hint: str
+
+
+def dialect_of(simulator: str, world: str) -> Dialect:
+    """Return how a simulator is spoken to.
+
+    Args:
+        simulator: a key of `DIALECTS`.
+        world: the world's name, or what stands before the names of its services, where those depend on it.
+
+    Raises:
+        PluginError: there is no such simulator.
+    """
+    if simulator not in DIALECTS:
+        fix = did_you_mean(str(simulator), DIALECTS)
+        raise PluginError(f"{simulator!r} is no simulator that is known", where="Simulation", fix=fix)
+    return DIALECTS[simulator](world)
+
+
+def _nothing_to_refuse(response: Message) -> str:
+    del response
+    return ""
+
+
+def _unless_true(key: str) -> Callable[[Message], str]:
+    def refusal(response: Message) -> str:
+        if response[key]:
+            return ""
+        return str(response.get("status_message") or f"{key} is false")
+
+    return refusal
+
+
+#: simulation_interfaces/Result: OK; SetSimulationState: ALREADY_IN_TARGET_STATE.
+_ACCEPTED = {1, 101}
+
+
+def _unless_accepted(response: Message) -> str:
+    result = response["result"]
+    if result["result"] in _ACCEPTED:
+        return ""
+    return result["error_message"] or f"result {result['result']}"
+
+
+def _pose(spot: Spot) -> dict[str, Any]:
+    x, y, yaw = spot
+    return {"position": {"x": x, "y": y}, "orientation": {"z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}}
+
+
+def _empty(*services: str) -> Demand:
+    return Demand(services, _EMPTY, {}, _nothing_to_refuse)
+
+
+def _gazebo_classic(world: str) -> Dialect:
+    del world
+    return Dialect(
+        title="Gazebo classic",
+        # ROS 1 has them below /gazebo, ROS 2 where the node of gazebo_ros stands.
+        pause=_empty("/gazebo/pause_physics", "/pause_physics"),
+        unpause=_empty("/gazebo/unpause_physics", "/unpause_physics"),
+        reset_world=_empty("/gazebo/reset_world", "/reset_world"),
+        reset_simulation=_empty("/gazebo/reset_simulation", "/reset_simulation"),
+        place=_in_gazebo_classic,
+        hint="gazebo_ros; on ROS 2 placing a robot takes libgazebo_ros_state.so in the world",
+    )
+
+
+def _in_gazebo_classic(robot: str, spot: Spot) -> Demand:
+    state = {"model_name": robot, "pose": _pose(spot), "reference_frame": "world"}
+    services = ("/gazebo/set_model_state",)
+    return Demand(services, "gazebo_msgs/SetModelState", {"model_state": state}, _unless_true("success"))
+
+
+def _gazebo_classic_ros2(world: str) -> Dialect:
+    classic = _gazebo_classic(world)
+    return Dialect(
+        classic.title,
+        classic.pause,
+        classic.unpause,
+        classic.reset_world,
+        classic.reset_simulation,
+        _entity_in_gazebo_classic,
+        classic.hint,
+    )
+
+
+def _entity_in_gazebo_classic(robot: str, spot: Spot) -> Demand:
+    state = {"name": robot, "pose": _pose(spot), "reference_frame": "world"}
+    services = ("/gazebo/set_entity_state", "/set_entity_state")
+    return Demand(services, "gazebo_msgs/SetEntityState", {"state": state}, _unless_true("success"))
+
+
+def _gz(world: str) -> Dialect:
+    def control(**fields: Any) -> Demand:
+        names = (f"/world/{world}/control",)
+        return Demand(names, "ros_gz_interfaces/ControlWorld", {"world_control": fields}, _unless_true("success"))
+
+    def place(robot: str, spot: Spot) -> Demand:
+        request = {"entity": {"name": robot, "type": 2}, "pose": _pose(spot)}  # ros_gz_interfaces/Entity: MODEL
+        names = (f"/world/{world}/set_pose",)
+        return Demand(names, "ros_gz_interfaces/SetEntityPose", request, _unless_true("success"))
+
+    return Dialect(
+        title="gz sim",
+        pause=control(pause=True),
+        unpause=control(pause=False),
+        reset_world=control(reset={"model_only": True}),
+        reset_simulation=control(reset={"all": True}),
+        place=place,
+        hint=f"ros_gz_bridge parameter_bridge /world/{world}/control@ros_gz_interfaces/srv/ControlWorld",
+    )
+
+
+def _standard(world: str) -> Dialect:
+    prefix = world.rstrip("/")
+
+    def state(number: int) -> Demand:
+        names, request = (f"{prefix}/set_simulation_state",), {"state": {"state": number}}
+        return Demand(names, "simulation_interfaces/SetSimulationState", request, _unless_accepted)
+
+    def reset(scope: int) -> Demand:
+        names, request = (f"{prefix}/reset_simulation",), {"scope": scope}
+        return Demand(names, "simulation_interfaces/ResetSimulation", request, _unless_accepted)
+
+    return Dialect(
+        title="a simulator with simulation_interfaces",
+        pause=state(2),  # SimulationState: PAUSED
+        unpause=state(1),  # PLAYING
+        reset_world=reset(2),  # ResetSimulation: SCOPE_STATE
+        reset_simulation=reset(0),  # SCOPE_DEFAULT: all
+        place=None,
+        hint="the simulator's ROS 2 Simulation Interfaces (Isaac Sim: the extension isaacsim.ros2.sim_control)",
+    )
+
+
+def _webots(world: str) -> Dialect:
+    prefix = world.rstrip("/")
+
+    def mode(number: int) -> Demand:
+        names = (f"{prefix}/supervisor/simulation_set_mode",)
+        return Demand(names, "webots_ros/set_int", {"value": number}, _unless_true("success"))
+
+    names = (f"{prefix}/supervisor/simulation_reset",)
+    return Dialect(
+        title="Webots",
+        pause=mode(0),  # WB_SUPERVISOR_SIMULATION_MODE_PAUSE
+        unpause=mode(1),  # WB_SUPERVISOR_SIMULATION_MODE_REAL_TIME
+        reset_world=None,
+        reset_simulation=Demand(names, "webots_ros/get_bool", {"ask": True}, _unless_true("value")),
+        place=None,
+        hint="a supervisor with Webots' controller `ros` (ROS 1); webots_ros2 offers no service to reset a world",
+    )
+
+
+def _robot_runner(world: str) -> Dialect:
+    del world
+    return Dialect(
+        title="robot-runner simulate",
+        pause=_empty("pause_physics", "/pause_physics"),
+        unpause=_empty("unpause_physics", "/unpause_physics"),
+        reset_world=_empty("reset_world", "/reset_world"),
+        reset_simulation=_empty("reset_simulation", "/reset_simulation"),
+        place=None,
+        hint="robot-runner simulate turtlebot3",
+    )
+
+
+#: By the name that a config gives. Sources of the services' names and types: docs/decisions/0059.
+DIALECTS: Mapping[str, Callable[[str], Dialect]] = MappingProxyType(
+    {
+        "robot_runner": _robot_runner,
+        "gazebo_classic": _gazebo_classic,
+        "gazebo_classic_ros2": _gazebo_classic_ros2,
+        "gz": _gz,
+        "webots": _webots,
+        "isaac": _standard,
+        "simulation_interfaces": _standard,
+    }
+)

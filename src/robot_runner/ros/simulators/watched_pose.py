@@ -1,0 +1,141 @@
+"""Where a simulator says that its robot stands, by whichever topic tells it."""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError, PluginError, did_you_mean
+from robot_runner.core.links.graph_names import full_name, missing
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from robot_runner.core.links.robot import Message, RobotLink
+    from robot_runner.ros.simulators.simulator_dialects import Spot
+
+__all__ = ["WatchedPose", "checked_spot", "distance_between"]
+
+#: How many messages in a row must tell of the place: the first after a reset may still be of the time before.
+_IN_A_ROW = 2
+
+
+def distance_between(one: Spot, other: Spot) -> tuple[float, float]:
+    """Return how far two places are apart: m, and rad between the headings.
+
+    Example:
+        >>> distance_between((0.0, 0.0, 3.1), (3.0, 4.0, 3.1))
+        (5.0, 0.0)
+    """
+    return math.hypot(one[0] - other[0], one[1] - other[1]), abs(math.remainder(one[2] - other[2], 2 * math.pi))
+
+
+def _of_pose(pose: Message) -> Spot:
+    turned = pose["orientation"]
+    x, y, z, w = (turned[axis] for axis in "xyzw")
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return pose["position"]["x"], pose["position"]["y"], yaw
+
+
+class WatchedPose:
+    """Hears where a robot stands, from now on.
+
+    Args:
+        link: to the graph.
+        topic: that tells it: nav_msgs/Odometry, geometry_msgs/Pose, PoseStamped, PoseWithCovarianceStamped, or
+            gazebo_msgs/ModelStates.
+        namespace: of the robot.
+        model: its name in the simulator, for a topic that tells of all models.
+
+    Raises:
+        LinkError: there is no such topic, or it does not tell where a robot stands.
+    """
+
+    def __init__(self, link: RobotLink, topic: str, *, namespace: str, model: str) -> None:
+        self._name = full_name(namespace, topic)
+        self._changed = threading.Condition()
+        self._latest: Spot | None = None
+        self._in_a_row = 0
+        self._is_there: Callable[[Spot], bool] = lambda _: False
+        readers: Mapping[str, Callable[[Message], Spot | None]] = {
+            "nav_msgs/Odometry": lambda message: _of_pose(message["pose"]["pose"]),
+            "geometry_msgs/PoseWithCovarianceStamped": lambda message: _of_pose(message["pose"]["pose"]),
+            "geometry_msgs/PoseStamped": lambda message: _of_pose(message["pose"]),
+            "geometry_msgs/Pose": _of_pose,
+            "gazebo_msgs/ModelStates": lambda message: _of_model(message, model),
+        }
+        topics = link.topics()
+        if self._name not in topics:
+            fix = "Name the topic that tells where the robot stands: pose_topic='odom'."
+            raise missing("topic", self._name, topics, where="the simulator", fix=fix)
+        kind = topics[self._name]
+        if kind not in readers:
+            raise LinkError(
+                f"{self._name} is of the type {kind}, which does not tell where a robot stands",
+                where="the simulator",
+                fix=f"Name another pose_topic. {did_you_mean(kind, readers)}",
+            )
+        self._read = readers[kind]
+        self._subscription = link.subscribe(self._name, kind, self._take)
+
+    def see(self, spot: Spot, *, metres: float, radians: float, timeout: float) -> None:
+        """Return once the robot is seen to stand there.
+
+        Raises:
+            LinkError: it does not within `timeout` seconds of this machine; it says where it stands.
+        """
+
+        def is_there(seen: Spot) -> bool:
+            way, turn = distance_between(seen, spot)
+            return way <= metres and turn <= radians
+
+        with self._changed:
+            self._is_there, self._in_a_row, self._latest = is_there, 0, None
+            if self._changed.wait_for(lambda: self._in_a_row >= _IN_A_ROW, timeout):
+                return
+            latest = self._latest
+        if latest is None:
+            raise LinkError(
+                f"the simulator was reset, and nothing came on {self._name} within {timeout:g} s",
+                where="the simulator",
+                fix="Look whether it goes on, and whether its robot is still there.",
+            )
+        way, turn = distance_between(latest, spot)
+        raise LinkError(
+            f"the simulator did not reset: after {timeout:g} s the robot stands at ({latest[0]:.3f}, {latest[1]:.3f}, "
+            f"{latest[2]:.3f} rad), {way:.3f} m and {turn:.3f} rad from where it is to start",
+            where=self._name,
+            fix="Say where it starts (start=(x, y, yaw)), name another reset or pose_topic, or widen tolerance_m.",
+        )
+
+    def close(self) -> None:
+        """Hear no more; closing twice does nothing."""
+        self._subscription.close()
+
+    def _take(self, message: Message) -> None:
+        spot = self._read(message)
+        if spot is None:
+            return
+        with self._changed:
+            self._latest = spot
+            self._in_a_row = self._in_a_row + 1 if self._is_there(spot) else 0
+            self._changed.notify_all()
+
+
+def _of_model(message: Message, model: str) -> Spot | None:
+    names = list(message["name"])
+    return _of_pose(message["pose"][names.index(model)]) if model in names else None
+
+
+def checked_spot(given: object) -> Spot:
+    """Return a place as a config gives it.
+
+    Raises:
+        PluginError: it is none.
+    """
+    values = list(given) if isinstance(given, list | tuple) else []
+    numbers = [float(each) for each in values if isinstance(each, int | float) and math.isfinite(each)]
+    if len(values) != len(numbers) or len(numbers) != 3:  # noqa: PLR2004 - x, y and yaw
+        raise PluginError(f"start is {given!r}", where="Simulation", fix="Give (x, y, yaw) in metres and radians.")
+    return numbers[0], numbers[1], numbers[2]

@@ -1,0 +1,88 @@
+"""How fast a simulator's time goes by this machine's clock, and whether it goes back."""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from robot_runner.core.links.robot import Message, RobotLink
+
+__all__ = ["CLOCK_TOPIC", "WatchedTime"]
+
+CLOCK_TOPIC = "/clock"
+_TYPE = "rosgraph_msgs/Clock"
+#: Over how long, s of this machine, the slowest stretch is looked for: shorter ones are the network's.
+_STRETCH = 1.0
+
+
+class WatchedTime:
+    """Hears `/clock` from now on.
+
+    Args:
+        link: to the graph.
+        tell: called with both times, s, where the simulator's time goes back while it is measured.
+
+    Attributes:
+        factor: simulated seconds a real second, from the first to the last message of the measured time; None where
+            there were too few.
+        slowest: the same over the slowest second; None likewise.
+    """
+
+    def __init__(self, link: RobotLink, tell: Callable[[float, float], object]) -> None:
+        self._changed = threading.Condition()
+        self._tell = tell
+        self._now: float | None = None
+        self._is_measured = False
+        self._first: tuple[float, float] | None = None
+        self._stretch: tuple[float, float] | None = None
+        self.factor: float | None = None
+        self.slowest: float | None = None
+        self._subscription = link.subscribe(CLOCK_TOPIC, _TYPE, self._take)
+
+    def now(self, *, timeout: float = 0.0) -> float | None:
+        """Return the simulated time that was heard last, s, waiting for the first; None where none came in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._now is not None, timeout)
+            return self._now
+
+    def begin(self) -> None:
+        """Measure from the next message on."""
+        with self._changed:
+            self._first = self._stretch = self.factor = self.slowest = None
+            self._is_measured = True
+
+    def end(self) -> None:
+        """Measure no more."""
+        with self._changed:
+            self._is_measured = False
+
+    def close(self) -> None:
+        """Hear no more; what was measured stays."""
+        self._subscription.close()
+
+    def _take(self, message: Message) -> None:
+        stamp, real = message["clock"], time.monotonic()
+        simulated = stamp["sec"] + stamp["nanosec"] / 1e9
+        with self._changed:
+            before, self._now = self._now, simulated
+            self._changed.notify_all()
+            is_measured = self._is_measured
+            if is_measured:
+                self._measure(simulated, real)
+        if is_measured and before is not None and simulated < before:
+            self._tell(before, simulated)
+
+    def _measure(self, simulated: float, real: float) -> None:
+        if self._first is None or self._stretch is None:
+            self._first = self._stretch = (simulated, real)
+            return
+        if real > self._first[1]:
+            self.factor = (simulated - self._first[0]) / (real - self._first[1])
+        if real - self._stretch[1] >= _STRETCH:
+            pace = (simulated - self._stretch[0]) / (real - self._stretch[1])
+            self.slowest = pace if self.slowest is None else min(self.slowest, pace)
+            self._stretch = (simulated, real)

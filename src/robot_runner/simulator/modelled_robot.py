@@ -1,0 +1,266 @@
+"""A robot of anybody's: a model in MJCF, with the topics that what it is made of allows."""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.simulator.camera import Camera, camera_topics
+from robot_runner.simulator.drive import OdometryState
+from robot_runner.simulator.mjcf_interface import ActuatorKind, read_interface, read_model
+from robot_runner.simulator.sensors import (
+    RAYS,
+    PublishedTopic,
+    imu,
+    joint_state,
+    laser_scan,
+    odometry,
+    scan_of,
+)
+from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
+from robot_runner.simulator.turtlebot3_parameters import NoiseStreams
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    import numpy.typing as npt
+
+    from robot_runner.simulator.mjcf_interface import WheelPair
+    from robot_runner.simulator.rooms import Room
+    from robot_runner.simulator.simulated_clock import SimulatedClock
+    from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+
+    Message = Mapping[str, Any]
+
+__all__ = ["ModelledRobot", "RobotModel"]
+
+_TWIST = "geometry_msgs/Twist"
+_JOINTS = "sensor_msgs/JointState"
+
+
+class RobotModel:
+    """A model in MJCF, read once and made into any number of robots.
+
+    Args:
+        path: of the file.
+        room: what stands around it, beside what the model brings; None for nothing.
+        left, right: the joints of its wheels, where their names do not say so.
+
+    Raises:
+        LinkError: the file is no model that can be driven.
+    """
+
+    def __init__(self, path: Path, room: Room | None = None, *, left: str = "", right: str = "") -> None:
+        self.path = path
+        self.room = room
+        self.model = read_model(path, () if room is None else room.obstacles)
+        self.interface = read_interface(self.model, where=str(path), left=left, right=right)
+
+
+class ModelledRobot:
+    """A robot of a model, in a world of its own; physics is computed on demand, up to the clock's time.
+
+    It has no battery, no power meter and no on-board computer: nothing is known of what it draws.
+
+    Attributes:
+        namespace: its name in the simulation: empty, or `/alice`.
+        path: of the model's file.
+        topics: the topics that it publishes, by name within its namespace: `joint_states`; `odom` and `ground_truth`
+            of one with wheels or a free base; `scan` of one with a site called `scan`, `lidar`, `laser` or `base_scan`;
+            `imu` of one with a gyroscope and an accelerometer; `camera/image_raw` and `camera/camera_info` of one with
+            a camera.
+        command_topics: those that it subscribes: `joint_commands`, and `cmd_vel` of one with two wheels.
+        services: those that it offers: none.
+    """
+
+    cut_off = None
+
+    def __init__(
+        self, namespace: str, clock: SimulatedClock, seed: int, parameters: Turtlebot3Parameters, made_of: RobotModel
+    ) -> None:
+        self.namespace = namespace
+        self.path = made_of.path
+        self.parameters = parameters
+        self._clock = clock
+        self._model, self._interface = made_of.model, made_of.interface
+        self._data = mujoco.MjData(self._model)
+        self._substeps = round(1 / STEPS_PER_SECOND / self._model.opt.timestep)
+        self._steps = 0
+        self._start()
+        streams = NoiseStreams(seed, namespace)
+        self._imu_noise = streams.numbered("imu", width=6)
+        self._scan_noise = streams.numbered("scan", width=RAYS)
+        self.topics = self._published()
+        wheels = {"cmd_vel": _TWIST} if self._interface.wheels else {}
+        self.command_topics: Mapping[str, str] = MappingProxyType({**wheels, "joint_commands": _JOINTS})
+        self.services: Mapping[str, str] = MappingProxyType({})
+
+    def command(self, topic: str, message: Message) -> None:
+        """Carry out a command, and keep to it until the next.
+
+        Raises:
+            LinkError: a joint is named that nothing drives.
+        """
+        self._reach()
+        if topic == "cmd_vel":
+            self._drive(float(message["linear"]["x"]), float(message["angular"]["z"]))
+        else:
+            self._move_joints(message)
+
+    def call(self, service: str) -> dict[str, bool | str]:
+        """Refuse: it has no services."""
+        raise LinkError(f"{service!r} is no service of the model", where=self.namespace or "/", fix="It has none.")
+
+    def put_back(self) -> None:
+        """Stand as it stood at the beginning, with its odometry at zero."""
+        self._reach()
+        self._start()
+
+    def _seen(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        self._reach()
+        return self._model, self._data
+
+    def _start(self) -> None:
+        keyed = self._model.nkey > 0
+        if keyed:
+            mujoco.mj_resetDataKeyframe(self._model, self._data, 0)
+        else:
+            mujoco.mj_resetData(self._model, self._data)
+        mujoco.mj_forward(self._model, self._data)
+        self._odometry = OdometryState()
+        self._angles = self._wheel_angles()
+
+    def _reach(self) -> None:
+        for _ in range(self._steps, self._clock.step):
+            mujoco.mj_step(self._model, self._data, nstep=self._substeps)
+            if self._interface.wheels is not None:
+                self._count_wheels(self._interface.wheels)
+        self._steps = max(self._steps, self._clock.step)
+
+    def _drive(self, linear: float, angular: float) -> None:
+        wheels = self._interface.wheels
+        if wheels is not None:
+            turning = angular * wheels.separation / 2
+            for joint, speed in ((wheels.left, linear - turning), (wheels.right, linear + turning)):
+                self._data.ctrl[joint.actuator] = speed / wheels.radius
+
+    def _move_joints(self, message: Message) -> None:
+        driven = {each.name: each for each in self._interface.joints if each.actuator is not None}
+        values = {kind: list(message[kind.value]) for kind in ActuatorKind}
+        for place, name in enumerate(message["name"]):
+            if name not in driven:
+                problem = f"{name!r} is no joint of the model that is driven"
+                raise LinkError(problem, where="joint_commands", fix=did_you_mean(name, driven))
+            joint = driven[name]
+            given = values[joint.kind]
+            if place >= len(given):
+                problem = f"{name!r} is driven by its {joint.kind.value}, and none is given"
+                raise LinkError(problem, where="joint_commands", fix=f"Give {joint.kind.value}, one for each name.")
+            self._data.ctrl[joint.actuator] = given[place]
+
+    def _wheel_angles(self) -> tuple[float, float]:
+        wheels = self._interface.wheels
+        if wheels is None:
+            return 0.0, 0.0
+        return float(self._data.qpos[wheels.left.position]), float(self._data.qpos[wheels.right.position])
+
+    def _count_wheels(self, wheels: WheelPair) -> None:
+        """Add up the arcs that the wheels roll, as a robot's firmware does."""
+        before, angles = self._odometry, self._wheel_angles()
+        left, right = ((now - then) * wheels.radius for now, then in zip(angles, self._angles, strict=True))
+        way, turn = (left + right) / 2, (right - left) / wheels.separation
+        heading = before.yaw + turn / 2
+        self._angles = angles
+        self._odometry = OdometryState(
+            before.x + way * math.cos(heading),
+            before.y + way * math.sin(heading),
+            math.remainder(before.yaw + turn, 2 * math.pi),
+            way * STEPS_PER_SECOND,
+            turn * STEPS_PER_SECOND,
+        )
+
+    # What it publishes.
+
+    def _published(self) -> dict[str, PublishedTopic]:
+        found, parameters, clock = self._interface, self.parameters, self._clock
+        rate = parameters.odometry_rate
+        topics = {"joint_states": PublishedTopic(clock, _JOINTS, rate, self._joint_states)}
+        if found.wheels is not None:
+            topics["odom"] = PublishedTopic(clock, "nav_msgs/Odometry", rate, self._odom)
+        if found.base is not None:
+            topics["ground_truth"] = PublishedTopic(clock, "nav_msgs/Odometry", rate, self._ground_truth)
+        if found.scanner is not None:
+            topics["scan"] = PublishedTopic(clock, "sensor_msgs/LaserScan", parameters.scan_rate, self._scan)
+        if found.gyroscope is not None and found.accelerometer is not None:
+            topics["imu"] = PublishedTopic(clock, "sensor_msgs/Imu", parameters.imu_rate, self._imu)
+        if found.camera is not None:
+            camera = Camera(self._seen, found.camera, parameters, is_painted=False)
+            topics |= camera_topics(clock, camera, parameters.camera_rate)
+        return topics
+
+    def _odom(self) -> dict[str, Any]:
+        self._reach()
+        return odometry(self._clock.now_ns, self._odometry)
+
+    def _ground_truth(self) -> dict[str, Any]:
+        self._reach()
+        base = self._interface.base or 0
+        x, y, z, w, qx, qy, qz = map(float, self._data.qpos[base : base + 7])
+        message = odometry(self._clock.now_ns, OdometryState(x, y))
+        message["header"]["frame_id"] = "world"
+        message["pose"]["pose"]["position"]["z"] = z
+        message["pose"]["pose"]["orientation"] = {"x": qx, "y": qy, "z": qz, "w": w}
+        return message
+
+    def _joint_states(self) -> dict[str, Any]:
+        self._reach()
+        joints, data = self._interface.joints, self._data
+        return joint_state(
+            self._clock.now_ns,
+            names=[each.name for each in joints],
+            positions=[float(data.qpos[each.position]) for each in joints],
+            velocities=[float(data.qvel[each.velocity]) for each in joints],
+        )
+
+    def _imu(self) -> dict[str, Any]:
+        self._reach()
+        noise, parameters = self._imu_noise.at(self._clock.step).reshape(2, 3), self.parameters
+        places = (self._interface.gyroscope or 0, self._interface.accelerometer or 0)
+        angular, linear = (self._data.sensordata[place : place + 3] for place in places)
+        base = self._interface.base
+        w, x, y, z = (1.0, 0.0, 0.0, 0.0) if base is None else map(float, self._data.qpos[base + 3 : base + 7])
+        return imu(
+            self._clock.now_ns,
+            orientation=(x, y, z, w),
+            angular_velocity=(angular + parameters.gyroscope_deviation * noise[0]).tolist(),
+            acceleration=(linear + parameters.accelerometer_deviation * noise[1]).tolist(),
+            gyroscope_deviation=parameters.gyroscope_deviation,
+            accelerometer_deviation=parameters.accelerometer_deviation,
+        )
+
+    def _scan(self) -> dict[str, Any]:
+        self._reach()
+        noise = self._scan_noise.at(self._clock.step)[0]
+        return laser_scan(
+            self._clock.now_ns,
+            ranges=scan_of(self._ray_distances(), noise, self.parameters),
+            rate=self.parameters.scan_rate,
+            nearest=self.parameters.scan_minimum,
+            farthest=self.parameters.scan_maximum,
+        )
+
+    def _ray_distances(self) -> npt.NDArray[np.float64]:
+        """Return how far each ray goes, in the plane of the scanner's site; its own body is passed through."""
+        site = self._interface.scanner or 0
+        turned = self._data.site_xmat[site].reshape(3, 3)
+        angles = np.arange(RAYS) * (2 * math.pi / RAYS)
+        rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(RAYS)], axis=1) @ turned.T
+        own, start, geom = int(self._model.site_bodyid[site]), self._data.site_xpos[site], np.zeros(1, dtype=np.int32)
+        met = [mujoco.mj_ray(self._model, self._data, start, ray, None, 1, own, geom) for ray in rays]
+        return np.array([math.inf if distance < 0 else distance for distance in met])

@@ -1,0 +1,145 @@
+"""Actions on a simulation: goals are executed while its clock is slept on, at the same simulated times each time."""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import GoalRejectedError
+from robot_runner.core.links.goals import GoalStatus
+from robot_runner.ros.action_calls import missing_action
+from robot_runner.ros.graph_transport import already_offered
+from robot_runner.ros.ros2_actions import Ros2ActionTypes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from robot_runner.core.links.goals import ActionResult
+    from robot_runner.core.links.robot import Message
+    from robot_runner.ros.action_server import Execution, GoalServer
+    from robot_runner.ros.graph_transport import GraphTypes
+    from robot_runner.ros.sent_goal import SentGoal
+    from robot_runner.simulator.simulated_clock import ClockWorker, SimulatedClock
+
+__all__ = ["SimulatedAction", "SimulatedActions"]
+
+
+class SimulatedActions:
+    """The actions of a simulation, which all its links offer and call.
+
+    Args:
+        clock: by which goals are executed.
+        offered: the actions that are offered, by full name.
+        types: what messages are made of.
+    """
+
+    def __init__(self, clock: SimulatedClock, offered: dict[str, SimulatedAction], types: GraphTypes) -> None:
+        self._clock = clock
+        self._offered = offered
+        self._types = types
+
+    def types(self, action_type: str) -> Ros2ActionTypes:
+        """Return what an action is made of."""
+        return Ros2ActionTypes.of(self._types, action_type)
+
+    def actions(self) -> dict[str, str]:
+        """Return the type of each action that is offered, by full name."""
+        return {name: served.action_type for name, served in sorted(self._offered.items())}
+
+    def client(self, action: str, action_type: str, timeout: float) -> _Client:
+        """Return what sends goals to an action; nobody can offer it while this is waited for."""
+        del timeout
+        served = self._offered.get(action)
+        if served is None or served.action_type != action_type:
+            raise missing_action(action, action_type, self.actions())
+        return _Client(self._offered, served)
+
+    def serve(self, action: str, action_type: str, server: GoalServer) -> SimulatedAction:
+        """Have goals executed by a server of this link."""
+        if action in self._offered:
+            raise already_offered(action, "the simulation", what="action")
+        served = self._offered[action] = SimulatedAction(self._clock, self._offered, action_type, server)
+        return served
+
+
+class SimulatedAction:
+    """An action that is offered on a simulation, until it is closed."""
+
+    def __init__(
+        self, clock: SimulatedClock, offered: dict[str, SimulatedAction], action_type: str, server: GoalServer
+    ) -> None:
+        self.action_type = action_type
+        self.server = server
+        self.senders: dict[str, SentGoal] = {}
+        self._clock = clock
+        self._offered = offered
+        self._workers: list[ClockWorker] = []
+        server.start = self._start
+        server.connect(self)
+
+    def close(self) -> None:
+        """Offer it no more; what still executes is stopped where it sleeps."""
+        if self._offered.get(self.server.action) is self:
+            del self._offered[self.server.action]
+        for execution in self.server.executions:
+            self.server.cancel(execution)
+        for worker in self._workers:
+            worker.stop()
+        self.server.close()
+
+    def tell_feedback(self, execution: Execution, message: Message) -> None:
+        """Hand on feedback, by the clock: whoever sent the goal hears it where it sleeps."""
+        sender = self.senders.get(execution.key)
+        if sender is not None:
+            self._clock.after(0.0, partial(sender.take_feedback, message))
+
+    def tell_status(self, executions: Sequence[Execution]) -> None:
+        """Hand on the states of goals."""
+        for execution in executions:
+            if execution.key in self.senders and not execution.status.is_over:
+                self.senders[execution.key].note(execution.status)
+
+    def tell_result(self, execution: Execution, result: ActionResult) -> None:
+        """Hand on what came of a goal, after its feedback."""
+        sender = self.senders.pop(execution.key, None)
+        if sender is not None:
+            self._clock.after(0.0, partial(sender.finish, result))
+
+    def _start(self, work: Callable[[], None]) -> None:
+        self._workers.append(self._clock.work(work))
+
+
+class _Client:
+    """Sends goals to one action."""
+
+    _numbers = itertools.count(1)
+
+    def __init__(self, offered: dict[str, SimulatedAction], served: SimulatedAction) -> None:
+        self._offered = offered
+        self._served = served
+        self._action = served.server.action
+
+    def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
+        del timeout
+        sent.key = str(next(self._numbers))
+        self._served.senders[sent.key] = sent
+        execution = self._served.server.accept(sent.key, goal)
+        if execution is None:
+            del self._served.senders[sent.key]
+            sent.note(GoalStatus.REJECTED)
+            fix = "Send a goal that it takes, or look whether it is busy."
+            raise GoalRejectedError("the action server rejects the goal", where=self._action, fix=fix)
+        sent.note(execution.status)
+
+    def cancel(self, sent: SentGoal, timeout: float) -> None:
+        del timeout
+        execution = self._served.server.find(sent.key)
+        if execution is not None:
+            self._served.server.cancel(execution)
+
+    def is_served(self) -> bool:
+        return self._offered.get(self._action) is self._served
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to leave."""

@@ -1,0 +1,258 @@
+"""What holds for the actions of every robot link, as tests that the contracts of links take in."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.unhandled import fails_run
+from robot_runner.core.links.robot import ActionAborted, ActionCanceled, GoalStatus
+from robot_runner.testing.link_tries import PATIENCE, punctual_refusal, refusal
+from robot_runner.testing.plugin_contract import require
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from contextlib import AbstractContextManager
+
+    from robot_runner.core.links.robot import Goal, GoalExecution, Message, RobotLink
+
+__all__ = ["ActionContract"]
+
+_FIBONACCI = "example_interfaces/Fibonacci"
+#: How long a step of an execution takes, s.
+_STEP = 0.05
+#: More steps than any test awaits.
+_FOR_EVER = 100_000
+
+
+class ActionContract:
+    """The facts about actions that a link must keep to: two links of one graph, one offers, the other sends goals.
+
+    Attributes:
+        action_type: of the action of the tests: an order, and a sequence as result and feedback.
+        can_reject: whether an action that is offered over the link can reject a goal. A rosbridge of ROS 2 accepts all
+            goals by itself: there the goal is aborted.
+    """
+
+    action_type: ClassVar[str] = _FIBONACCI
+    can_reject: ClassVar[bool] = True
+
+    if TYPE_CHECKING:
+        # Of the contract that takes these in.
+        make_link: Callable[..., RobotLink]
+        pass_time: Callable[[float], None]
+        opened: Callable[..., AbstractContextManager[RobotLink]]
+        until: Callable[..., None]
+
+    def counted(self, execution: GoalExecution) -> Message:
+        """Execute a goal as the tutorial of ROS does: one step after the other, each told as feedback."""
+        sequence = [0, 1]
+        for _ in range(execution.goal["order"] - 1):
+            if execution.is_cancel_requested:
+                raise ActionCanceled("as asked", {"sequence": sequence})
+            sequence.append(sequence[-1] + sequence[-2] if len(sequence) < 40 else 0)  # noqa: PLR2004  # an int32
+            execution.feedback({"sequence": sequence[-2:]})
+            self.pass_time(_STEP)
+        return {"sequence": sequence}
+
+    def test_a_goal_is_executed_with_feedback_and_a_result(self) -> None:
+        """Hold that the result and the feedback of one goal come to who sent it, with every field."""
+        told: list[Message] = []
+        with self.opened() as robot, self.opened() as link:
+            offer = robot.offer_action("count", self.action_type, self.counted)
+            goal = link.send_goal("count", self.action_type, {"order": 6}, on_feedback=told.append, timeout=PATIENCE)
+            require(goal.status in set(GoalStatus), f"the status is {goal.status!r}")
+            begun = time.monotonic()
+            result = goal.result(timeout=2 * PATIENCE)
+            require(time.monotonic() - begun < PATIENCE, "`result` waits on although the goal is over")
+            require(result.status is GoalStatus.SUCCEEDED and result.has_succeeded, f"the goal is {result.status}")
+            require(result.result == {"sequence": [0, 1, 1, 2, 3, 5, 8]}, f"the result is {result.result}")
+            require(goal.status is GoalStatus.SUCCEEDED, f"a goal that succeeded is {goal.status}")
+            require({"sequence": [5, 8]} in told, f"the feedback is {told}")
+            require(goal.result(timeout=0.1) == result, "the result is told once only")
+            goal.cancel()  # of a goal that is over: nothing
+            offer.close()
+            offer.close()
+
+    def test_actions_are_listed_by_full_names_with_their_types(self) -> None:
+        """Hold that an offered action is found, and no more once it is closed."""
+        with self.opened() as robot, self.opened("alice") as link:
+            offer = robot.offer_action("count", self.action_type, self.counted)
+            self.until(lambda: link.actions().get("/count") == self.action_type, f"the actions are {link.actions()}")
+            require(link.send_goal("/count", self.action_type, {"order": 1}, timeout=PATIENCE), "no goal")
+            offer.close()
+            self.until(lambda: "/count" not in link.actions(), "an action that is not offered any more is listed")
+
+    def test_a_goal_is_cancelled(self) -> None:
+        """Hold that a cancelled goal ends as such, soon, with what its server says of it."""
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, self.counted)
+            goal = self.begun(link)
+            goal.cancel(timeout=PATIENCE)
+            result = goal.result(timeout=1.0)
+            require(result.status is GoalStatus.CANCELED, f"a cancelled goal is {result.status}")
+            require(result.result["sequence"][:2] == [0, 1], f"its result is {result.result}")
+            require(not result.has_succeeded, "a cancelled goal has succeeded")
+
+    def test_a_goal_that_its_server_gives_up_is_aborted(self) -> None:
+        """Hold that the end without success is told, with the result that the server filled in."""
+
+        def execute(execution: GoalExecution) -> Message:
+            raise ActionAborted("no way", {"sequence": [execution.goal["order"]]})
+
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, execute)
+            result = link.send_goal("count", self.action_type, {"order": 7}, timeout=PATIENCE).result(timeout=PATIENCE)
+            require(result.status is GoalStatus.ABORTED, f"the goal is {result.status}")
+            require(result.result == {"sequence": [7]}, f"the result is {result.result}")
+            require(result.text in {"", "no way"}, f"the text is {result.text!r}")
+
+    def test_an_action_server_that_fails_aborts_the_goal_and_fails_the_run(self) -> None:
+        """Hold that a fault of the execution is told to both sides, once."""
+        told: list[str] = []
+
+        def execute(execution: GoalExecution) -> Message:
+            raise ValueError(f"a fault at {execution.goal['order']}")
+
+        run = fails_run(lambda fault, where: told.append(f"{where}: {fault}"))
+        with run, self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, execute)
+            result = link.send_goal("count", self.action_type, {"order": 7}, timeout=PATIENCE).result(timeout=PATIENCE)
+            require(result.status is GoalStatus.ABORTED, f"the goal is {result.status}")
+        require(told == ["the action of /count: a fault at 7"], f"the run was told {told}")
+
+    def test_a_goal_that_is_rejected_is_refused(self) -> None:
+        """Hold that a server that is busy, or does not want a goal, is an error that says so."""
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, self.counted, accept=lambda goal: goal["order"] > 0)
+            link.send_goal("count", self.action_type, {"order": 1}, timeout=PATIENCE).result(timeout=PATIENCE)
+            send = partial(link.send_goal, "count", self.action_type, {"order": -1}, timeout=3.0)
+            if not self.can_reject:
+                require(send().result(timeout=PATIENCE).status is GoalStatus.ABORTED, "the goal is not aborted")
+                return
+            error = punctual_refusal(send, timeout=3.0)
+            require("/count" in error.where, f"the action is not named: {error}")
+            require("reject" in error.problem, f"the cause is not named: {error}")
+
+    def test_an_action_that_is_not_there_is_refused_in_time(self) -> None:
+        """Hold that the nearest name is told, and another type, within the deadline."""
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, self.counted)
+            self.until(lambda: "/count" in link.actions(), "the action is not found")
+            error = punctual_refusal(lambda: link.send_goal("coumt", self.action_type, timeout=1.0), timeout=1.0)
+            require("coumt" in f"{error.where} {error.problem}", f"the action is not named: {error}")
+            require("/count" in error.fix, f"the nearest is not named: {error}")
+            error = refusal(lambda: link.send_goal("count", "nav2_msgs/NavigateToPose", timeout=1.0))
+            require(self.action_type in f"{error.problem} {error.fix}", f"the true type is not named: {error}")
+            refusal(lambda: link.send_goal("count", "example_interfaces/Fibonaci", timeout=1.0))
+            error = refusal(lambda: link.send_goal("count", self.action_type, {"odrer": 1}))
+            require("odrer" in error.problem and "'order'" in error.fix, f"the field is not named: {error}")
+
+    def test_an_action_is_offered_once(self) -> None:
+        """Hold that a second server of one name is refused."""
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, self.counted)
+            self.until(lambda: "/count" in link.actions(), "the action is not found")
+            error = refusal(lambda: link.offer_action("count", self.action_type, self.counted))
+            require("/count" in f"{error.where} {error.problem}", f"the action is not named: {error}")
+
+    def test_a_goal_that_is_not_over_in_time_goes_on(self) -> None:
+        """Hold that `result` ends at its deadline, and can be asked again."""
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, self.counted)
+            goal = link.send_goal("count", self.action_type, {"order": 12}, timeout=PATIENCE)
+            error = refusal(lambda: goal.result(timeout=0.2))
+            require("0.2 s" in error.problem and "/count" in error.where, f"the deadline is not named: {error}")
+            require(goal.result(timeout=PATIENCE).has_succeeded, "the goal did not go on")
+
+    def test_a_cancel_that_is_not_confirmed_is_an_error_in_time(self) -> None:
+        """Hold that a server that does not end a goal is no silence."""
+        released: list[bool] = []
+
+        def execute(execution: GoalExecution) -> Message:
+            while not released:
+                self.pass_time(_STEP)
+            return {"sequence": [execution.goal["order"]]}
+
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, execute)
+            goal = link.send_goal("count", self.action_type, {"order": 3}, timeout=PATIENCE)
+            try:
+                error = punctual_refusal(partial(goal.cancel, timeout=0.5), timeout=0.5)
+                require("0.5 s" in error.problem, f"the deadline is not named: {error}")
+            finally:
+                released.append(True)
+            goal.result(timeout=PATIENCE)
+
+    def test_a_fault_of_a_feedback_callback_fails_the_run_at_once(self) -> None:
+        """Hold that it is told while the goal is executed, once, and that the goal goes on."""
+        told: list[str] = []
+
+        def hear(message: Message) -> None:
+            raise ValueError(f"a fault at {len(message)}")
+
+        run = fails_run(lambda fault, where: told.append(f"{where}: {fault}"))
+        with run, self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, self.counted)
+            goal = link.send_goal("count", self.action_type, {"order": 8}, on_feedback=hear, timeout=PATIENCE)
+            self.until(lambda: told, "the run was not told")
+            require(goal.result(timeout=PATIENCE).has_succeeded, "the goal did not go on")
+        require(told == ["the callback of /count: a fault at 1"], f"the run was told {told}")
+
+    def test_two_goals_are_kept_apart(self) -> None:
+        """Hold that each has its own feedback and result."""
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("count", self.action_type, self.counted)
+            told: tuple[list[Any], list[Any]] = ([], [])
+            goals = [
+                link.send_goal("count", self.action_type, {"order": order}, on_feedback=hear.append, timeout=PATIENCE)
+                for order, hear in zip((4, 9), told, strict=True)
+            ]
+            results = [goal.result(timeout=PATIENCE).result["sequence"] for goal in goals]
+            require([len(sequence) for sequence in results] == [5, 10], f"the results are {results}")
+            require({"sequence": [21, 34]} in told[1] and {"sequence": [21, 34]} not in told[0], f"feedback is {told}")
+
+    def test_a_closed_link_leaves_no_goal_behind(self) -> None:
+        """Hold that goals that are not over are cancelled when their link is closed, and that offers end their own."""
+        ended: list[str] = []
+
+        def execute(execution: GoalExecution) -> Message:
+            try:
+                return self.counted(execution)
+            except ActionCanceled:
+                ended.append("cancelled")
+                raise
+
+        with self.opened() as robot:
+            robot.offer_action("count", self.action_type, execute)
+            link = self.make_link()
+            try:
+                self.begun(link)
+            finally:
+                link.close()
+            require(ended == ["cancelled"], f"the goal of a link that was closed is not over: {ended}")
+            refusal(lambda: link.send_goal("count", self.action_type))
+            with self.opened() as other:
+                goal = self.begun(other)
+                robot.close()
+                refused = _end_of(goal)
+                require(refused is not GoalStatus.SUCCEEDED, "a goal whose server left succeeded")
+
+    def begun(self, link: RobotLink) -> Goal:
+        """Send a goal that lasts, and wait until it is executed."""
+        told: list[Message] = []
+        goal = link.send_goal(
+            "count", self.action_type, {"order": _FOR_EVER}, on_feedback=told.append, timeout=PATIENCE
+        )
+        self.until(lambda: told, "no feedback comes", timeout=PATIENCE)
+        return goal
+
+
+def _end_of(goal: Goal) -> GoalStatus | None:
+    """Return how a goal ended whose server left, or None where that is an error."""
+    try:
+        return goal.result(timeout=PATIENCE).status
+    except LinkError:
+        return None

@@ -1,0 +1,66 @@
+"""The power is shown while the meter is read over a real line, and what is measured stays the same."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import tty
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.meters.scripted_meter import sample
+
+from robot_runner.core.events.context import SystemClock
+from robot_runner.plugins.profilers import Ina219
+from robot_runner.testing import make_context, rehearse
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    """A meter at the other end of a pseudo-terminal: 0.613 A at 12.4 V, 100 samples a second."""
+    device, host = os.openpty()
+    tty.setraw(device)
+    tty.setraw(host)
+    ended = threading.Event()
+
+    def send() -> None:
+        began = time.monotonic()
+        for number in range(2000):
+            moment = time.monotonic() - began
+            os.write(device, sample(number, int(moment * 1e6)))
+            if ended.wait(max(0.0, (number + 1) / 100 - moment)):
+                return
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    yield os.ttyname(host)
+    ended.set()
+    sender.join()
+    os.close(device)
+    os.close(host)
+
+
+def test_the_power_is_shown_while_it_is_measured_and_gone_when_the_samples_are_there(tmp_path: Path, port: str) -> None:
+    profiler = Ina219(port=port, rate_hz=100.0)
+    context = make_context(tmp_path, profiler, clock=SystemClock(), robot=None)
+    shown = context.raw_data_folder / ".samples.csv.live"
+    seen = []
+
+    def mission() -> None:
+        deadline = time.monotonic() + 20.0
+        while len(seen) < 3 and time.monotonic() < deadline:
+            time.sleep(0.05)
+            seen[:] = shown.read_text(encoding="utf-8").splitlines() if shown.exists() else []
+
+    rehearse(context, profiler, mission=mission)
+    heading, *rows = seen
+    assert heading == "time_s,power_W"
+    assert [float(row.split(",")[1]) for row in rows] == [pytest.approx(0.613 * 12.4)] * len(rows)
+    assert not shown.exists()
+    assert context.measures["MeanPower"] == pytest.approx(0.613 * 12.4)
+    assert (context.raw_data_folder / "samples.csv").exists()

@@ -1,0 +1,55 @@
+"""The example of two implementations on one bag, on real graphs: same data, latency and processor compared."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.ros1_master import RUDE, needs_ros1
+
+pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "bag_replay"
+SECONDS, RATE = 3, 20
+
+
+@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
+def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """How a graph of this test run is reached."""
+    if request.param == "ros1":
+        request.getfixturevalue("master_uri")
+        return "ros1"
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    return f"dds:domain={claim_domain()}"
+
+
+def test_both_implementations_hear_the_same_bag_and_the_faster_one_is_seen(graph: str, tmp_path: Path) -> None:
+    bag = tmp_path / "hall"
+    made = [sys.executable, str(EXAMPLE / "make_bag.py"), str(bag), "--seconds", str(SECONDS)]
+    subprocess.run(made, check=True, capture_output=True, timeout=60)
+    words = [str(EXAMPLE / "bag_replay.py"), "--set", f"results_output_path={tmp_path}", "--set", "repetitions=1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "robot_runner", *words],
+        env=os.environ | {"BAG_REPLAY_ROBOT": graph, "BAG_REPLAY_BAG": str(bag)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said + "".join(each.read_text() for each in tmp_path.rglob("*.txt"))
+    assert "no robot is on the graph" not in said  # the node and the bag come with each run
+    with (tmp_path / "bag_replay" / "run_table.csv").open(encoding="utf-8", newline="") as file:
+        rows = {row["Filter"]: row for row in csv.DictReader(file)}
+    for row in rows.values():
+        assert int(row["PlayedMessages"]) == int(row["ScanMessages"]) == SECONDS * RATE, said
+        assert int(row["ScanFilteredUnanswered"]) == 0
+        assert 0 < float(row["ScanFilteredMedianLatency"]) <= float(row["ScanFilteredP95Latency"])
+    plain, numpy = rows["plain"], rows["numpy"]
+    assert float(plain["ScanFilteredMedianLatency"]) > float(numpy["ScanFilteredMedianLatency"])
+    assert float(plain["CPU_Node"]) > float(numpy["CPU_Node"]) > 0

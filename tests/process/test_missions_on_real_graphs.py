@@ -1,0 +1,81 @@
+"""Missions without code on a real graph: a robot that carries out a goal stands still when the run dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.conftest import HEAD
+from tests.process.conftest import wait_until
+from tests.process.graph_simulation import simulated_robot, witness
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.missions.drive_action import ACTION, ACTION_TYPE, DriveServer
+from tests.ros.ros1_master import RUDE, needs_ros1
+
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import RobotName
+from robot_runner.ros.graph_links import GRAPH_LINKS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
+
+Start = Callable[..., Any]
+
+CONFIG = f"""
+    robot = {{robot!r}}
+    plugins = [Together(
+        ActionMission({ACTION!r}, {ACTION_TYPE!r}, {{{{"pose": {{{{"pose": {{{{"position": {{{{"x": 3.0}}}}}}}}}}}}}}}},
+                      name="alice", namespace="/alice", odometry="odom"),
+        TopicMission("lamp", "std_msgs/String", {{{{"data": "on"}}}}, until=60.0, afterwards={{{{"data": "off"}}}},
+                     name="lamp"),
+    )]
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])])
+"""
+#: The standby finds the graph, the server takes the cancel request at its next step, and the wheels roll out.
+STOPPED_WITHIN = 3.0
+
+
+@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
+def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    if request.param == "ros1":
+        request.getfixturevalue("master_uri")
+        return "ros1"
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    return f"dds:domain={claim_domain()}"
+
+
+def test_when_the_run_is_killed_its_goal_is_cancelled_and_the_safe_message_is_published(
+    graph: str, start: Start, write_config: Callable[..., Path]
+) -> None:
+    head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.systems import *\n", 1)
+    name = RobotName.parse(graph)
+    lamp: list[str] = []
+    with (
+        simulated_robot(graph, "--namespace", "/alice", "--no-watchdog"),
+        witness(graph, "/alice") as seen,
+        closing(GRAPH_LINKS[name.link].open(name, SystemClock(), "/alice")) as link,
+    ):
+        server = DriveServer(link, SystemClock())
+        link.offer_action(ACTION, ACTION_TYPE, server.execute)
+        link.subscribe("/lamp", "std_msgs/String", lambda message: lamp.append(message["data"]))
+        experiment = start(config=write_config(CONFIG.format(robot=graph), head=head, table=""))
+        moving = seen.sees(0.15)
+        wait_until(lambda: "on" in lamp, "the lamp is on")
+        killed = time.time()
+        os.kill(experiment.run_process(), signal.SIGKILL)
+        assert moving < killed
+        assert seen.sees_standstill(killed) - killed < STOPPED_WITHIN
+        assert server.cancelled == 1
+        wait_until(lambda: lamp[-1] == "off", "the lamp is off")
+        experiment.end()
+        assert "had made Together safe; the process that stood by for this did it" in " ".join(
+            experiment.output.split()
+        )

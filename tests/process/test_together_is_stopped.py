@@ -1,0 +1,63 @@
+"""Missions that go on together in one run end with it, whichever way it ends."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.conftest import HEAD
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SYSTEMS = """
+import threading, time
+from robot_runner.plugins import System
+from robot_runner.plugins.systems import Together
+HERE = Path(__file__).parent
+
+class Mover(System):
+    def launch_mission(self, context):
+        try:
+            (HERE / f"{self.name}_moves").touch()
+            context.clock.sleep(60)
+        finally:
+            context.clock.sleep(0.1)  # what it closes takes its time
+            (HERE / f"{self.name}_ended").write_text(str(time.time()))
+    def make_safe(self, context):
+        (HERE / f"{self.name}_safe").touch()
+
+class Guard(System):
+    def start_run(self, context):
+        threading.Timer(1.0, lambda: getattr(context, how)("the door is open")).start()
+
+how = "HOW"
+"""
+BODY = """
+    plugins = [Together(Mover(name="alice"), Mover(name="bob")), GUARD]
+    grace_in_s = 20
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video"])])
+"""
+
+
+@pytest.mark.parametrize(("how", "code"), [("SIGINT", 130), ("fail", 1), ("stop_mission", 0)])
+def test_whatever_ends_the_run_ends_all_missions_at_once(
+    start: Callable[..., Any], write_config: Callable[..., Path], how: str, code: int
+) -> None:
+    is_signal = how.startswith("SIG")
+    systems = SYSTEMS.replace("HOW", how)
+    body = BODY.replace(", GUARD", "" if is_signal else ", Guard()")
+    experiment = start(config=write_config(body, head=HEAD.replace("import *\n", f"import *\n{systems}", 1), table=""))
+    for name in ("alice", "bob"):
+        experiment.wait_for(f"{name}_moves")
+    began = experiment.send(signal.Signals[how]) if is_signal else time.time() + 1.0
+    ended = [float(experiment.wait_for(f"{name}_ended").read_text()) for name in ("alice", "bob")]
+    assert experiment.end() == code, experiment.output
+    assert max(ended) - began < 3.0
+    assert max(ended) - min(ended) < 1.0
+    for name in ("alice", "bob"):
+        assert (experiment.config.parent / f"{name}_safe").exists()

@@ -1,0 +1,72 @@
+"""What is measured of a robot's way beside an action: by odometry or tf, and by the laser scanner."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.plugins.systems import ActionMission
+from robot_runner.ros.missions.way_measures import WayMeasures
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, make_context
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def _transform(parent: str, child: str, x: float, time: float) -> dict[str, Any]:
+    header = {"frame_id": parent, "stamp": {"sec": int(time), "nanosec": round(time % 1 * 1e9)}}
+    moved, turned = {"x": x, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    return {"header": header, "child_frame_id": child, "transform": {"translation": moved, "rotation": turned}}
+
+
+def _context(folder: Path, clock: FakeClock, link: FakeRobotLink) -> Any:
+    mission = ActionMission("go", "nav2_msgs/NavigateToPose", odometry="odom", scan="scan", name="Go")
+    return make_context(folder, mission, robot="dds", links=FakeLinks(robot=link), clock=clock)
+
+
+def test_the_way_by_tf_is_that_of_the_robot_in_the_map(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    clock.at(0.1, lambda: link.deliver("/tf", {"transforms": [_transform("map", "odom", 0.0, 0.1)]}))
+
+    def tell() -> None:
+        now = clock.now()
+        both = [_transform("map", "odom", 0.1, now), _transform("odom", "base_link", 0.2 * now, now)]
+        link.deliver("/tf", {"transforms": both})
+
+    clock.every(0.2, tell)
+    way = WayMeasures(None, None, ("map", "base_link"), where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    clock.sleep(0.1)
+    way.begin_mission()
+    clock.sleep(5.0)
+    assert way.end_mission(context) == {"PathLength": pytest.approx(1.0, abs=0.05)}
+    assert "base_link in map" in way.measures[0].description
+    unknown = WayMeasures(None, None, ("map", "base_lnk"), where="Go")
+    with pytest.raises(LinkError, match="base_lnk"):
+        unknown.begin(link, context, timeout=1.0)
+
+
+def test_ranges_that_say_nothing_are_no_obstacles_and_silence_is_doubted(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    way = WayMeasures(None, "scan", None, where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=1.0)
+    way.begin_mission()
+    ranges = [0.01, math.nan, math.inf, 0.8, 3.6, 0.5]
+    link.deliver("scan", {"range_min": 0.12, "range_max": 3.5, "ranges": ranges})
+    assert way.end_mission(context) == {"ClosestObstacle": 0.5}
+    way.begin_mission()
+    assert way.end_mission(context) == {"ClosestObstacle": None}
+    assert "no laser scan came on 'scan'" in context.broker.findings[-1].problem
+
+
+@pytest.mark.parametrize("frames", ["map", ("map",), ("map", ""), ("map", "odom", "base_link")])
+def test_frames_that_are_no_pair_are_refused(frames: Any) -> None:
+    with pytest.raises(PluginError, match="path_frames is"):
+        WayMeasures(None, None, frames, where="Go")
+    with pytest.raises(PluginError, match="at the same time"):
+        WayMeasures("odom", None, ("map", "base_link"), where="Go")

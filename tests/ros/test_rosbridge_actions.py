@@ -1,0 +1,90 @@
+"""Actions through a rosbridge of ROS 2: what its servers tell of them, and what they do not."""
+
+from __future__ import annotations
+
+import time
+from contextlib import closing
+
+import pytest
+
+from robot_runner.core.errors import GoalRejectedError, LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.rosbridge_link import open_rosbridge_link
+from robot_runner.testing import RosbridgeServer
+
+FIBONACCI = "example_interfaces/Fibonacci"
+
+
+@pytest.fixture
+def server():
+    with closing(RosbridgeServer(generation=2)) as opened:
+        yield opened
+
+
+@pytest.fixture
+def robot(server):
+    with closing(open_rosbridge_link(server.url, SystemClock())) as opened:
+        yield opened
+
+
+@pytest.fixture
+def link(server):
+    with closing(open_rosbridge_link(server.url, SystemClock())) as opened:
+        yield opened
+
+
+def count(execution):
+    while not execution.is_cancel_requested and execution.goal["order"]:
+        execution.feedback({"sequence": [1]})
+        time.sleep(0.02)
+    return {"sequence": [2]}
+
+
+def test_a_goal_that_is_rejected_is_told_as_far_as_the_server_tells_it(server, robot, link):
+    robot.offer_action("count", FIBONACCI, count)
+    server.actions.rejects["/count"] = lambda goal: goal["order"] < 0
+    with pytest.raises(LinkError, match=r"does not accept the goal within 0\.5 s") as silent:
+        link.send_goal("count", FIBONACCI, {"order": -1}, timeout=0.5)
+    assert "rejects" in silent.value.fix
+    assert "rosbridge_suite" in silent.value.fix
+    server.actions.tells_rejection = True
+    with pytest.raises(GoalRejectedError, match="Action goal was rejected"):
+        link.send_goal("count", FIBONACCI, {"order": -1})
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_a_server_that_is_too_old_for_actions_is_named_with_the_remedy(server, robot, link, tells):
+    server.tells = tells
+    robot.offer_action("count", FIBONACCI, count)
+    server.actions.is_known = False
+    with pytest.raises(LinkError) as sent:
+        link.send_goal("count", FIBONACCI, {"order": 0}, timeout=0.5)
+    with pytest.raises(LinkError) as offered:
+        robot.offer_action("add", FIBONACCI, count)
+    server.actions.is_known = True
+    for error in (sent.value, offered.value):
+        assert "rosbridge_suite 2.0 or newer" in error.fix
+
+
+def test_messages_of_a_link_go_on_while_a_goal_of_it_is_executed(server, robot, link):
+    robot.offer_action("count", FIBONACCI, count)
+    before = len(server._clients)
+    goal = link.send_goal("count", FIBONACCI, {"order": 1})
+    assert len(server._clients) == before + 1  # servers take nothing else of a connection while a goal of it goes on
+    # What whoever is left asks for once a run is dead: the end of all goals.
+    link.call("count/_action/cancel_goal", "action_msgs/CancelGoal")
+    goal.result(timeout=20.0)
+    deadline = time.monotonic() + 20.0
+    while len(server._clients) > before and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert len(server._clients) == before
+
+
+def test_a_connection_that_is_lost_ends_the_wait_for_a_goal_at_once(server, robot, link):
+    robot.offer_action("count", FIBONACCI, count)
+    goal = link.send_goal("count", FIBONACCI, {"order": 1})
+    server._clients[-1].close()  # that of the goal
+    begun = time.monotonic()
+    with pytest.raises(LinkError, match="the connection is lost"):
+        goal.result(timeout=60.0)
+    assert time.monotonic() - begun < 10.0

@@ -1,0 +1,224 @@
+"""Nodes under test: by the real roslaunch of ROS 1, and by a stand-in for `ros2` that checks its words."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.conftest import HEAD, written_config
+from tests.core.execution.conftest import Executed, execute_in
+from tests.loopback_port import claim_port
+from tests.ros.ros1_master import ros1_environment
+from tests.subjects.conftest import gone
+from tests.subjects.test_ros_launch import needs_roslaunch
+
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.errors import PluginError
+from robot_runner.plugins.systems import RosNode
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+OURS = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins.systems import RosNode\n", 1)
+TABLE = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Planner", ["dwa", "teb"])], seed=1, shuffle=False)
+"""
+#: A node that says what it was given: words, parameters, its name, and the names that its own were remapped to.
+NODE = """\
+#!/usr/bin/python3
+import sys
+import rospy
+rospy.init_node("planner")
+facts = [rospy.get_name(), rospy.resolve_name("scan"), rospy.get_param("~planner"), rospy.get_param("~limits/speed")]
+facts += [rospy.get_param("~map"), rospy.get_param("~exact"), *rospy.myargv()[1:]]
+rospy.on_shutdown(lambda: print("shut down", flush=True))
+print("planner has", *map(repr, facts), flush=True)
+rospy.spin()
+"""
+#: As ros2 of Jazzy answers: the executables and prefixes of packages, and `run`, which waits for SIGINT.
+ROS2 = """\
+#!/bin/sh
+case "$1 $2 $3" in
+    "pkg executables nav") echo "nav planner"; echo "nav mapper"; exit 0;;
+    "pkg executables "*) echo "Package 'no_package' not found" >&2; exit 1;;
+    "pkg prefix rmw_cyclonedds_cpp") echo /opt/ros/jazzy; exit 0;;
+    "pkg prefix "*) echo "Package not found" >&2; exit 1;;
+    "run nav planner") ;;
+    *) echo "unknown words: $*" >&2; exit 2;;
+esac
+echo "middleware $RMW_IMPLEMENTATION"
+shift 3
+for word; do echo "word <$word>"; done
+trap 'echo "interrupted"; kill $!; exit 0' INT
+sh -c 'while :; do sleep 0.2; done' TOKEN &
+wait
+"""
+
+
+@pytest.fixture
+def execute(tmp_path: Path) -> Callable[..., Executed]:
+    return partial(execute_in, tmp_path, head=OURS, table=TABLE)
+
+
+@pytest.fixture
+def problems(tmp_path: Path) -> Callable[[str], list[str]]:
+    def found(body: str) -> list[str]:
+        return [finding.problem for finding in prepare(written_config(tmp_path, body, head=OURS, table=TABLE)).findings]
+
+    return found
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, token: str) -> dict[str, str]:
+    """Return the environment of a workspace that is a git repository with one package."""
+    package = tmp_path / "ws" / "src" / "subject_nav"
+    package.mkdir(parents=True)
+    (package / "package.xml").write_text("<package><name>subject_nav</name><version>1.2.3</version></package>")
+    (package / "planner.py").write_text(NODE + f"# {token}\n")
+    (package / "planner.py").chmod(0o755)
+    (tmp_path / "hall.yaml").write_text("map: hall\nplanner: none\n")
+    for words in (
+        ["init", "-q"],
+        ["add", "."],
+        ["-c", "user.name=A", "-c", "user.email=a@b.c", "commit", "-qm", "One"],
+    ):
+        subprocess.run(["git", *words], cwd=package, check=True, capture_output=True)
+    named = ros1_environment(f"http://127.0.0.1:{claim_port()}", tmp_path)
+    path = {"ROS_PACKAGE_PATH": str(tmp_path / "ws" / "src"), "PYTHONUNBUFFERED": "1"}
+    return {**named, **path, "ROS_LOG_DIR": str(tmp_path / "log")}
+
+
+def _commit(folder: Path) -> str:
+    return subprocess.run(["git", "rev-parse", "HEAD"], cwd=folder, check=True, capture_output=True, text=True).stdout
+
+
+@needs_roslaunch
+def test_a_node_of_ros_1_gets_its_treatments_names_and_parameters_and_its_commit_is_recorded(
+    execute: Callable[..., Executed], workspace: dict[str, str], tmp_path: Path
+) -> None:
+    body = f"""plugins = [RosNode(
+        'subject_nav', 'planner.py', arguments=['fast', treatment('Planner')], namespace='alice', node_name='nav',
+        parameters={{'planner': treatment('Planner'), 'limits': {{'speed': 0.5}}, 'exact': '<1>'}},
+        parameters_file={str(tmp_path / "hall.yaml")!r}, remappings={{'scan': '/front/scan'}},
+        environment={workspace!r}, ros=1, name='Nav', ready='planner has')]"""
+    done = execute(body)
+    assert (done.finished.failures, done.finished.done_count) == ((), 2)
+    for run_id, planner in (("r_1", "dwa"), ("r_2", "teb")):
+        output = (done.folder / "runs" / run_id / "Nav" / "stdout.txt").read_text()
+        assert f"planner has '/alice/nav' '/front/scan' {planner!r} 0.5 'hall' '<1>' 'fast' {planner!r}" in output
+        assert "shut down" in output
+    started = done.journal("subject")[0]
+    package = tmp_path / "ws" / "src" / "subject_nav"
+    described = {"version": "1.2.3", "commit": _commit(package).strip(), "is_dirty": False}
+    assert (started["ros"], started["packages"]) == (1, {"subject_nav": described})
+
+
+@needs_roslaunch
+def test_what_roslaunch_would_refuse_of_a_node_is_found_before(
+    problems: Callable[[str], list[str]], workspace: dict[str, str]
+) -> None:
+    def of(words: str) -> list[str]:
+        return problems(f"plugins = [RosNode({words}, environment={workspace!r}, ros=1)]")
+
+    assert of("'subject_nav', 'planner.py'") == []
+    (absent,) = of("'subject_nav', 'planer.py'")
+    assert "Cannot locate node of type [planer.py] in package [subject_nav]" in absent
+    assert "ResourceNotFound: subject_na" in of("'subject_na', 'planner.py'")[0]
+    (lost,) = of("'subject_nav', 'planner.py', parameters_file='/nowhere.yaml'")
+    assert "file does not exist [/nowhere.yaml]" in lost
+
+
+@needs_roslaunch
+def test_a_node_of_ros_1_that_dies_fails_the_run(execute: Callable[..., Executed], workspace: dict[str, str]) -> None:
+    done = execute(
+        f"plugins = [RosNode('subject_nav', 'planner.py', environment={workspace!r}, ros=1, ready='never', name='Nav')]"
+    )
+    assert done.finished.done_count == 0
+    assert "Nav has died" in done.finished.failures[0]
+
+
+def test_ros2_run_gets_the_words_of_a_node_and_its_middleware(
+    execute: Callable[..., Executed], problems: Callable[[str], list[str]], tmp_path: Path, token: str
+) -> None:
+    program = tmp_path / "bin" / "ros2"
+    program.parent.mkdir()
+    program.write_text(ROS2.replace("TOKEN", token))
+    program.chmod(0o755)
+    (tmp_path / "hall.yaml").write_text("/**:\n  ros__parameters:\n    map: hall\n")
+    path = {"PATH": f"{program.parent}:{Path(sys.executable).parent}:/usr/bin:/bin"}
+
+    def body(words: str) -> str:
+        return f"plugins = [RosNode({words}, environment={path!r}, ros=2, name='Nav', ready='word <speed', rmw=None)]"
+
+    given = f"""'nav', 'planner', arguments=['--fast'], parameters={{'planner': treatment('Planner'), 'speed': 0.2,
+        'goal': {{'x': [1, 2]}}}}, parameters_file={str(tmp_path / "hall.yaml")!r},
+        remappings={{'scan': '/front/scan'}}, node_name='nav', namespace='/alice'"""
+    done = execute(
+        body(given).replace("rmw=None", "rmw='rmw_cyclonedds_cpp'").replace("word <speed", "word <speed:=0.2>")
+    )
+    assert (done.finished.failures, done.finished.done_count) == ((), 2)
+    lines = (done.folder / "runs/r_2/Nav/stdout.txt").read_text().splitlines()
+    words = [line[6:-1] for line in lines if line.startswith("word <")]
+    assert lines[0] == "middleware rmw_cyclonedds_cpp"
+    remaps = ["-r", "scan:=/front/scan", "-r", "__node:=nav", "-r", "__ns:=/alice"]
+    parameters = ["-p", 'planner:="teb"', "-p", "speed:=0.2", "-p", "goal.x:=[1, 2]"]
+    files = ["--params-file", str(tmp_path / "hall.yaml")]
+    assert words == ["--fast", "--ros-args", *remaps, *files, *parameters]
+    assert lines[-1] == "interrupted"
+    assert gone(token)
+    assert problems(body("'nav', 'planer'")) == ["the package 'nav' has no executable 'planer'"]
+    assert problems(body("'no_package', 'planner'")) == ["ros2 refuses no_package: Package 'no_package' not found"]
+    assert problems(body("'nav', 'planner', parameters_file='lost.yaml'")) == [
+        "there is no file of parameters 'lost.yaml'"
+    ]
+    wrong = body("'nav', 'planner'").replace("rmw=None", "rmw='rmw_cyclondds_cpp'")
+    assert problems(wrong) == ["the middleware 'rmw_cyclondds_cpp' is not installed"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"arguments": "--fast"}, "arguments is"),
+        ({"node_name": "a/b"}, "cannot be named"),
+        ({"namespace": "a b"}, "cannot be the name of a namespace"),
+        ({"parameters": {"speed": float("nan")}}, "'speed' cannot be nan"),
+        ({"parameters": {"a b": 1}}, "'a b' is no name"),
+        ({"parameters": {"a": {"b": object()}}}, "'a.b' cannot be"),
+        ({"ros": 1, "rmw": "rmw_fastrtps_cpp"}, "and ros is 1"),
+    ],
+)
+def test_parameters_that_cannot_be_are_refused(wrong: dict[str, object], told: str) -> None:
+    with pytest.raises(PluginError, match=told):
+        RosNode("nav", "planner", **{"ros": 2, **wrong})
+
+
+def test_packages_of_overlays_are_told_with_the_commits_of_their_sources(tmp_path: Path) -> None:
+    from robot_runner.subjects.ros_subject import _DESCRIBE
+
+    for path, name in (("src/a", "a"), ("install/a/share/a", "a"), ("install/b/share/b", "b"), ("src/a/test/c", "c")):
+        (tmp_path / path).mkdir(parents=True)
+        (tmp_path / path / "package.xml").write_text(
+            f'<package format="3"><name>{name}</name><version> 2.0.1 </version>'
+        )
+    prefixes = os.pathsep.join([str(tmp_path / "install" / "a"), str(tmp_path / "install" / "b"), "/opt/ros/jazzy"])
+    environment = {"PATH": os.environ["PATH"], "AMENT_PREFIX_PATH": prefixes}
+    for described in ({"version": "2.0.1"}, None):
+        said = subprocess.run(_DESCRIBE, env=environment, capture_output=True, check=True).stdout
+        told = json.loads(said)
+        assert sorted(told) == ["a", "b"]
+        if described is not None:
+            assert told["a"] == told["b"] == described
+            for words in (
+                ["init", "-q"],
+                ["add", "src"],
+                ["-c", "user.name=A", "-c", "user.email=a@b.c", "commit", "-qm", "A"],
+            ):
+                subprocess.run(["git", *words], cwd=tmp_path, check=True, capture_output=True)
+    assert (told["a"]["commit"], told["a"]["is_dirty"]) == (_commit(tmp_path).strip(), False)
