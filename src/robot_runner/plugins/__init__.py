@@ -20,6 +20,7 @@ from robot_runner.core.doors import open_door
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from robot_runner.core.errors import Finding as Finding
+    from robot_runner.core.errors import GoalRejectedError as GoalRejectedError
     from robot_runner.core.errors import LinkError as LinkError
     from robot_runner.core.errors import PluginError as PluginError
     from robot_runner.core.events.context import RobotRunnerContext as RobotRunnerContext
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.connect import open_serial_line as open_serial_line
     from robot_runner.core.links.goals import ActionAborted as ActionAborted
     from robot_runner.core.links.goals import ActionCanceled as ActionCanceled
+    from robot_runner.core.links.goals import GoalStatus as GoalStatus
     from robot_runner.core.links.graph_needs import GraphNeed as GraphNeed
     from robot_runner.core.links.measured_machine import Computer as Computer
     from robot_runner.core.links.outside_run import open_robot as open_robot
