@@ -60,7 +60,7 @@ def action_parts(generation: int, name: str, text: str, *, where: str) -> dict[s
         LinkError: the definition has not three parts.
 
     Example:
-        >>> parts = action_parts(2, "example_interfaces/Fibonacci", "int32 order\\n---\\n---\\n", where="a file")
+        >>> parts = action_parts(2, "example_interfaces/Fibonacci", "int32 order\n---\n---\n", where="a file")
         >>> parts["example_interfaces/action/Fibonacci_Goal"].strip()
         'int32 order'
     """
