@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -27,7 +28,9 @@ _SHARED = "ROBOT_RUNNER_TESTS_FOLDER"
 #: Fewer files waste imports, more leave some processors idle at the end.
 _FILES = 12
 _NOTHING_CHOSEN = 5  # pytest's exit status where no test was chosen: all tests of a batch are `soak`, say
-_COUNTED = re.compile(r"(\d+) (passed|failed|skipped|xfailed|xpassed|error)s?\b")
+#: What pytest counts, in the order of its last line.
+_KINDS = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "error")
+_COUNTED = re.compile(rf"(\d+) ({'|'.join(_KINDS)})s?\b")
 _PROGRESS = re.compile(r"[.sxXEFR]+\s*(\[ *\d+%\])?")
 
 
@@ -142,12 +145,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Execute the tests in several processes; other words are pytest's.")
     parser.add_argument("--processes", type=int, default=_processes(), help="how many at once (default: %(default)s)")
     chosen, words = parser.parse_known_args()
+    began = time.monotonic()
     answers = _all_executed(batches_of(Path("tests")), words, max(1, chosen.processes))
     for line in sorted({line for answer in answers if answer.is_good for line in answer.remarks}):
         print(line)
     counts = sum((answer.counts for answer in answers), Counter[str]())
-    print(", ".join(f"{number} {word}" for word, number in sorted(counts.items())) or "no test was executed")
-    return 0 if counts and all(answer.is_good for answer in answers) else 1
+    told = ", ".join(f"{counts[kind]} {kind}" for kind in _KINDS if counts[kind]) or "no tests ran"
+    print(f"{told} in {time.monotonic() - began:.2f}s")
+    return 0 if counts["passed"] and all(answer.is_good for answer in answers) else 1
 
 
 if __name__ == "__main__":

@@ -62,7 +62,8 @@ def _link(name: str, site: Path) -> None:
         return
     for file in found.files or ():
         origin, target = Path(str(file.locate())), site / file
-        if ".." not in file.parts and file.suffix != ".pyc" and origin.exists():
+        # Bytecode as well, as pip leaves it: else each environment would compile all libraries anew.
+        if ".." not in file.parts and origin.exists():
             target.parent.mkdir(parents=True, exist_ok=True)
             target.unlink(missing_ok=True)
             try:

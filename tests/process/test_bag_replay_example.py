@@ -15,7 +15,7 @@ from tests.ros.ros1_master import RUDE, needs_ros1
 pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "bag_replay"
-SECONDS, RATE = 3, 20
+SECONDS, RATE = 2, 20
 
 
 @pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
@@ -51,5 +51,12 @@ def test_both_implementations_hear_the_same_bag_and_the_faster_one_is_seen(graph
         assert int(row["ScanFilteredUnanswered"]) == 0
         assert 0 < float(row["ScanFilteredMedianLatency"]) <= float(row["ScanFilteredP95Latency"])
     plain, numpy = rows["plain"], rows["numpy"]
-    assert float(plain["ScanFilteredMedianLatency"]) > float(numpy["ScanFilteredMedianLatency"])
+    # Of a busy machine, the best answer tells what the node itself takes.
+    assert _best(tmp_path, plain["run_id"]) > _best(tmp_path, numpy["run_id"]) > 0
     assert float(plain["CPU_Node"]) > float(numpy["CPU_Node"]) > 0
+
+
+def _best(folder: Path, run_id: str) -> float:
+    """Return the lowest latency of a run, s, as its raw data have it."""
+    with (folder / "bag_replay" / "runs" / run_id / "TopicLatency" / "ScanFiltered.csv").open() as file:
+        return min(float(row["latency_s"]) for row in csv.DictReader(file))

@@ -70,3 +70,17 @@ def test_no_module_is_a_drawer() -> None:
 def test_a_file_name_means_one_thing() -> None:
     names = Counter(module.name for module in MODULES if module.name != "__init__.py")
     assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_no_program_of_ours_that_is_started_imports_from_the_folder_that_it_is_started_in() -> None:
+    # A user's random.py, types.py or queue.py beside a study would stand in for Python's own, unless -P is given.
+    def is_unsafe(module: Path) -> bool:
+        lists = (node.elts for node in ast.walk(_tree(module)) if isinstance(node, ast.List))
+        words = ([each.value if isinstance(each, ast.Constant) else None for each in elements] for elements in lists)
+        of_others = {"pip", "pytest", "venv"}
+        return any(
+            "-m" in each and "-P" not in each and not of_others & set(each[each.index("-m") + 1 :]) for each in words
+        )
+
+    # What a user is told to type is no program that we start.
+    assert [name for name in _broken(is_unsafe) if name != "cli/console.py"] == []

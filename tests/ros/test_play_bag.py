@@ -189,6 +189,24 @@ def test_who_else_publishes_a_topic_of_the_bag_stops_the_run_before_it_is_played
     assert play(scans["mcap"], topics=["/note"], prepare=sensor)[1].measures["PlayedMessages"] == 1
 
 
+def test_who_publishes_the_time_or_begins_while_the_bag_is_played_is_told(play, scans):
+    def clock(link):
+        link.known_topics["/clock"] = "rosgraph_msgs/Clock"
+        link.known_publishers["/clock"] = [GraphEndpoint("/gazebo", "rosgraph_msgs/Clock")]
+
+    with pytest.raises(PluginError, match="/gazebo publishes /clock, too"):
+        play(scans["mcap"], clock=True, prepare=clock)
+
+    def later(link):
+        rival = [GraphEndpoint("/laser_driver", SCAN)]
+        link._clock.at(link._clock.now() + 0.5, lambda: link.known_publishers.update({"/scan": rival}))
+
+    _, context = play(scans["mcap"], topics=["/scan"], prepare=later)
+    assert [each.problem for each in context.broker.findings] == [
+        "while the bag was played, /laser_driver publishes /scan, too"
+    ]
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

@@ -207,3 +207,10 @@ def test_what_a_setup_file_says_is_read_from_the_environment():
     assert find_ros({"ROS_VERSION": "2", "ROS_DISTRO": "humble"}).distro == "humble"
     assert find_ros({"ROS_VERSION": "3"}) is None
     assert find_ros({}) is None
+
+
+@pytest.mark.parametrize(("robot", "more"), [("rosbridge+tls://robot?ros=2", "&"), ("wss://robot", "?")])
+def test_over_tls_too_the_distribution_can_be_said(robot, more):
+    (finding,) = found(2, "humble", robot)
+    assert f"'{robot}{more}distro=humble'" in finding.fix
+    assert found(2, "humble", f"{robot}{more}distro=humble") == []

@@ -69,15 +69,25 @@ def test_clearance_is_the_way_to_the_nearest_outside(room):
     assert Room(()).clearance(0, 0) == math.inf
 
 
-@given(angle=st.floats(-math.pi, math.pi))
-def test_what_rays_meet_is_what_the_physics_has(angle):
-    obstacles = (Wall(1.0, 1.0, 0.3, 0.1, 0.7), Cylinder(-0.8, 0.3, 0.2), Wall(0.0, -1.2, 2.0, 0.05, -0.3))
-    model = mujoco.MjModel.from_xml_string(burger_model(Turtlebot3Parameters(), (0.033, 0.033), obstacles=obstacles))
+OBSTACLES = (Wall(1.0, 1.0, 0.3, 0.1, 0.7), Cylinder(-0.8, 0.3, 0.2), Wall(0.0, -1.2, 2.0, 0.05, -0.3))
+
+
+def standing():
+    model = mujoco.MjModel.from_xml_string(burger_model(Turtlebot3Parameters(), (0.033, 0.033), obstacles=OBSTACLES))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+    return model, data
+
+
+STANDING = standing()
+
+
+@given(angle=st.floats(-math.pi, math.pi))
+def test_what_rays_meet_is_what_the_physics_has(angle):
+    model, data = STANDING
     direction = np.array([math.cos(angle), math.sin(angle), 0.0])
     truth = mujoco.mj_ray(model, data, np.array([0.0, 0.0, 0.4]), direction, None, 1, -1, np.zeros(1, dtype=np.int32))
-    assert distance(obstacles, angle) == pytest.approx(math.inf if truth < 0 else truth, rel=1e-6)
+    assert distance(OBSTACLES, angle) == pytest.approx(math.inf if truth < 0 else truth, rel=1e-6)
 
 
 def test_a_robot_sees_what_stands_in_its_room_and_is_stopped_by_it(room):

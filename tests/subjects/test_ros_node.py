@@ -127,7 +127,6 @@ def test_what_roslaunch_would_refuse_of_a_node_is_found_before(
     def of(words: str) -> list[str]:
         return problems(f"plugins = [RosNode({words}, environment={workspace!r}, ros=1)]")
 
-    assert of("'subject_nav', 'planner.py'") == []
     (absent,) = of("'subject_nav', 'planer.py'")
     assert "Cannot locate node of type [planer.py] in package [subject_nav]" in absent
     assert "ResourceNotFound: subject_na" in of("'subject_na', 'planner.py'")[0]
@@ -137,11 +136,12 @@ def test_what_roslaunch_would_refuse_of_a_node_is_found_before(
 
 @needs_roslaunch
 def test_a_node_of_ros_1_that_dies_fails_the_run(execute: Callable[..., Executed], workspace: dict[str, str]) -> None:
-    done = execute(
-        f"plugins = [RosNode('subject_nav', 'planner.py', environment={workspace!r}, ros=1, ready='never', name='Nav')]"
+    done = execute(  # its parameters are missing
+        f"plugins = [RosNode('subject_nav', 'planner.py', environment={workspace!r}, ros=1, ready='none')]",
+        table=TABLE.replace('"dwa", ', ""),
     )
     assert done.finished.done_count == 0
-    assert "Nav has died" in done.finished.failures[0]
+    assert "RosNode has died" in done.finished.failures[0]
 
 
 def test_ros2_run_gets_the_words_of_a_node_and_its_middleware(

@@ -258,7 +258,7 @@ class _Search:
             "count": count,
             "seed": seed,
         }
-        command = [sys.executable, "-m", _PROGRAM]
+        command = [sys.executable, "-P", "-m", _PROGRAM]
         # A group of its own: Ctrl-C is for the experiment, which ends once this is answered.
         asked = subprocess.run(  # noqa: S603 - a program of ours, and what it is told is no command
             command,

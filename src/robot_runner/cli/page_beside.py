@@ -36,7 +36,7 @@ def page_beside(folder: Path, address: str | None) -> Iterator[str]:
     host, colon, port = (address or "").rpartition(":")
     at = {"--host": host if colon else port, "--port": port if colon else ""}
     words = [word for option, value in at.items() if value for word in (option, value)]
-    command = [sys.executable, "-m", "robot_runner", "watch", str(folder), "--until-closed", *words]
+    command = [sys.executable, "-P", "-m", "robot_runner", "watch", str(folder), "--until-closed", *words]
     # In a session of its own: Ctrl-C is meant for the experiment, and the page shows how that ends.
     with subprocess.Popen(  # noqa: S603 - our own program
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True

@@ -250,7 +250,7 @@ class QueueRunner:
             print(f"{queued.python}, with which it was added, is gone: {python} executes it", flush=True)
         # Nobody is asked anything: a queue goes on without its user. In a session of its own, each signal comes once.
         with subprocess.Popen(  # noqa: S603 - our own program
-            [python, "-m", "robot_runner", "queue", "run", str(queued.number)],
+            [python, "-P", "-m", "robot_runner", "queue", "run", str(queued.number)],
             stdin=subprocess.DEVNULL,
             cwd=queued.started_in if Path(queued.started_in).is_dir() else None,
             env={**environment, **queued.environment},

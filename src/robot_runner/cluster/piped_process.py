@@ -31,7 +31,7 @@ class PipedProcess:
         requests, request = os.pipe()
         self.descriptor, replies = os.pipe()
         self._process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
-            [sys.executable, "-m", module, str(requests), str(replies), *words],
+            [sys.executable, "-P", "-m", module, str(requests), str(replies), *words],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

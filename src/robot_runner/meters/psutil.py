@@ -61,7 +61,7 @@ class PsUtil(Profiler):
         rate_hz: samples a second, Hz.
         processes: what to measure besides the whole computer: names (`"talker"`), process ids (`4711`), or ROS nodes
             (`"node:/talker"`, found by the name that they were given on their command line), or software under test
-            with all that it has started (`"subject:Nav"`, the name of a `Program` or `RosLaunch`).
+            with all that it has started (`"subject:Nav"`, the name of a `Program` or `RosNode`).
         cores: the numbers of cores to measure each by itself.
         is_streamed: whether another computer sends its samples while it takes them.
         ssh_config: a file to take the place of your ssh config.

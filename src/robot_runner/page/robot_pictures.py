@@ -81,7 +81,7 @@ class RobotPictures:
         raise self._refusal()
 
     def _started(self, way: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "robot_runner.page.picture_process", self._kind]
+        command = [sys.executable, "-P", "-m", "robot_runner.page.picture_process", self._kind]
         return subprocess.Popen(  # noqa: S603 - our own program
             command,
             stdin=subprocess.PIPE,

@@ -6,6 +6,7 @@ import platform
 import shutil
 import sys
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -114,7 +115,7 @@ def differing_packages(
     Where the version is the same, the fingerprints of the installed files are compared, if both are known.
     """
     differing = []
-    known_importers = importers(manifest or {})
+    known_importers = cache(lambda: importers(manifest or {}))  # reads much code; mostly nobody has to ask
     needed = {name: each for name, each in (environment.get("packages") or {}).items() if each.get("is_needed")}
     for name, recorded in needed.items():
         here, version, known = installed.get(name), str(recorded["version"]), recorded.get("fingerprint")
@@ -122,7 +123,7 @@ def differing_packages(
         if here and shown == version and known and not here.is_editable and here.fingerprint not in {known, None}:
             shown = f"{version}, with other files"
         if shown != version:
-            by = _names(recorded.get("imported_by")) or known_importers.get(name, ())
+            by = _names(recorded.get("imported_by")) or known_importers().get(name, ())
             differing.append(Difference(name, version, shown, is_package=True, imported_by=by))
     return differing
 

@@ -112,8 +112,9 @@ def distributions_in(folders: list[str]) -> dict[str, InstalledDistribution]:
     """Return what is installed in these folders, by canonical name; the first of one name counts."""
     found: dict[str, InstalledDistribution] = {}
     for each in metadata.distributions(path=folders):
-        if name := each.metadata["Name"]:
-            found.setdefault(canonical(name), InstalledDistribution(name, each.version, each))
+        facts = each.metadata  # read and parsed each time that it is asked for
+        if name := facts["Name"]:
+            found.setdefault(canonical(name), InstalledDistribution(name, facts["Version"], each))
     return found
 
 

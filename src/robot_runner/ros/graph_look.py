@@ -66,7 +66,7 @@ def begin_look(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> Cal
     deadline = time.monotonic() + _SECONDS
     try:
         looking = subprocess.Popen(
-            [sys.executable, "-m", "robot_runner.ros.graph_look"],
+            [sys.executable, "-P", "-m", "robot_runner.ros.graph_look"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

@@ -159,7 +159,8 @@ class _Check:
         if self._link == "dds":
             fix = f"Say it: robot = 'dds:distro={self._distro}'."
         elif self._robot is not None and self._robot.address is not None:
-            fix = f"Say it: robot = '{self._robot.address}?distro={self._distro}'."
+            address = self._robot.address
+            fix = f"Say it: robot = '{address}{'&' if '?' in address else '?'}distro={self._distro}'."
         return Finding.warning(self._name("distro"), problem, fix)
 
     def _name(self, part: str) -> str:

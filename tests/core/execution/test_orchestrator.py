@@ -10,6 +10,8 @@ from tests.core.execution.conftest import execute_in
 from robot_runner.core.errors import ExecutionError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tests.core.execution.conftest import Executed
 
 Execute = Callable[..., Any]
@@ -365,3 +367,13 @@ class RobotRunnerConfig(ExperimentConfig):
     assert "RuntimeError while it was loaded: the camera is busy" in failure["problem"]
     assert executed.finished.failed_count == 1
     assert "the camera is busy" in executed.finished.failures[0], "that it exited with code 1 is not the cause"
+
+
+def test_a_fresh_interpreter_takes_its_library_from_python_whatever_lies_beside_the_study(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("random", "statistics", "types", "queue"):  # as users name their scripts
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('a file of the user was imported')")
+    monkeypatch.chdir(tmp_path)
+    executed = execute_in(tmp_path, "def populate_run_data(self, context): return {'Energy': 1.0}", run_process="spawn")
+    assert [row["status"] for row in executed.table] == ["Done"] * 4

@@ -14,7 +14,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import RunFailed
 from robot_runner.core.links.robot import RobotName
 from robot_runner.plugins import Circumstances
-from robot_runner.plugins.systems import Simulation
+from robot_runner.plugins.systems import BasicTurtlebot3, Program, Simulation
 from robot_runner.ros.graph_links import DDS
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, Rehearsal, SystemContract, make_context
 
@@ -200,3 +200,7 @@ def test_the_check_says_where_it_is_of_no_use():
     (finding,) = Simulation().check(Circumstances(robot="simulated"))
     assert not finding.is_error
     assert list(Simulation().check(Circumstances(robot="dds"))) == []
+    robot, starter, own = BasicTurtlebot3(task="Video", task_factor=None), Program(["sleep", "9"]), Simulation()
+    assert list(own.check(Circumstances(robot="dds", plugins=[starter, own, robot]))) == []
+    (late,) = own.check(Circumstances(robot="dds", plugins=[starter, robot, own]))
+    assert "once 'BasicTurtlebot3'" in late.problem

@@ -67,7 +67,7 @@ def become_interpreter(
         "records": report.descriptor,
         "systems": None if systems is None else systems.descriptor,
     }
-    os.execv(sys.executable, [sys.executable, "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
+    os.execv(sys.executable, [sys.executable, "-P", "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
 
 
 def _own_robot(experiment: Experiment) -> dict[str, str]:

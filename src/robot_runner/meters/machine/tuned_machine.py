@@ -95,7 +95,7 @@ class Tune(System):
 
     def before_experiment(self) -> None:
         """Set the machine up for the experiment, or put back what somebody who was killed left."""
-        words = [sys.executable, "-m", _MODULE, str(self.machine.root), str(self.machine.state.absolute())]
+        words = [sys.executable, "-P", "-m", _MODULE, str(self.machine.root), str(self.machine.state.absolute())]
         # Its input ends when this process and all that were forked from it are gone: then nobody measures any more.
         self._guardian = subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)  # noqa: S603 - ours
         if self.scope == "experiment":

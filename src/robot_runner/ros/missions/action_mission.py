@@ -98,6 +98,8 @@ class ActionMission(System):
         ['Duration', 'Success', 'Outcome', 'Recoveries', 'PathLength']
     """
 
+    #: What every goal yields; an instance has those of its result, its feedback and its way, too.
+    measures: Sequence[Measure] = _MEASURES
     needs: ClassVar[str] = "A robot with an action server, or robot='simulated' with a node that offers one."
     #: What it commands, for `Together`.
     commands: Sequence[str] = ()

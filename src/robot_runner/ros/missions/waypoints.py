@@ -86,6 +86,13 @@ class Waypoints(System):
         ['Duration', 'Distance', 'FinalError', 'FinalYawError', 'Leg1', 'Leg2']
     """
 
+    #: What every way yields; an instance has the duration of each of its legs, too.
+    measures: Sequence[Measure] = (
+        Measure("Duration", "s", "Duration of the mission on the run's clock."),
+        Measure("Distance", "m", "Way covered during the mission, by odometry."),
+        Measure("FinalError", "m", "How far from the last waypoint the robot ended, by odometry."),
+        Measure("FinalYawError", "rad", "How far from the last waypoint's yaw it ended; empty where that has none."),
+    )
     #: What it commands, for `Together`.
     commands: Sequence[str] = (COMMAND_TOPIC,)
     needs: ClassVar[str] = "A robot with odometry and velocity commands, or robot='simulated'."
@@ -127,7 +134,7 @@ class Waypoints(System):
         self.commands = (command_topic,)
         self.connect_timeout_s, self.odometry_timeout_s = connect_timeout_s, odometry_timeout_s
         self.sole_control = sole_control
-        self.measures = tuple(_measures(len(self.waypoints)))
+        self.measures = (*type(self).measures, *_legs(len(self.waypoints)))
         self._robot: Robot | None = None
         self._outcome: _Outcome | None = None
 
@@ -314,10 +321,6 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _measures(count: int) -> Iterable[Measure]:
-    yield Measure("Duration", "s", "Duration of the mission on the run's clock.")
-    yield Measure("Distance", "m", "Way covered during the mission, by odometry.")
-    yield Measure("FinalError", "m", "How far from the last waypoint the robot ended, by odometry.")
-    yield Measure("FinalYawError", "rad", "How far from the last waypoint's yaw it ended; empty where that has none.")
+def _legs(count: int) -> Iterable[Measure]:
     for number in range(1, count + 1):
         yield Measure(f"Leg{number}", "s", f"Duration of leg {number}: until waypoint {number} was reached.")

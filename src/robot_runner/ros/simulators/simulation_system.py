@@ -127,6 +127,12 @@ class Simulation(System):
                 "the embedded robot begins each run anew: nothing is reset, and its time has no pace of its own",
                 "Leave the plugin out, or reach a simulator on a graph: --set robot=dds.",
             )
+        plugins = list(circumstances.plugins)
+        before = plugins[: plugins.index(self)] if self in plugins else []
+        for each in before:
+            if isinstance(each, System) and not each.starts_nodes and not isinstance(each, Simulation):
+                problem = f"it resets the simulator once {each.name!r}, which is listed before it, has begun its run"
+                yield Finding.warning(where, problem, f"List {self.name!r} before {each.name!r} in `plugins`.")
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
         """Need where the robot stands, and the services whose names are known beforehand."""

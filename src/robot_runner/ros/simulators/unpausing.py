@@ -50,7 +50,7 @@ def unpause_from_elsewhere(
         "timeout": timeout,
         "signs": list(signs),
     }
-    command = [sys.executable, "-m", __name__, json.dumps(told)]
+    command = [sys.executable, "-P", "-m", __name__, json.dumps(told)]
     try:
         done = subprocess.run(  # noqa: S603 - our own module
             command, capture_output=True, text=True, timeout=_CONNECTING + timeout, check=False
