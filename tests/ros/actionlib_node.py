@@ -1,6 +1,6 @@
 """A server and a client of ROS' own actionlib, which know nothing of what they are to test.
 
-It offers /count (actionlib/Test): of a goal it counts up to it, one each 20 ms, and /picky, which rejects each goal. It
+It offers /tally (actionlib/Test): of a goal it counts up to it, one each 20 ms, and /picky, which rejects each goal. It
 sends a goal to /ours as soon as that is there, and says what comes of it.
 """
 
@@ -31,7 +31,7 @@ def count(goal):
 
 
 rospy.init_node("counter", disable_signals=True)
-server = actionlib.SimpleActionServer("count", TestAction, count, auto_start=False)
+server = actionlib.SimpleActionServer("tally", TestAction, count, auto_start=False)
 server.start()
 picky = actionlib.ActionServer("picky", TestAction, lambda handle: handle.set_rejected(text="never"), auto_start=False)
 picky.start()

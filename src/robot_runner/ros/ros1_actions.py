@@ -223,6 +223,8 @@ class _Client:
             if goal is not None:
                 status = _STATES.get(told["status"], GoalStatus.UNKNOWN)
                 goal.note(status)
+                if goal.is_abandoned and not status.is_over:
+                    self._publish_cancel(goal)  # it was taken after its deadline: nobody waits for it
                 if status.is_over and status is not GoalStatus.REJECTED:
                     self._expect_result(goal, told["text"])
 

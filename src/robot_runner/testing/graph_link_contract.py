@@ -14,7 +14,7 @@ from robot_runner.conditions.graph_presence import node_present, service_present
 from robot_runner.conditions.topic_messages import battery_above, message_on, topic_below
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.unhandled import fails_run
-from robot_runner.core.links.robot import Advertiser, Encoding, Qos, RawMessage
+from robot_runner.core.links.robot import ActionCanceled, Advertiser, Encoding, Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
 from robot_runner.testing.fake_run import FakeLinks, make_context
@@ -23,7 +23,7 @@ from robot_runner.testing.link_tries import PATIENCE, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
 
 if TYPE_CHECKING:
-    from robot_runner.core.links.robot import Message, RobotLink
+    from robot_runner.core.links.robot import GoalExecution, Message, RobotLink
 
 __all__ = ["GraphLinkContract"]
 
@@ -327,6 +327,29 @@ class GraphLinkContract(RobotLinkContract):
                 require("0.5 s" in f"{error.problem}", f"the deadline is not named: {error}")
             finally:
                 released.set()
+
+    def test_a_goal_that_is_accepted_too_late_is_cancelled(self) -> None:
+        """Hold that a robot does not carry out what nobody waits for any more."""
+        if not self.can_reject:  # whoever is between accepts at once
+            return
+        ended: list[str] = []
+
+        def execute(execution: GoalExecution) -> Message:
+            while not execution.is_cancel_requested:
+                time.sleep(0.02)
+            ended.append("cancelled")
+            raise ActionCanceled
+
+        def accept(goal: Message) -> bool:
+            time.sleep(1.0)
+            return bool(goal)
+
+        with self.opened() as robot, self.opened() as link:
+            robot.offer_action("slow", self.action_type, execute, accept=accept)
+            self.until(lambda: "/slow" in link.actions(), "the action is not found", timeout=self.discovery)
+            error = refusal(lambda: link.send_goal("slow", self.action_type, {"order": 1}, timeout=0.5))
+            require("0.5 s" in error.problem, f"the deadline is not named: {error}")
+            self.until(lambda: ended, "a goal that was accepted too late goes on", timeout=PATIENCE)
 
     def test_topics_of_one_robot_are_not_those_of_another(self) -> None:
         """Hold that a relative name is the robot's own."""
