@@ -369,11 +369,14 @@ class RobotRunnerConfig(ExperimentConfig):
     assert "the camera is busy" in executed.finished.failures[0], "that it exited with code 1 is not the cause"
 
 
-def test_a_fresh_interpreter_takes_its_library_from_python_whatever_lies_beside_the_study(
+def test_a_fresh_interpreter_takes_its_library_from_python_whatever_the_folder_that_it_is_started_in_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("random", "statistics", "types", "queue"):  # as users name their scripts
         (tmp_path / f"{name}.py").write_text("raise SystemExit('a file of the user was imported')")
     monkeypatch.chdir(tmp_path)
-    executed = execute_in(tmp_path, "def populate_run_data(self, context): return {'Energy': 1.0}", run_process="spawn")
+    (tmp_path / "study").mkdir()
+    executed = execute_in(
+        tmp_path / "study", "def populate_run_data(self, context): return {'Energy': 1.0}", run_process="spawn"
+    )
     assert [row["status"] for row in executed.table] == ["Done"] * 4
