@@ -38,6 +38,17 @@ def test_a_config_need_not_derive_from_ours(write_config: Write) -> None:
     assert experiment.parameters.operation_type is OperationType.AUTO
 
 
+def test_files_that_stand_in_for_modules_of_python_are_told(write_config: Write) -> None:
+    path = write_config()
+    for name in ("random.py", "my_statistics.py", "queue/__init__.py", "test/__init__.py", "types/notes.txt"):
+        (path.parent / name).parent.mkdir(exist_ok=True)
+        (path.parent / name).touch()
+    told = findings_of(path)
+    assert [Path(each.where).name for each in told] == ["queue", "random.py"]
+    assert "Python's own module 'random'" in told[1].problem
+    assert "my_random.py" in told[1].fix
+
+
 WRONG_VALUES = [
     ("experiment_name", "''"),
     ("experiment_name", "'../outside'"),

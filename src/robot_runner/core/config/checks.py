@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 import shutil
+import sys
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from enum import Enum
@@ -51,6 +52,7 @@ __all__ = [
     "check_analysis",
     "check_disk_space",
     "check_names",
+    "check_neighbours",
     "check_repeat_until",
     "check_results_path",
     "check_threads",
@@ -124,6 +126,25 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
         if meant is not None and meant not in names - _inherited(loaded.config):
             findings.append(_misspelt(loaded, name, meant, is_method=is_method))
     return findings
+
+
+def check_neighbours(loaded: LoadedConfig) -> list[Finding]:
+    """Return a warning for each file beside the config that is called like a module of Python's own library.
+
+    The config's folder comes first when something is imported, as a script's does: `random.py` there is what anybody
+    gets who imports `random` from now on, a plugin of ours too.
+    """
+    folder = loaded.source.path.parent
+    places = {*folder.glob("*.py"), *(each.parent for each in folder.glob("*/__init__.py"))}
+    return [
+        Finding.warning(
+            str(place),
+            f"it is called like Python's own module {place.stem!r}, and is imported in its place",
+            f"Give it another name: my_{place.name}.",
+        )
+        for place in sorted(places)
+        if place.stem in sys.stdlib_module_names and place.stem != "test"  # nobody but Python's own tests imports that
+    ]
 
 
 def _names_of(parent: type) -> set[str]:

@@ -13,6 +13,7 @@ from robot_runner.core.config.checks import (
     check_analysis,
     check_disk_space,
     check_names,
+    check_neighbours,
     check_repeat_until,
     check_results_path,
     check_threads,
@@ -194,7 +195,8 @@ def _name_findings(loaded: LoadedConfig) -> list[Finding]:
     """Return what is wrong with the names of a config: those that are nearly ours, and those that nothing uses."""
     refused = check_names(loaded)
     places = {finding.where for finding in refused}
-    return [*refused, *(finding for finding in check_dead_names(loaded) if finding.where not in places)]
+    dead = [finding for finding in check_dead_names(loaded) if finding.where not in places]
+    return [*refused, *dead, *check_neighbours(loaded)]
 
 
 def _check_machine(
