@@ -8,18 +8,18 @@ from contextlib import ExitStack
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import Finding, GoalRejectedError, LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import GoalRejectedError, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.message_fields import field_of
-from robot_runner.core.plugin import System
 from robot_runner.core.words import listed
 from robot_runner.ros.missions.cancelling import cancel_all_goals
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
+from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
@@ -57,7 +57,7 @@ _MEASURES = (
 )
 
 
-class ActionMission(System):
+class ActionMission(RobotSystem):
     """Sends a goal to an action server and waits until it is over; the goal is cancelled when the mission breaks off.
 
     Args:
@@ -101,6 +101,8 @@ class ActionMission(System):
     #: What every goal yields; an instance has those of its result, its feedback and its way, too.
     measures: Sequence[Measure] = _MEASURES
     needs: ClassVar[str] = "A robot with an action server, or robot='simulated' with a node that offers one."
+    does: ClassVar[str] = "sends goals to a robot"
+    for_example: ClassVar[str] = "ros2"
     #: What it commands, for `Together`.
     commands: Sequence[str] = ()
 
@@ -162,20 +164,6 @@ class ActionMission(System):
         if twice:
             fix = f"Call it otherwise than {listed(name for name in dict.fromkeys(names))}."
             raise PluginError(f"two of its measures are named {twice[0]!r}", where=self.name, fix=fix)
-
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
-
-    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot."""
-        if circumstances.robot is None:
-            yield Finding.error(
-                f"plugin {self.name}",
-                "the plugin sends goals to a robot, and the experiment names none",
-                "Name it in the config: robot = 'ros2'. Or: --set robot=ros2.",
-            )
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
         """Return the action, and the topics that are named."""

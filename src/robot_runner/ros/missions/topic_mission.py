@@ -12,7 +12,7 @@ from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.plugin import System
+from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS
@@ -30,7 +30,7 @@ __all__ = ["TopicMission"]
 _TICK = 1e-6
 
 
-class TopicMission(System):
+class TopicMission(RobotSystem):
     """Publishes a message again and again until a condition holds or some time has gone by, and a safe one afterwards.
 
     Args:
@@ -61,6 +61,7 @@ class TopicMission(System):
     #: What it commands, for `Together`.
     commands: Sequence[str] = ()
     needs: ClassVar[str] = "A robot that subscribes the topic, or robot='simulated'."
+    does: ClassVar[str] = "publishes to a robot"
 
     def __init__(  # noqa: PLR0913 - one keyword for each thing in which missions differ
         self,
@@ -101,19 +102,9 @@ class TopicMission(System):
         if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
             raise PluginError(f"{parameter} is {value!r}", where=self.name, fix=fix)
 
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
-
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or what the condition finds."""
-        if circumstances.robot is None:
-            yield Finding.error(
-                f"plugin {self.name}",
-                "the plugin publishes to a robot, and the experiment names none",
-                "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
-            )
+        yield from super().check(circumstances)
         yield from self.until.check(circumstances.robot)
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.plugin import System
 from robot_runner.core.sampling.live_samples import LiveSamples
+from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp, Wheels
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Pose, Trajectory, wrapped
 from robot_runner.ros.turtlebot3.steered_robot import Robot
@@ -56,7 +56,7 @@ class _Outcome:
     turned_by: float | None
 
 
-class Waypoints(System):
+class Waypoints(RobotSystem):
     """Drives from waypoint to waypoint: on the spot to face it, straight to it, and on the spot to the yaw there.
 
     Each leg is a phase of the mission, `leg_1`, `leg_2` and so on, for which the config's `phases` may ask. The way is
@@ -137,20 +137,6 @@ class Waypoints(System):
         self.measures = (*type(self).measures, *_legs(len(self.waypoints)))
         self._robot: Robot | None = None
         self._outcome: _Outcome | None = None
-
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
-
-    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot."""
-        if circumstances.robot is None:
-            yield Finding.error(
-                f"plugin {self.name}",
-                "the plugin operates a robot, and the experiment names none",
-                "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
-            )
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
         """Return odometry and velocity commands."""

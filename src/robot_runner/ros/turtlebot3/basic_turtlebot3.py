@@ -10,9 +10,9 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.plugin import System
 from robot_runner.core.sampling.live_samples import LiveSamples
 from robot_runner.core.treatments import factors_of
+from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Wheels
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Trajectory
@@ -36,7 +36,7 @@ _NEAR = 0.1
 _MOST = 0.9
 
 
-class BasicTurtlebot3(System):
+class BasicTurtlebot3(RobotSystem):
     """Executes the paper's circular mission on a TurtleBot3: 95 s of sleeping, driving and three times a task.
 
     The robot drives away and comes back, in a closed loop on its odometry, so that it need not be
@@ -103,19 +103,9 @@ class BasicTurtlebot3(System):
         self._robot: Robot | None = None
         self._performance: Performance | None = None
 
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
-
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or treatments that are no tasks."""
-        if circumstances.robot is None:
-            yield Finding.error(
-                f"plugin {self.name}",
-                "the plugin operates a robot, and the experiment names none",
-                "Name it in the config: robot = 'simulated'. Or: --set robot=simulated.",
-            )
+        yield from super().check(circumstances)
         yield from self._check_namespace(circumstances)
         yield from self._check_tasks(circumstances)
 
