@@ -40,6 +40,14 @@ def test_a_square_ends_where_it_began_and_each_leg_is_measured(tmp_path: Path) -
     context.resources.close()
 
 
+def test_a_way_that_ends_with_any_yaw_has_no_measure_of_it(tmp_path: Path) -> None:
+    ahead = Waypoints([(0.2, 0.0, 0.0), (0.3, 0.0)])
+    assert [measure.name for measure in ahead.measures] == ["Duration", "Distance", "FinalError", "Leg1", "Leg2"]
+    context = make_context(tmp_path, ahead)
+    assert None not in rehearse(context, ahead).values()
+    context.resources.close()
+
+
 def test_waypoints_may_be_relative_to_where_the_robot_stands(tmp_path: Path) -> None:
     ahead = Waypoints([(0.3, 0.0)], relative_to="start")
     context = make_context(tmp_path, ahead)

@@ -86,12 +86,12 @@ class Waypoints(RobotSystem):
         ['Duration', 'Distance', 'FinalError', 'FinalYawError', 'Leg1', 'Leg2']
     """
 
-    #: What every way yields; an instance has the duration of each of its legs, too.
+    #: What a way yields; an instance has the duration of each of its legs, too, and no error of a yaw that is not given.
     measures: Sequence[Measure] = (
         Measure("Duration", "s", "Duration of the mission on the run's clock."),
         Measure("Distance", "m", "Way covered during the mission, by odometry."),
         Measure("FinalError", "m", "How far from the last waypoint the robot ended, by odometry."),
-        Measure("FinalYawError", "rad", "How far from the last waypoint's yaw it ended; empty where that has none."),
+        Measure("FinalYawError", "rad", "How far from the last waypoint's yaw it ended, where that has one."),
     )
     #: What it commands, for `Together`.
     commands: Sequence[str] = (COMMAND_TOPIC,)
@@ -134,7 +134,8 @@ class Waypoints(RobotSystem):
         self.commands = (command_topic,)
         self.connect_timeout_s, self.odometry_timeout_s = connect_timeout_s, odometry_timeout_s
         self.sole_control = sole_control
-        self.measures = (*type(self).measures, *_legs(len(self.waypoints)))
+        with_yaw = self.waypoints[-1].yaw is not None
+        self.measures = (*type(self).measures[: None if with_yaw else -1], *_legs(len(self.waypoints)))
         self._robot: Robot | None = None
         self._outcome: _Outcome | None = None
 
@@ -208,7 +209,8 @@ class Waypoints(RobotSystem):
                 context.publish(measure.name, None)
             return
         origin = Origin.SIMULATED if self._robot.is_simulated else Origin.MEASURED
-        values = (outcome.duration, outcome.distance, outcome.error, outcome.turned_by, *outcome.legs)
+        turned_by = () if outcome.turned_by is None else (outcome.turned_by,)
+        values = (outcome.duration, outcome.distance, outcome.error, *turned_by, *outcome.legs)
         for measure, value in zip(self.measures, values, strict=True):
             context.publish(measure.name, value, origin=origin)
 
