@@ -86,7 +86,7 @@ class Waypoints(RobotSystem):
         ['Duration', 'Distance', 'FinalError', 'FinalYawError', 'Leg1', 'Leg2']
     """
 
-    #: What a way yields; an instance has the duration of each of its legs, too, and no error of a yaw that is not given.
+    #: What a way yields; an instance has the duration of each leg, too, and no error of a yaw that is not given.
     measures: Sequence[Measure] = (
         Measure("Duration", "s", "Duration of the mission on the run's clock."),
         Measure("Distance", "m", "Way covered during the mission, by odometry."),
