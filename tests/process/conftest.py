@@ -56,13 +56,19 @@ class Experiment:
         path = self.config.parent / name
         return wait_until(lambda: meanwhile() or (path.exists() and path), f"{name} is written")
 
+    def text_of(self, name: str, *, meanwhile: Callable[[], object] = lambda: None) -> str:
+        """Return what a file has once it has anything: who writes it creates it a moment before."""
+        path = self.wait_for(name, meanwhile=meanwhile)
+        wait_until(path.read_text, f"{name} has been written")
+        return path.read_text()
+
     def stops_within_a_second(self, since: float, wait: ProcessorWait, name: str = "stopped") -> bool:
         """Whether the run wrote into the file `name` that it stopped a second at most after `since`.
 
         The time in which its processes waited for a processor does not count; `wait` was made before `since`. The file
         holds when the run stopped (s since the epoch), and how long its threads had waited by then.
         """
-        stopped, waits = json.loads(self.wait_for(name, meanwhile=wait.look).read_text())
+        stopped, waits = json.loads(self.text_of(name, meanwhile=wait.look))
         wait.add(waits)
         return stopped - since - wait.seconds < 1.0
 

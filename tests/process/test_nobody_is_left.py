@@ -61,7 +61,7 @@ def moving(start: Start, *, move: str = "time.sleep(600)", close: str = "pass", 
 
 
 def number(experiment: Any, name: str) -> int:
-    return int(experiment.wait_for(name).read_text())
+    return int(experiment.text_of(name))
 
 
 def kill(experiment: Any, *names: str) -> None:
@@ -105,7 +105,7 @@ def test_a_restart_waits_for_a_run_that_is_still_closing_and_says_so(start: Star
     first.wait_for("closing")
     second = again(start, first)
     assert re.search(r"its run was still alive and was waited for \(\d\.\d s\)", second.output), second.output
-    story = first.wait_for("story").read_text().split("\n")
+    story = first.text_of("story").split("\n")
     assert story[2:6] == ["begins r_2", "ends r_2", "begins r_2", "ends r_2"]
     (kept,) = (first.folder / "earlier_attempts" / "r_2").glob("*/log.txt")
     assert "closed at last" in kept.read_text()

@@ -291,7 +291,7 @@ def test_there_is_one_keeper_and_one_run_and_between_two_runs_there_is_neither(s
         """
     )
     assert experiment.end() == 0, experiment.output
-    lines = experiment.wait_for("counts").read_text().splitlines()
+    lines = experiment.text_of("counts").splitlines()
     assert lines == [line for run in range(1, 5) for line in (f"before r_{run} 1", f"in r_{run} 3")]
 
 
@@ -335,7 +335,7 @@ def test_an_orphan_with_a_session_of_its_own_is_ended_with_its_run(start: Start)
         + textwrap.indent(ORPHAN, "        ")
     )
     assert experiment.end() == 0, experiment.output
-    assert len(experiment.wait_for("orphans").read_text().split()) == 4
+    assert len(experiment.text_of("orphans").split()) == 4
     assert experiment.nobody_is_left()
 
 
@@ -346,7 +346,7 @@ def test_killed_the_orphans_of_the_run_are_ended_as_well(start: Start) -> None:
     experiment.wait_for("moving")
     experiment.send(signal.SIGKILL)
     experiment.end()
-    assert experiment.wait_for("orphans").read_text()
+    assert experiment.text_of("orphans")
     assert experiment.nobody_is_left()
 
 

@@ -106,7 +106,7 @@ def test_when_a_deadline_passes_the_robot_stands_still_within_a_second(
 ) -> None:
     config = write_config("", head=HEAD.replace("event_deadline_in_s = 60", "event_deadline_in_s = 3"), table=TABLE)
     experiment = start(config=config)
-    deadline = float(experiment.wait_for("launched").read_text()) + 3.0
+    deadline = float(experiment.text_of("launched")) + 3.0
     wait = ProcessorWait(experiment.processes())
     wait_until(lambda: wait.restart() or time.time() > deadline, "the deadline has passed")
     assert (config.parent / "moving").exists()

@@ -55,7 +55,7 @@ def test_whatever_ends_the_run_ends_all_missions_at_once(
     for name in ("alice", "bob"):
         experiment.wait_for(f"{name}_moves")
     began = experiment.send(signal.Signals[how]) if is_signal else time.time() + 1.0
-    ended = [float(experiment.wait_for(f"{name}_ended").read_text()) for name in ("alice", "bob")]
+    ended = [float(experiment.text_of(f"{name}_ended")) for name in ("alice", "bob")]
     assert experiment.end() == code, experiment.output
     assert max(ended) - began < 3.0
     assert max(ended) - min(ended) < 1.0

@@ -237,7 +237,7 @@ class GraphLinkContract(RobotLinkContract):
             self.until(lambda: bool(link.subscribers("begun")), "the subscriber is not on the graph")
             require(isinstance(link, Advertiser), "the link cannot advertise")
             cast("Advertiser", link).advertise("begun", _STRING)
-            require(any(each.is_own for each in link.publishers("begun")), "the topic is not on the graph")
+            self.until(lambda: any(each.is_own for each in link.publishers("begun")), "the topic is not on the graph")
             require(not arrivals, "a message was published by advertising")
             begun = time.monotonic()
             link.publish("begun", _STRING, {"data": "first"})
