@@ -31,6 +31,9 @@ class Noted:
             raise LinkError("the connection is lost", where=self.name, fix="Switch the robot on.")
         self.transport.published.append(message)
 
+    def reach(self, subscribers):
+        self.transport.note(f"reach {subscribers}", self.name)
+
     def flush(self, seconds):
         self.transport.note("flush", self.name)
 

@@ -83,9 +83,7 @@ class LinkPlayer:
 
     def advertise(self) -> None:
         """Have the topics on the graph, and the first messages read, so that the first one is not late."""
-        if isinstance(self._link, Advertiser):
-            for topic in self._topics.values():
-                self._link.advertise(topic.name, topic.message_type, qos=topic.qos)
+        self._reach_subscribers()
         self._messages = self._bag.messages(list(self._topics.values()), self._link.encoding)
         self._read_one()
 
@@ -98,6 +96,7 @@ class LinkPlayer:
         """
         if not self._ready:
             raise PluginError("the bag has no message of these topics", where=str(self._bag.path), fix="Name others.")
+        self._reach_subscribers()  # profilers have subscribed since the topics were advertised
         first_ns, begun = self._ready[0].stamp_ns, clock.now()
         for each in merge(self._told_times(first_ns), self._all(), key=lambda event: event.stamp_ns):
             moment = (each.stamp_ns - first_ns) * 1e-9
@@ -114,6 +113,11 @@ class LinkPlayer:
             played.times.append(now)
             played.moments.append(moment)
             played.lateness.append(now - due)
+
+    def _reach_subscribers(self) -> None:
+        if isinstance(self._link, Advertiser):
+            for topic in self._topics.values():
+                self._link.advertise(topic.name, topic.message_type, qos=topic.qos)
 
     def _told_times(self, first_ns: int) -> Iterator[RecordedMessage]:
         step = round(1e9 * self._rate / CLOCK_RATE)

@@ -34,6 +34,8 @@ __all__ = ["DdsTransport"]
 
 #: How long a publisher that leaves waits until its readers have what it published, s.
 _CLOSING_SECONDS = 0.5
+#: How long readers that are on the graph may take to be matched, s; one that asks for more than is offered never is.
+_MATCHING_SECONDS = 1.0
 #: Before the source timestamp of any sample, in ns.
 _NEVER = -(2**63)
 
@@ -180,6 +182,9 @@ class _Publisher:
                 where=self._topic,
                 fix="Publish more slowly, or with a QoS that may drop messages: a subscriber does not keep up.",
             ) from error
+
+    def reach(self, subscribers: int) -> None:
+        self._session.graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= subscribers, _MATCHING_SECONDS)
 
     def flush(self, seconds: float) -> None:
         # Where time runs out, cyclonedds 11.0 raises AttributeError: it looks for the code of that on a wrong class.

@@ -112,9 +112,13 @@ class GraphLink:
         advertised.publisher.publish(complete)
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
-        """Return once the subscribers of a topic that are there already would receive what is published."""
+        """Return once the subscribers of a topic that are there by now would receive what is published."""
         name = self._name(topic)
-        check_type(name, message_type, [self._advertise(name, message_type, {}, qos).message_type])
+        is_known = (name, qos) in self._advertised
+        advertised = self._advertise(name, message_type, {}, qos)
+        check_type(name, message_type, [advertised.message_type])
+        if is_known:  # who subscribed since then is reached, too
+            advertised.publisher.reach(len(self.subscribers(topic)))
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None

@@ -101,6 +101,10 @@ class TopicPublisher(Protocol):
         """Publish a message that has every field of its type."""
         ...
 
+    def reach(self, subscribers: int) -> None:
+        """Return once so many subscribers would receive what is published, or when that takes too long."""
+        ...
+
     def flush(self, seconds: float) -> None:
         """Return once the reachable subscribers have what was published; raise a `LinkError` where one refuses it."""
         ...

@@ -200,13 +200,13 @@ class _Publisher:
     def __init__(self, rospy: Any, topic: str, cls: Any, qos: Qos, subscribers: int) -> None:
         self._topic = topic
         self._cls = cls
-        arrivals = _Arrivals()
+        self._arrivals = _Arrivals()
         self._publisher = within(
             REGISTERING_SECONDS,
             lambda: rospy.Publisher(
                 topic,
                 cls,
-                subscriber_listener=arrivals,
+                subscriber_listener=self._arrivals,
                 tcp_nodelay=True,  # a command is small, and should not wait for the next
                 latch=qos is Qos.TRANSIENT_LOCAL,
                 queue_size=_QUEUE_SIZES[qos],
@@ -214,7 +214,7 @@ class _Publisher:
             where=topic,
             doing="registering the publisher",
         )
-        self._await(arrivals, subscribers)
+        self.reach(subscribers)
 
     def publish(self, message: Message) -> None:
         self._publisher.publish(as_message(self._cls, message))
@@ -231,7 +231,7 @@ class _Publisher:
     def close(self) -> None:
         within(REGISTERING_SECONDS, self._publisher.unregister, where=self._topic, doing="leaving the topic")
 
-    def _await(self, arrivals: _Arrivals, subscribers: int) -> None:
+    def reach(self, subscribers: int) -> None:
         deadline = time.monotonic() + _CONNECTING_SECONDS
         while self._publisher.get_num_connections() < subscribers:
             left = deadline - time.monotonic()
@@ -239,7 +239,7 @@ class _Publisher:
                 connected = self._publisher.get_num_connections()
                 _logger.warning("%s: %d of its %d subscribers are reached", self._topic, connected, subscribers)
                 return
-            arrivals.wait(left)
+            self._arrivals.wait(left)
 
 
 class _Arrivals:

@@ -295,6 +295,9 @@ class _Publisher:
         operation = {"op": "publish", "topic": self._topic, "msg": to_protocol(self._shape, message)}
         self._session.send(operation)
 
+    def reach(self, subscribers: int) -> None:
+        """Do nothing: the server does not tell whom it reaches."""
+
     def flush(self, seconds: float) -> None:
         del seconds  # the session's own deadline: the server answers at once, or is gone
         self._session.flush(where=self._topic)

@@ -244,6 +244,18 @@ class GraphLinkContract(RobotLinkContract):
             self.until(lambda: bool(arrivals), "the first message did not arrive")
             require(arrivals[0] - begun < 1.0, f"the first message took {arrivals[0] - begun:.2f} s")
 
+    def test_who_has_subscribed_since_a_topic_was_advertised_is_reached_once_it_is_advertised_again(self) -> None:
+        """Hold that the first message reaches who subscribed after the topic was advertised, too."""
+        with self.opened() as robot, self.opened() as link:
+            require(isinstance(link, Advertiser), "the link cannot advertise")
+            cast("Advertiser", link).advertise("later", _STRING)
+            arrived: list[Message] = []
+            robot.subscribe("later", _STRING, arrived.append)
+            self.until(lambda: bool(link.subscribers("later")), "the subscriber is not on the graph")
+            cast("Advertiser", link).advertise("later", _STRING)
+            link.publish("later", _STRING, {"data": "first"})
+            self.until(lambda: bool(arrived), "the first message did not arrive")
+
     def test_many_messages_arrive_in_order_and_without_loss(self) -> None:
         """Hold that what is published and subscribed reliably is all there."""
         with self.opened() as robot, self.opened() as link:

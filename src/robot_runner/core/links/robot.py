@@ -136,7 +136,7 @@ class Advertiser(Protocol):
     """Puts topics on the graph before anything is published on them."""
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
-        """Return once the subscribers that are there already would receive a message: the first is not late.
+        """Return once the subscribers that are there by now would receive a message; it may be called again.
 
         Raises:
             LinkError: the robot cannot be reached, there is no such type, or the topic carries another.
