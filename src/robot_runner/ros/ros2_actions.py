@@ -208,6 +208,10 @@ class _Client:
             problem = f"the goal is {status}, and its result is not told: {error.problem}"
             goal.lose(LinkError(problem, where=self._action, fix=error.fix))
             return
+        except Exception as error:  # noqa: BLE001 - closed meanwhile, as each library says it
+            problem = f"the goal is {status}, and its result is not told: {type(error).__name__}: {error}"
+            goal.lose(LinkError(problem, where=self._action, fix="Wait for the result before the link is closed."))
+            return
         finally:
             self._forget(goal)
         told = GOAL_STATES.get(answer["status"], GoalStatus.UNKNOWN)
