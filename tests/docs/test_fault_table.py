@@ -23,7 +23,7 @@ def test_every_injected_fault_stands_in_the_table() -> None:
         "test_a_folder_that_may_not_be_written_is_refused_before_anything_is_executed",
         "test_the_experiment_of_the_paper_is_executed_on_a_real_graph",
         "test_two_robots_of_one_graph_take_turns_and_each_drives_its_own_runs",
-        "test_both_implementations_hear_the_same_bag_and_the_faster_one_is_seen",
+        "test_both_implementations_hear_the_same_bag_and_latency_and_cpu_are_measured",
         "test_both_planners_arrive_and_success_and_path_length_are_measured",
         "test_each_run_begins_where_the_first_did_and_the_simulator_is_left_going_on",
         "test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster",
