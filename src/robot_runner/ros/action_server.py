@@ -119,6 +119,9 @@ class GoalServer:
         self._accept = accept
         self._on_fault = on_fault
         self._lock = threading.Lock()
+        # States are read and told in one: a subscriber that keeps the last message only must have the newest. It is
+        # reentrant, as who hears a state in the same thread may cancel a goal.
+        self._telling = threading.RLock()
         self._executions: dict[str, Execution] = {}
         self._outlet: Outlet | None = None
         self._is_closed = False
@@ -228,8 +231,9 @@ class GoalServer:
             _logger.info("the end of a goal of %s could not be told", self.action, exc_info=True)
 
     def _tell_status(self) -> None:
-        if self._outlet is not None:
-            self._outlet.tell_status(self.executions)
+        with self._telling:
+            if self._outlet is not None:
+                self._outlet.tell_status(self.executions)
 
 
 def _start_thread(work: Callable[[], None]) -> None:

@@ -1,0 +1,60 @@
+"""The server of an action, whatever the graph speaks."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.links.goals import ActionCanceled, GoalStatus
+from robot_runner.ros.action_server import GoalServer
+from robot_runner.ros.shapes import Shape
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.ros.action_server import Execution
+
+NOTHING = Shape("test/Empty", ())
+TYPES = SimpleNamespace(goal=NOTHING, result=NOTHING, feedback=NOTHING)
+
+
+class SlowOutlet:
+    """Takes its time to tell that a goal is being cancelled; a subscriber that keeps the last message has the last."""
+
+    def __init__(self) -> None:
+        self.told: list[GoalStatus] = []
+        self.is_telling, self.may_tell = threading.Event(), threading.Event()
+
+    def tell_status(self, executions: Sequence[Execution]) -> None:
+        (status,) = [each.status for each in executions]
+        if status is GoalStatus.CANCELING:
+            self.is_telling.set()
+            self.may_tell.wait(5.0)
+        self.told.append(status)
+
+    def tell_result(self, execution: Execution, result: Any) -> None: ...
+    def tell_feedback(self, execution: Execution, message: Any) -> None: ...
+
+
+def test_the_last_state_that_is_told_of_a_goal_is_its_end() -> None:
+    def execute(execution: Any) -> dict[str, Any]:
+        outlet.is_telling.wait(5.0)
+        raise ActionCanceled
+
+    outlet = SlowOutlet()
+    server = GoalServer("/count", TYPES, execute, None, lambda fault: None)
+    server.connect(outlet)
+    execution = server.accept("1", {})
+    assert execution is not None
+    cancelling = threading.Thread(target=server.cancel, args=(execution,))
+    cancelling.start()
+    assert execution.over.wait(5.0)  # it is over before it was told that it is being cancelled
+    outlet.may_tell.set()
+    cancelling.join(5.0)
+    server.close()
+    for thread in threading.enumerate():
+        if thread.name == "action":
+            thread.join(5.0)
+    assert outlet.told[-1] is GoalStatus.CANCELED
+    assert outlet.told.count(GoalStatus.CANCELING) == 1
