@@ -84,8 +84,8 @@ class TransformBuffer:
     """Keeps what is told of coordinate frames, and says where one is in another at a time.
 
     What cannot be true is left out and told in `findings`, each once: frames that would be their own ancestors, a frame
-    with two parents, a rotation that is no unit quaternion. Where a frame's stamps jump back by more than a second, as on the reset
-    of a simulation, everything but what always holds is forgotten.
+    with two parents, a rotation that is no unit quaternion. Where a frame's stamps jump back by more than a second, as
+    on the reset of a simulation, everything but what always holds is forgotten.
 
     Args:
         horizon: how long it is kept, s of the stamps.
