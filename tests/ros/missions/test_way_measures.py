@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.plugins.systems import ActionMission
 from robot_runner.ros.missions.way_measures import WayMeasures
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, make_context
 
 if TYPE_CHECKING:
@@ -70,3 +72,27 @@ def test_frames_that_are_no_pair_are_refused(frames: Any) -> None:
         WayMeasures(None, None, frames, where="Go")
     with pytest.raises(PluginError, match="at the same time"):
         WayMeasures("odom", None, ("map", "base_link"), where="Go")
+
+
+def test_a_way_by_the_odometry_of_several_nodes_is_doubted(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    link.known_topics = {"odom": ODOMETRY}
+    pose = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    still = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
+
+    def tell() -> None:
+        stamp = {"sec": int(clock.now()), "nanosec": round(clock.now() % 1 * 1e9)}
+        link.deliver("odom", {"header": {"stamp": stamp}, "pose": {"pose": pose}, "twist": {"twist": still}})
+
+    clock.every(0.05, tell)
+    way = WayMeasures("odom", None, None, where="Go")
+    assert [need.is_sole for need in way.required()] == [True]
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(1.0)
+    assert not context.broker.findings
+    link.known_publishers["odom"] = [GraphEndpoint(node, ODOMETRY) for node in ("/robot", "/ekf")]
+    way.end_mission(context)
+    (doubt,) = context.broker.findings
+    assert "/ekf and /robot publish 'odom'" in doubt.problem

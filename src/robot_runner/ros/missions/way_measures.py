@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.ros.sole_control import sole_publisher_findings
 from robot_runner.ros.transform_buffer import TransformBuffer
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, Odometer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
+    from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.transforms import Transform
@@ -62,12 +65,13 @@ class WayMeasures:
         self._way_before: float | None = None
         self._closest: float | None = None
         self._scans = 0
+        self._rivals: Callable[[], Iterable[Finding]] = tuple
         self._closing = ExitStack()
 
     def required(self) -> Iterable[GraphNeed]:
         """Return the topics that are followed."""
         if self._odometry is not None:
-            yield GraphNeed.published(self._odometry, ODOMETRY, fix=_FIX)
+            yield GraphNeed.published(self._odometry, ODOMETRY, is_sole=True, fix=_FIX)
         if self._frames is not None:
             yield GraphNeed.published("/tf", _TRANSFORMS, fix=_FIX)
         if self._scan is not None:
@@ -87,6 +91,7 @@ class WayMeasures:
             self._closing.callback(link.subscribe(self._odometry, ODOMETRY, odometer.take).close)
             odometer.wait(timeout)
             self._way = odometer
+            self._rivals = partial(sole_publisher_findings, link, self._odometry, self._where)
         if self._frames is not None:
             self._way = _WayOfFrame(*self._frames)
             self._way.begin(link, self._closing, context.clock, timeout)
@@ -106,8 +111,11 @@ class WayMeasures:
             values[PATH_LENGTH.name] = self._way.travelled - self._way_before
             try:
                 self._way.pose()
+                doubts = [*self._rivals()]  # two odometries in turn add up to any length
             except LinkError as error:
-                context.doubt(error.problem, fix=error.fix, measures=[PATH_LENGTH.name])
+                doubts = [error.as_finding()]
+            for each in doubts:
+                context.doubt(each.problem, fix=each.fix, measures=[PATH_LENGTH.name])
         if self._scan is not None:
             values[CLOSEST_OBSTACLE.name] = self._closest
             if not self._scans:
