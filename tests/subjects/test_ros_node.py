@@ -9,8 +9,10 @@ import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.dom import minidom
 
 import pytest
+import yaml
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
 from tests.loopback_port import claim_port
@@ -222,3 +224,13 @@ def test_packages_of_overlays_are_told_with_the_commits_of_their_sources(tmp_pat
             ):
                 subprocess.run(["git", *words], cwd=tmp_path, check=True, capture_output=True)
     assert (told["a"]["commit"], told["a"]["is_dirty"]) == (_commit(tmp_path).strip(), False)
+
+
+@pytest.mark.parametrize("value", [1e-06, 1e16, -2.5e-09, 0.1, 3, True, "1e-06", "a < b & c: 'd'", [1e-06, 2.0], ["1"]])
+def test_values_are_the_same_once_they_are_read_as_yaml(value: object) -> None:
+    node = RosNode("nav", "planner", parameters={"speed": value}, ros=1)
+    (parameter,) = minidom.parseString(node.words()[-1]).getElementsByTagName("rosparam")  # noqa: S318 - our own
+    found = yaml.safe_load(parameter.firstChild.data)  # as rosparam reads it
+    assert (found, type(found)) == (value, type(value))
+    words = RosNode("nav", "planner", parameters={"speed": value}, ros=2).words()
+    assert yaml.safe_load(words[-1].removeprefix("speed:=")) == value

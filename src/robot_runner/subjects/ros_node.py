@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.links.graph_names import namespace_prefix
@@ -132,8 +132,7 @@ class RosNode(RosSubject):
         rules += [f"__ns:={self.namespace}"] if self.namespace else []
         options = [each for rule in rules for each in ("-r", rule)]
         options += [each for file in self.parameters_files for each in ("--params-file", file)]
-        # Numbers and texts as JSON, which is YAML: the text "1" stays a text.
-        options += [each for name, value in self.parameters.items() for each in ("-p", f"{name}:={json.dumps(value)}")]
+        options += [each for name, value in self.parameters.items() for each in ("-p", f"{name}:={_yaml(value)}")]
         ros_args = ("--ros-args", *options) if options else ()
         return ("ros2", "run", self.package, self.executable, *self.arguments, *ros_args)
 
@@ -151,7 +150,7 @@ class RosNode(RosSubject):
         lines = [f"<remap from={quoteattr(old)} to={quoteattr(new)}/>" for old, new in self.remappings.items()]
         lines += [f'<rosparam command="load" file={quoteattr(file)}/>' for file in self.parameters_files]
         lines += [
-            f"<rosparam param={quoteattr(name.replace('.', '/'))}>{_yaml(value)}</rosparam>"
+            f"<rosparam param={quoteattr(name.replace('.', '/'))}>{escape(_yaml(value))}</rosparam>"
             for name, value in self.parameters.items()
         ]
         attributes = " ".join(f"{name}={quoteattr(value)}" for name, value in facts.items() if value)
@@ -159,8 +158,14 @@ class RosNode(RosSubject):
 
 
 def _yaml(value: Any) -> str:
-    """Return a value as YAML within XML."""
-    return json.dumps(value).replace("&", "&amp;").replace("<", "&lt;")
+    """Return a value as YAML: as JSON, where the text "1" stays a text, but for numbers such as 1e-06.
+
+    YAML 1.1, which PyYAML and so rosparam reads, takes a number without a point for a text.
+    """
+    if isinstance(value, list):
+        return f"[{', '.join(map(_yaml, value))}]"
+    text = json.dumps(value)
+    return text.replace("e", ".0e") if isinstance(value, float) and "." not in text else text
 
 
 def _flat(plugin: str, parameters: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
