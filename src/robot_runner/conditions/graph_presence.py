@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -97,17 +98,13 @@ _STATES = ("unconfigured", "inactive", "active", "finalized")
 _ANSWER = 1.0
 
 
-@dataclass(frozen=True)
-class _InState(Condition):
-    node: str
-    state: str
+class _OnGraph(Condition):
+    """A condition that a look at the robot's graph decides."""
+
     namespace: str
 
-    #: Each look is a call of a service.
+    #: Each look is a question to the graph or to a node.
     every_s = 0.25
-
-    def __str__(self) -> str:
-        return f"the node {self.node} is {self.state}"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
         return check_robot_named(str(self), robot)
@@ -119,46 +116,43 @@ class _InState(Condition):
 
         def look() -> Look:
             try:
-                link = connect_robot(context, namespace=self.namespace)
-                told = link.call(f"{self.node}/get_state", "lifecycle_msgs/GetState", timeout=_ANSWER)
+                return self.judged(connect_robot(context, namespace=self.namespace))
             except LinkError as error:
                 return Look(holds=False, seen=error.problem, is_known=False)
-            state = str(told["current_state"]["label"])
-            return Look(holds=state == self.state, seen=f"{self.node} is {state}", value=state)
 
         return look
 
+    @abstractmethod
+    def judged(self, link: RobotLink) -> Look:
+        """Return what is seen; a `LinkError` says that nothing is."""
+
 
 @dataclass(frozen=True)
-class _Present(Condition):
+class _InState(_OnGraph):
+    node: str
+    state: str
+    namespace: str
+
+    def __str__(self) -> str:
+        return f"the node {self.node} is {self.state}"
+
+    def judged(self, link: RobotLink) -> Look:
+        told = link.call(f"{self.node}/get_state", "lifecycle_msgs/GetState", timeout=_ANSWER)
+        state = str(told["current_state"]["label"])
+        return Look(holds=state == self.state, seen=f"{self.node} is {state}", value=state)
+
+
+@dataclass(frozen=True)
+class _Present(_OnGraph):
     kind: str
     name: str
     namespace: str
     message_type: str | None = None
 
-    #: Each look asks the graph for all of its names.
-    every_s = 0.25
-
     def __str__(self) -> str:
         return f"the {self.kind} {self.name}{f' ({self.message_type})' if self.message_type else ''} is there"
 
-    def check(self, robot: str | None) -> Iterable[Finding]:
-        return check_robot_named(str(self), robot)
-
-    def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
-        del opened
-        if context.robot is None:
-            raise ConditionError("the experiment names no robot", where=str(self), fix="Name one in the config: robot.")
-
-        def look() -> Look:
-            try:
-                return self._judge(connect_robot(context, namespace=self.namespace))
-            except LinkError as error:
-                return Look(holds=False, seen=error.problem, is_known=False)
-
-        return look
-
-    def _judge(self, link: RobotLink) -> Look:
+    def judged(self, link: RobotLink) -> Look:
         there = self._listed(link)
         if self.name not in there:
             near = nearest(self.name, there)
