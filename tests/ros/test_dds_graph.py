@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-import pytest
+from contextlib import closing
 
+import pytest
+from cyclonedds.qos import _CQos
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+
+from robot_runner.core.events.context import SystemClock
 from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions
+from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.ros.dds_reception import READING_QOS
 
 
 class Moving:
@@ -30,3 +37,23 @@ def test_readers_that_come_while_they_are_counted_are_counted_again():
 def test_a_fault_that_stays_is_raised():
     with pytest.raises(IndexError):
         matched_subscriptions(Moving(100))
+
+
+def test_a_qos_is_read_by_one_thread_of_the_process_at_a_time(monkeypatch):
+    # cyclonedds reads it into variables that all threads share: what several links discovered at once was mixed up.
+    read, seen = _CQos.cqos_to_qos, []
+
+    def noting(pointer):
+        seen.append(READING_QOS.locked())
+        return read(pointer)
+
+    monkeypatch.setattr(_CQos, "cqos_to_qos", noting)
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    domain = {"domain": str(claim_domain())}
+    clock = SystemClock()
+    with closing(open_dds_link(domain, clock, "")) as robot, closing(open_dds_link(domain, clock, "")) as link:
+        robot.offer("count", "std_srvs/Trigger", lambda request: {"success": True})
+        discovered = len(seen)
+        assert link.call("count", "std_srvs/Trigger", timeout=10.0)["success"]
+    assert len(seen) > discovered > 0
+    assert all(seen)

@@ -6,10 +6,11 @@ import logging
 import threading
 import time
 import types
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
+from cyclonedds.builtin import BuiltinDataReader
 from cyclonedds.core import DDSException, GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl import types as idl
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "HEADER_BYTES",
+    "READING_QOS",
     "RawSample",
     "Reception",
     "Source",
@@ -159,6 +161,10 @@ _BATCH = 256
 _TURN_NS = 1_000_000_000
 
 _END_SECONDS = 5.0
+
+#: Held wherever cyclonedds makes a QoS of what was discovered: it does so in variables that all threads of a process
+#: share (cyclonedds/qos.py, `_gc_…`), so that two links at once read the QoS and user data of each other's endpoints.
+READING_QOS = threading.Lock()
 
 #: A reader from which so many times nothing can be taken is broken.
 _MOST_FAULTS = 10
@@ -295,8 +301,10 @@ class Reception:
             self._turned.notify_all()
 
     def _take(self, source: Source) -> None:
+        is_discovery = isinstance(source.reader, BuiltinDataReader)
         try:
-            samples = source.reader.take(_BATCH)
+            with READING_QOS if is_discovery else nullcontext():
+                samples = source.reader.take(_BATCH)
         except DDSException:
             if source.is_open:
                 raise

@@ -22,7 +22,7 @@ from robot_runner.ros.dds_graph import (
     ros_service_type,
 )
 from robot_runner.ros.dds_qos import service_profile
-from robot_runner.ros.dds_reception import HEADER_BYTES, delete, service_wire_type
+from robot_runner.ros.dds_reception import HEADER_BYTES, READING_QOS, delete, service_wire_type
 from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import already_offered, service_timeout, wrong_service_type
 
@@ -171,7 +171,8 @@ class OfferedService:
     def _take(self, sample: RawSample) -> None:
         if sample.sample_info.valid_data and len(sample.data) >= _BODY:
             # An answer may take its time, and may subscribe or call meanwhile.
-            client = self._source.reader.get_matched_publication_data(sample.sample_info.publication_handle)
+            with READING_QOS:
+                client = self._source.reader.get_matched_publication_data(sample.sample_info.publication_handle)
             identity = _client_id(client.qos) if client is not None else None
             threading.Thread(target=self._reply, args=(sample.data, identity), daemon=True).start()
 
@@ -192,7 +193,8 @@ class OfferedService:
         handles = matched_subscriptions(self._writer)
         if client is None:
             return bool(handles)
-        readers = [self._writer.get_matched_subscription_data(handle) for handle in handles]
+        with READING_QOS:
+            readers = [self._writer.get_matched_subscription_data(handle) for handle in handles]
         return any(reader is not None and _client_id(reader.qos) == client for reader in readers)
 
 
