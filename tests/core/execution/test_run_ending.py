@@ -99,6 +99,19 @@ def test_a_thread_fails_the_run_with_its_reason_and_the_robot_is_made_safe(execu
     assert "launch_mission of config failed: too warm" in log
 
 
+@pytest.mark.parametrize("run_process", ["fork", "in_process"])
+def test_a_request_to_stop_ends_the_run_without_a_live_screen_too(execute: Execute, run_process: str) -> None:
+    mission = (
+        '(context.experiment_folder / ".stop").touch()\ncontext.publish("Energy", 1.0)\ntime.sleep(6)\nprint("went on")'
+    )
+    executed = ended(execute, mission, run_process=run_process)
+    assert executed.finished.interrupted
+    assert [row["status"] for row in executed.table] == ["-"]
+    log = executed.log("r_1")
+    assert "went on" not in log
+    assert "arm made safe" in log
+
+
 @pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
 def test_a_thread_stops_the_mission_and_the_run_is_done(execute: Execute, run_process: str) -> None:
     executed = ended(execute, f"{STOP}\ntime.sleep(3600)", run_process=run_process)
@@ -135,6 +148,30 @@ def test_whatever_the_mission_does_in_python_ends_at_once(execute: Execute, miss
     executed = ended(execute, f"{FAIL}\n{mission}")
     # Where it ends only once the grace is over, that is told besides.
     assert failure_of(executed).problem == "too warm"
+
+
+#: A signal that comes right before a sleep begins is noticed after that sleep only.
+LOSE_FIRST = """
+import signal
+ours, lost = signal.getsignal({signal}), []
+signal.signal({signal}, lambda number, frame: ours(number, frame) if lost else lost.append(number))
+"""
+
+
+@pytest.mark.parametrize("ending", [FAIL, STOP], ids=["fail", "stop"])
+def test_a_thread_ends_a_mission_whose_first_signal_comes_right_before_it_sleeps(execute: Execute, ending: str) -> None:
+    lose = LOSE_FIRST.format(signal="signal.SIGURG")
+    executed = ended(execute, f"{lose}{ending}\ntime.sleep(3600)", grace_in_s="100")
+    assert "had not ended" not in str(failure_of(executed))
+    assert "the mission went on" not in executed.log("r_1")
+
+
+def test_a_run_ends_whose_first_stop_request_comes_right_before_it_sleeps(execute: Execute) -> None:
+    lose = LOSE_FIRST.format(signal="signal.SIGTERM")
+    stop = '(context.experiment_folder / ".stop").touch()\ncontext.publish("Energy", 1.0)\ntime.sleep(3600)'
+    executed = ended(execute, f"{lose}{stop}", grace_in_s="100")
+    assert executed.finished.interrupted
+    assert "arm closed\narm made safe" in executed.log("r_1")
 
 
 def test_a_mission_on_the_simulated_robot_ends_from_a_topic_and_from_a_thread(execute: Execute) -> None:

@@ -10,10 +10,11 @@ to its turn. The keeper can: it does nothing else. Three pipes connect the proce
     told       run, then keeper -> orchestrator    two numbers: the run's process id, and how the run ended
     records    run -> orchestrator             what happens in the run, one JSON record a line
 
-Asked to stop, the keeper sends SIGTERM to the run, and kills it when it has not ended after the grace. Once the run
-has ended in whatever way, the keeper kills the rest of its process group and its orphans. Where the run had no time to
-make its systems safe, another process that the keeper forks, the *standby*, does it (`standby.py`). If the keeper
-itself dies, the system sends SIGTERM to the run (Linux), and the orchestrator, if there is one, does the keeper's work.
+Asked to stop, the keeper sends SIGTERM to the run, twice (`ASK_AGAIN`), and kills it when it has not ended after the
+grace. Once the run has ended in whatever way, the keeper kills the rest of its process group and its orphans. Where the
+run had no time to make its systems safe, another process that the keeper forks, the *standby*, does it (`standby.py`).
+If the keeper itself dies, the system sends SIGTERM to the run (Linux), and the orchestrator, if there is one, does the
+keeper's work.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import time
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Self
 
-from robot_runner.core.execution.interruption import STOP_SIGNALS
+from robot_runner.core.execution.interruption import ASK_AGAIN, STOP_SIGNALS
 from robot_runner.core.execution.left_over import RunMark, left_over_ended
 from robot_runner.core.execution.processes import (
     adopt_orphans,
@@ -49,8 +50,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.execution.standby import Standby
     from robot_runner.core.storage.layout import ExperimentFolder
-
-__all__ = ["Keeper"]
 
 _STOP, _KILL = b"s", b"k"
 _NUMBER_BYTES = 8
@@ -81,6 +80,7 @@ class Keeper:
     """The orchestrator's side of a keeper. A context manager: entering starts the run, leaving ends it.
 
     Attributes:
+        start, grace, standby: as given.
         records: a descriptor from which the run's records can be read.
         told: a descriptor that is readable when the keeper has something to tell, or was killed; then call `look`.
         was_killed: whether the keeper died before it told how the run ended.
@@ -90,8 +90,8 @@ class Keeper:
         self,
         start: Callable[[RecordWriter], None],
         grace: float,
-        folder: ExperimentFolder | None = None,
-        standby: Standby | None = None,
+        folder: ExperimentFolder,
+        standby: Standby | None,
     ) -> None:
         """Prepare a keeper.
 
@@ -99,13 +99,13 @@ class Keeper:
             start: executes the run; called in the run's own process.
             grace: how long a run that is asked to stop may take to close what it opened, s.
             folder: the experiment's; its run is marked, so that it is found should its keeper be killed.
-            standby: makes the systems safe where the run has died and has not.
+            standby: makes the systems safe where the run has died and has not; None where there are none.
         """
-        self._start = start
-        self._grace = grace
+        self.start = start
+        self.grace = grace
+        self.standby = standby
         self._folder = folder
-        self._spared = _Spared(folder)
-        self._standby = standby
+        self._outliving = folder.outliving
         self._numbers = b""
         self._status: int | None = None
         self.was_killed = False
@@ -114,10 +114,9 @@ class Keeper:
         sys.stdout.flush()  # or the run would print it once more
         sys.stderr.flush()
         # Made here and not by the keeper: each page that a forked process is the first to touch is copied.
-        mark = None if self._folder is None else RunMark(self._folder)
+        mark = RunMark(self._folder)
         with ExitStack() as undone:  # where no process is to be had, nothing stays open
-            if mark is not None:
-                undone.callback(mark.close)
+            undone.callback(mark.close)
             requests, self._requests = _pipe(undone)
             self.told, tell = _pipe(undone)
             self.records, records = _pipe(undone)
@@ -127,14 +126,10 @@ class Keeper:
             for descriptor in (self._requests, self.told, self.records):
                 os.close(descriptor)
             report = RecordWriter(records)
-            process = _KeeperProcess(
-                requests, tell, report, self._start, self._grace, mark, self._spared, self._standby
-            )
-            leave_after(process.keep, report)
+            leave_after(_KeeperProcess(self, requests, tell, report, mark).keep, report)
         for descriptor in (requests, tell, records):
             os.close(descriptor)
-        if mark is not None:
-            mark.close()
+        mark.close()
         os.set_blocking(self.told, False)
         _in_flight.add(self)
         return self
@@ -182,9 +177,12 @@ class Keeper:
             grace: how long the run may take to close what it opened, s.
         """
         if self.run is not None:  # else the run had not begun, and does not begin without a keeper
-            yield from group_ended(self.run, grace, self._spared())
-        if self._folder is not None:
-            yield from left_over_ended(self._folder, [])
+            yield from group_ended(self.run, grace, self.spared())
+        yield from left_over_ended(self._folder, [])
+
+    def spared(self) -> frozenset[int]:
+        """Return which processes may outlive the run that started them."""
+        return outliving(self._outliving)
 
     @property
     def run(self) -> int | None:
@@ -225,26 +223,17 @@ class Keeper:
 class _KeeperProcess:
     """The keeper's own process."""
 
-    def __init__(
-        self,
-        requests: int,
-        tell: int,
-        report: RecordWriter,
-        start: Callable[[RecordWriter], None],
-        grace: float,
-        mark: RunMark | None,
-        spared: _Spared,
-        standby: Standby | None,
-    ) -> None:
-        self._mark = mark
-        self._spared = spared
-        self._standby = standby
+    def __init__(self, keeper: Keeper, requests: int, tell: int, report: RecordWriter, mark: RunMark) -> None:
+        self._spared = keeper.spared
+        self._standby = keeper.standby
+        self._start = keeper.start
+        self._grace = keeper.grace
         self._requests = requests
         self._tell = tell
         self._report = report
-        self._start = start
-        self._grace = grace
+        self._mark = mark
         self._kill_at: float | None = None
+        self._ask_again_at: float | None = None
 
     def keep(self) -> None:
         """Start the run, watch over it until it has ended, end what it left behind, and tell how it ended."""
@@ -253,8 +242,9 @@ class _KeeperProcess:
         adopt_orphans()
         self._fork_run()
         if self._standby is not None:
-            marks = [] if self._mark is None else [self._mark.descriptor]  # it may outlive us, and is not of the run
-            self._standby.begin(self._run, let_go=[self._requests, self._tell, self._report.descriptor, *marks])
+            ours = [self._requests, self._tell, self._report.descriptor]
+            # It may outlive us, and is not of the run: the mark is not its own.
+            self._standby.begin(self._run, let_go=[*ours, self._mark.descriptor])
         self._report.close()  # the run's alone from here on
         status = self._watch()
         kill_group(self._run, self._spared())
@@ -284,8 +274,7 @@ class _KeeperProcess:
         # Not before: as long as we hold it, the orchestrator does not take the keeper for dead.
         os.close(self._tell)
         os.close(self._requests)
-        if self._mark is not None:
-            self._mark.sign()
+        self._mark.sign()
         if os.getppid() == keeper:  # else it died before the system would have told us
             self._start(self._report)
 
@@ -299,6 +288,9 @@ class _KeeperProcess:
             for descriptor, _ in poll.poll(self._milliseconds()):
                 if descriptor == self._requests and not self._obey():
                     poll.unregister(self._requests)
+            if self._ask_again_at is not None and time.monotonic() >= self._ask_again_at:
+                self._ask_again_at = None
+                os.kill(self._run, signal.SIGTERM)
             if self._kill_at is not None and time.monotonic() >= self._kill_at:
                 kill_group(self._run, self._spared())
                 self._kill_at = time.monotonic() + self._grace
@@ -308,7 +300,8 @@ class _KeeperProcess:
         """Return how long to wait at most."""
         if not hasattr(os, "pidfd_open"):
             return _LOOK * 1000
-        return None if self._kill_at is None else max(0.0, self._kill_at - time.monotonic()) * 1000
+        moments = [moment for moment in (self._ask_again_at, self._kill_at) if moment is not None]
+        return max(0.0, min(moments) - time.monotonic()) * 1000 if moments else None
 
     def _reap(self) -> int | None:
         """Reap every child that has ended; return how the run ended if it is among them."""
@@ -325,7 +318,8 @@ class _KeeperProcess:
         if request == _KILL:
             self._kill_at = time.monotonic()
         elif self._kill_at is None:
-            self._kill_at = time.monotonic() + self._grace
+            now = time.monotonic()
+            self._ask_again_at, self._kill_at = now + ASK_AGAIN, now + self._grace
             os.kill(self._run, signal.SIGTERM)
         return bool(request)
 
@@ -338,16 +332,6 @@ class _KeeperProcess:
             if not orphans:
                 return
             time.sleep(_LOOK)
-
-
-class _Spared:
-    """Tells which processes may outlive the run that started them."""
-
-    def __init__(self, folder: ExperimentFolder | None) -> None:
-        self._path = None if folder is None else folder.outliving
-
-    def __call__(self) -> frozenset[int]:
-        return frozenset() if self._path is None else outliving(self._path)
 
 
 def _pipe(undone: ExitStack) -> tuple[int, int]:

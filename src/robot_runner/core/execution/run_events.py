@@ -15,11 +15,12 @@ from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
-from robot_runner.core.execution.interruption import InterruptGate
-from robot_runner.core.execution.run_ending import RunEnding
+from robot_runner.core.execution.interruption import InterruptGate, RunEnding
 from robot_runner.core.execution.systems_state import Care
+from robot_runner.core.links.commanded_topics import hear_commanded
 from robot_runner.core.links.connect import is_simulated, open_clock
 from robot_runner.core.links.host_commands import DeclaredHosts
+from robot_runner.core.plugin import usual_origin
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:
@@ -29,21 +30,19 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.systems_state import SystemsState
     from robot_runner.core.execution.task import Report, RunTask
 
-__all__ = ["execute_run", "publish_returned", "run_contexts"]
-
 
 def execute_run(
     experiment: Experiment,
     task: RunTask,
     report: Report,
-    gate: InterruptGate | None = None,
+    gate: InterruptGate,
     systems: SystemsState | None = None,
 ) -> None:
     """Execute one run and report what happens as it happens.
 
     Nothing is raised: a failure is a record like any other. What was opened is closed, systems are made safe.
     """
-    run = _Run(experiment, task, report, gate or InterruptGate(), systems)
+    run = _Run(experiment, task, report, gate, systems)
     run.execute()
 
 
@@ -70,6 +69,7 @@ def run_contexts(
     times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
     hosts = DeclaredHosts(experiment.parameters.hosts)
+    plugins = {plugin.name: plugin for plugin in experiment.plugins}
     made: dict[str, RobotRunnerContext] = {}
 
     def context_for(owner: str) -> RobotRunnerContext:
@@ -97,6 +97,7 @@ def run_contexts(
                 broker=broker,
                 ending=ending or EndingInPlace(),
                 hosts=hosts,
+                usual_origin=usual_origin(plugins.get(owner), is_simulated=is_simulated(experiment.parameters.robot)),
             )
         return made[owner]
 
@@ -120,29 +121,29 @@ class _Run:
         self._gate = gate
         self._resources = Resources()
         self._ending = RunEnding(report, gate)
-        self._is_stopped = False
+        self._is_stopped = self._is_closed = False
         self._systems = systems
         self._has_moved = False
         self._made_safe: set[str] = set()
 
     def execute(self) -> None:
         closed_last = RobotRunnerEvents.STOP_RUN.value  # the event during which a link fails to close
-        with (
-            self._ending.from_any_thread(),
-            self._recorded(closed_last, "link"),
-            closing(self._resources),
-            self._recorded("", "link"),
-        ):
-            self._open()
-            self._emit_events()
+        with self._ending.from_any_thread(), self._recorded(closed_last, "link"):
+            with closing(self._resources), self._recorded("", "link"):
+                self._open()
+                self._emit_events()
+            self._is_closed = True
         if self._systems is not None and self._is_safe:
             self._systems.set(Care.SAFE)
 
     @property
     def _is_safe(self) -> bool:
-        """Whether each system was closed in order or made safe, or did not come to its mission."""
+        """Whether each system was closed in order or made safe, or did not come to its mission.
+
+        Links have to be closed as well: they stop what they commanded.
+        """
         was_left = self._ending.has_failed and self._has_moved
-        return not was_left or len(self._made_safe) == len(self._experiment.systems)
+        return not was_left or (self._is_closed and len(self._made_safe) == len(self._experiment.systems))
 
     def _open(self) -> None:
         task, resources = self._task, self._resources
@@ -158,6 +159,7 @@ class _Run:
 
     def _emit_events(self) -> None:
         if self._systems is not None:
+            hear_commanded(self._systems.add_commanded)
             self._systems.set(Care.RUN)  # from here on, whatever becomes of this process, somebody makes them safe
         with self._between(RobotRunnerEvents.START_RUN):
             if not self._ending.has_failed:

@@ -1,0 +1,151 @@
+"""Who makes safe late does so with the treatments of its own run, and stops the robot wherever it was commanded."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+import robot_runner.core.execution.standby as standby_module
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.execution.interruption import InterruptGate
+from robot_runner.core.execution.progress_manager import ProgressManager
+from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.execution.run_events import execute_run
+from robot_runner.core.execution.standby import standby_of
+from robot_runner.core.execution.systems_state import Care, SystemsState
+from robot_runner.core.links import commanded_topics
+from robot_runner.core.treatments import bind
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from robot_runner.core.config.experiment import Experiment
+
+HEAD = """\
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import System
+
+HERE = Path(__file__).parent
+
+class Lamp(System):
+    def __init__(self, *, room):
+        super().__init__()
+        self.room = room
+    def claims(self, robot):
+        return ()
+    def make_safe(self, context):
+        (HERE / "made_safe").write_text(f"{self.room} {context.combination['Room']}")
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    workers = 2
+    plugins = [Lamp(room=treatment("Room"))]
+"""
+TABLE = """
+    def create_run_table(self):
+        return RunTableModel([Factor("Room", ["kitchen", "hall"])])
+"""
+
+
+class Told:
+    """A robot that writes down what it is told."""
+
+    def __init__(self, folder: Path) -> None:
+        self._told = folder / "told"
+
+    def publish(self, topic: str, message_type: str, message: object) -> None:
+        with self._told.open("a", encoding="utf-8") as file:
+            file.write(f"{topic} {message_type} {message}\n")
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_a_robot_is_told_to_stand_still_again_and_again_as_it_may_not_be_discovered_at_first(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    folder = experiment.config_path.parent
+    monkeypatch.setattr(standby_module, "connect_robot", lambda _context: Told(folder))
+    monkeypatch.setattr(standby_module, "_TELLING", 0.5)
+    with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), ("/bob/cmd_vel", "geometry_msgs/Twist")):
+        told = (folder / "told").read_text(encoding="utf-8").splitlines()
+    # The last one first, as a run closes what it opened; and once more at least, however busy the machine is.
+    assert sorted(told[:2]) == ["/alice/cmd_vel geometry_msgs/Twist {}", "/bob/cmd_vel geometry_msgs/Twist {}"]
+    assert len(told) > 2
+    assert set(told) == set(told[:2])
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_a_robot_is_told_so_again_and_again_also_where_a_system_cannot_be_made_safe(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torn = HEAD.replace('(HERE / "made_safe").write_text', 'raise OSError("the cable is torn")\n        print')
+    experiment = prepare_or_refuse(write_config("", head=torn, table=TABLE))
+    folder = experiment.config_path.parent
+    monkeypatch.setattr(standby_module, "connect_robot", lambda _context: Told(folder))
+    monkeypatch.setattr(standby_module, "_TELLING", 0.5)
+    with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), care=Care.OUT_OF_REACH):
+        told = (folder / "told").read_text(encoding="utf-8").splitlines()
+    assert len(told) > 2, "it is tried twice, and once each time without saying so again"
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_a_system_is_made_safe_with_the_treatments_of_its_own_run(write_config: Callable[..., Path]) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    with after_death(experiment):
+        pass
+    assert (experiment.config_path.parent / "made_safe").read_text(encoding="utf-8") == "kitchen kitchen"
+
+
+DRIVEN = """\
+    def launch_mission(self, context):
+        class Link:
+            def close(self): {close}
+        context.resources.open("link", Link)
+        raise RuntimeError("a bump")
+"""
+
+
+@pytest.mark.parametrize(
+    ("close", "care"), [("pass", Care.SAFE), ("raise OSError('the network is gone')", Care.RUN)], ids=["closed", "not"]
+)
+def test_a_failed_run_without_systems_leaves_a_safe_robot_only_where_its_links_could_be_closed(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, close: str, care: Care
+) -> None:
+    monkeypatch.setattr(commanded_topics, "_listeners", [])  # the process of a run has its own
+    experiment = prepare_or_refuse(write_config(DRIVEN.format(close=close), table=TABLE))
+    state = SystemsState()
+    with ProgressManager(experiment, Resumption()) as progress, closing(state):
+        task = replace(progress.task_of(next(iter(progress.pending()))), attempt=1)
+        execute_run(experiment, task, lambda _kind, _fields: None, InterruptGate(), state)
+        assert state.care is care
+
+
+@contextmanager
+def after_death(experiment: Experiment, *commanded: tuple[str, str], care: Care = Care.MADE_SAFE) -> Iterator[None]:
+    """Have the systems of a first run made safe that has died, while a second one has begun beside it."""
+    with ProgressManager(experiment, Resumption()) as progress:
+        first, second = (progress.task_of(run) for run in progress.pending())
+        (lamp,) = experiment.systems
+        bind(lamp, first.combination)
+        standby = standby_of(experiment, replace(first, attempt=1))
+        assert standby is not None
+        bind(lamp, second.combination)  # the next run begins beside it
+        standby.state.set(Care.RUN)
+        for each in commanded:
+            standby.state.add_commanded(*each)
+        dead = subprocess.Popen([sys.executable, "-c", ""])
+        dead.wait()
+        for seconds in standby.looked_after(dead.pid):
+            time.sleep(seconds)
+        assert standby.state.care is care
+        standby.state.close()
+        yield
