@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import resource
 import subprocess
 import sys
 import tempfile
@@ -20,13 +21,23 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-__all__ = ["Answer", "Batch", "batches_of", "main"]
+__all__ = ["Answer", "Batch", "batches_of", "main", "ros2_batches_of"]
 
-_PYTEST = str(Path(sys.executable).with_name("pytest"))
+_PYTHON = Path(sys.executable)
+#: Has rclpy beside what this Python has: scripts/set_up.sh makes it, where a ROS 2 is published.
+_ROS2_PYTHON = Path(sys.prefix, "ros2", "bin", "python")
+#: What a file has whose tests need rclpy: their mark, or the fixture of another file that has it.
+_OF_ROS2 = re.compile(r"\bmark\.ros2\b|\btest_real_graphs import\b")
 #: Where the processes keep what is made once for all of them: tests/made_once.py.
 _SHARED = "ROBOT_RUNNER_TESTS_FOLDER"
 #: Fewer files waste imports, more leave some processors idle at the end.
 _FILES = 12
+#: Rooms of few lines that take long: Chromium, a simulated chip, killed processes, whole experiments. They begin first:
+#: otherwise they would end alone, with idle processors beside them.
+_LONG = {
+    *("adaptive", "cluster", "conditions", "docs", "examples", "firmware", "hostile", "page", "process"),
+    *("repository", "subjects"),
+}
 _NOTHING_CHOSEN = 5  # pytest's exit status where no test was chosen: all tests of a batch are `soak`, say
 #: What pytest counts, in the order of its last line.
 _KINDS = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "error")
@@ -41,24 +52,35 @@ class Batch:
     Attributes:
         name: the room's folder, and which part of it where there are several.
         files: at least one.
+        python: that executes it; the one with rclpy executes the tests that need it, and no others.
     """
 
     name: str
     files: tuple[Path, ...]
+    python: Path = _PYTHON
 
     @property
-    def size(self) -> int:
-        """How many bytes the files hold: what is long takes long, by and large."""
-        return sum(file.stat().st_size for file in self.files)
+    def weight(self) -> tuple[bool, int]:
+        """How long it may take: whether its room is known to, and how many bytes the files hold."""
+        room = Path(self.name.rpartition(" (")[0] or self.name).name
+        return room in _LONG, sum(file.stat().st_size for file in self.files)
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What pytest answered for a batch: its exit status, and what it wrote to both streams."""
+    """What pytest answered for a batch.
+
+    Attributes:
+        batch: that was executed.
+        status: pytest's exit status.
+        output: what it wrote to both streams.
+        span: when it began and ended, s since the first batch began.
+    """
 
     batch: Batch
     status: int
     output: str
+    span: tuple[float, float]
 
     @property
     def is_good(self) -> bool:
@@ -83,11 +105,11 @@ class Answer:
 
 
 def batches_of(folder: Path) -> list[Batch]:
-    """Return all test files below a folder in batches, the largest first; none holds files of two rooms."""
+    """Return all test files below a folder in batches, the longest first; none holds files of two rooms."""
     files = sorted(folder.rglob("test_*.py"))
     rooms = groupby(files, lambda file: folder / file.relative_to(folder).parts[0])
     batches = [batch for room, members in rooms for batch in _batches_of_room(room, list(members))]
-    return sorted(batches, key=lambda batch: batch.size, reverse=True)
+    return sorted(batches, key=lambda batch: batch.weight, reverse=True)
 
 
 def _batches_of_room(room: Path, files: list[Path]) -> list[Batch]:
@@ -97,16 +119,28 @@ def _batches_of_room(room: Path, files: list[Path]) -> list[Batch]:
     return [Batch(name, tuple(part)) for name, part in zip(names, parts, strict=True)]
 
 
+def ros2_batches_of(folder: Path) -> list[Batch]:
+    """Return the test files with tests that need rclpy, a batch for each room; none where no Python beside has it."""
+    if not _ROS2_PYTHON.exists():
+        return []
+    files = [file for file in sorted(folder.rglob("test_*.py")) if _OF_ROS2.search(file.read_text(encoding="utf-8"))]
+    rooms = groupby(files, lambda file: folder / file.relative_to(folder).parts[0])
+    return [Batch(f"{room} (ROS 2)", tuple(members), _ROS2_PYTHON) for room, members in rooms]
+
+
 def _processes() -> int:
     """Return how many processes fit: tests wait half of their time for processes, robots and clocks."""
     return min(8, 2 * (os.cpu_count() or 1))
 
 
-def _executed(batch: Batch, words: list[str], shared: str) -> Answer:
+def _executed(batch: Batch, marks: str, words: list[str], shared: str, start: float) -> Answer:
     # Each has a folder of its own for temporary files; the cache of the last failures is one file for all.
-    command = [_PYTEST, "-q", "--color=no", "-p", "no:cacheprovider", *words, *map(str, batch.files)]
+    # The plugin of anyio, which comes with others' packages, would import asyncio into each.
+    command = [str(batch.python), "-m", "pytest", "-q", "--color=no", "-p", "no:cacheprovider", "-p", "no:anyio"]
+    chosen = " and ".join(f"({mark})" for mark in (marks, "ros2" * (batch.python == _ROS2_PYTHON)) if mark)
+    began = time.monotonic() - start
     answer = subprocess.run(
-        command,
+        [*command, *(("-m", chosen) if chosen else ()), *words, *batch.files],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -115,14 +149,15 @@ def _executed(batch: Batch, words: list[str], shared: str) -> Answer:
         errors="replace",
         check=False,
     )
-    return Answer(batch, answer.returncode, answer.stdout)
+    return Answer(batch, answer.returncode, answer.stdout, (began, time.monotonic() - start))
 
 
-def _all_executed(batches: list[Batch], words: list[str], processes: int) -> list[Answer]:
+def _all_executed(batches: list[Batch], marks: str, words: list[str], processes: int) -> list[Answer]:
     """Execute all batches, and print each as it ends."""
     answers = []
     with tempfile.TemporaryDirectory(prefix="rr-tests-") as shared, ThreadPoolExecutor(processes) as executor:
-        futures = [executor.submit(_executed, batch, words, shared) for batch in batches]
+        start = time.monotonic()
+        futures = [executor.submit(_executed, batch, marks, words, shared, start) for batch in batches]
         try:
             for future in as_completed(futures):
                 answers.append(answer := future.result())
@@ -135,20 +170,32 @@ def _all_executed(batches: list[Batch], words: list[str], processes: int) -> lis
 
 def _tell(answer: Answer) -> None:
     verdict = "ok    " if answer.is_good else "FAILED"
-    print(f"  {verdict}  {answer.batch.name}: {answer.summary}", flush=True)
+    began, ended = answer.span
+    print(f"  {verdict}  {answer.batch.name}: {answer.summary}, from {began:.0f} to {ended:.0f} s", flush=True)
     if not answer.is_good:
         print(answer.output, flush=True)
+
+
+def _told_work(seconds: float) -> str:
+    """Say how long processors computed for the tests, and whether any was left idle."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    computed, there = used.ru_utime + used.ru_stime, seconds * (os.cpu_count() or 1)
+    return f"{computed:.0f} s of processor time, {computed / there:.0%} of what was there"
 
 
 def main() -> int:
     """Execute the tests below tests/ and return 1 where one failed or none was executed."""
     parser = argparse.ArgumentParser(description="Execute the tests in several processes; other words are pytest's.")
     parser.add_argument("--processes", type=int, default=_processes(), help="how many at once (default: %(default)s)")
+    parser.add_argument("-m", dest="marks", default="", help="which tests, by their marks, as pytest takes it")
     chosen, words = parser.parse_known_args()
     began = time.monotonic()
-    answers = _all_executed(batches_of(Path("tests")), words, max(1, chosen.processes))
+    tests = Path("tests")
+    batches = [*ros2_batches_of(tests), *batches_of(tests)]  # those of ROS 2 wait most of their time
+    answers = _all_executed(batches, chosen.marks, words, max(1, chosen.processes))
     for line in sorted({line for answer in answers if answer.is_good for line in answer.remarks}):
         print(line)
+    print(_told_work(time.monotonic() - began))
     counts = sum((answer.counts for answer in answers), Counter[str]())
     told = ", ".join(f"{counts[kind]} {kind}" for kind in _KINDS if counts[kind]) or "no tests ran"
     print(f"{told} in {time.monotonic() - began:.2f}s")

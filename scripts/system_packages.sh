@@ -1,12 +1,12 @@
 #!/bin/sh
-# What the tests need of the system beside Python: an SSH server, a compiler and a simulator for the firmware, a browser, an MQTT broker, R, zsh.
+# What the tests need of the system beside Python: an SSH server, a compiler and a simulator for the firmware, a browser, an MQTT broker, R, zsh, fish, Fast DDS.
 #
 # On Debian as root it is installed, after saying so. Elsewhere, and with ROBOT_RUNNER_SYSTEM_PACKAGES=no, nothing is
 # installed: the tests that need a missing package are skipped, and this says which packages are missing.
 set -u
 cd "$(dirname "$0")/.." || exit 1
 trap 'sh scripts/debian_ros.sh' EXIT
-packages="openssh-server openssh-client gcc-avr avr-libc simavr libsimavr-dev gcc libc6-dev libelf-dev chromium tshark ffmpeg busybox dosfstools arduino-core-avr mtools linux-perf mosquitto openssl r-base-core r-cran-nlme python3-rospy python3-actionlib python3-rosmaster python3-rosbag python3-roslaunch python3-rosgraph python3-rosnode python3-rostopic python3-rosservice python3-geometry-msgs python3-nav-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-rosgraph-msgs python3-tf2-msgs catkin zsh"
+packages="openssh-server openssh-client gcc-avr avr-libc simavr libsimavr-dev gcc libc6-dev libelf-dev chromium tshark ffmpeg busybox dosfstools arduino-core-avr mtools linux-perf mosquitto openssl r-base-core r-cran-nlme python3-rospy python3-actionlib python3-rosmaster python3-rosbag python3-roslaunch python3-rosgraph python3-rosnode python3-rostopic python3-rosservice python3-geometry-msgs python3-nav-msgs python3-sensor-msgs python3-std-msgs python3-std-srvs python3-rosgraph-msgs python3-tf2-msgs catkin zsh fish g++ libfastrtps-dev"
 skipped="The tests that need them are skipped; each is listed with its reason at the end."
 
 say() {

@@ -6,6 +6,7 @@ import gc
 import importlib.util
 import os
 import subprocess
+import sys
 import textwrap
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["browser", "program", "robot_runner", "terminal"]
 _FIXED, _SOAK = "fixed", "soak"
+#: Has rclpy beside what this Python has: scripts/set_up.sh.
+ROS2_PYTHON = Path(sys.prefix, "ros2", "bin", "python")
 
 # Each of several processes has one core at most: OpenBLAS' threads would burn it while they wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -89,8 +92,18 @@ TABLE = """\
 """
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip the tests of DDS where cyclonedds, which is not published for every Python and system, is missing."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the tests of ROS 2 and of DDS where rclpy or cyclonedds is missing: not every system has them.
+
+    The Python of .venv/ros2 executes those of ROS 2, where there is one: scripts/execute_tests.py.
+    """
+    if importlib.util.find_spec("rclpy") is None:
+        for_ros2 = [item for item in items if item.get_closest_marker("ros2")]
+        if ROS2_PYTHON.exists():
+            config.hook.pytest_deselected(items=for_ros2)
+            items[:] = [item for item in items if item not in for_ros2]
+        for item in for_ros2:
+            item.add_marker(pytest.mark.skip(reason="no ROS 2 is sourced, and none is published for this machine"))
     if importlib.util.find_spec("cyclonedds") is None:
         missing = pytest.mark.skip(reason="cyclonedds is not installed: it is not published built for this machine")
         for item in items:

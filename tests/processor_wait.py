@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,9 +58,8 @@ class ProcessorWait:
     def _now(self) -> dict[str, float]:
         waits = {}
         for pid in self._pids:
-            for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
-                try:
-                    waits[path.parent.name] = int(path.read_text("ascii").split()[1]) / 1e9
-                except OSError:  # the thread has ended
-                    continue
+            with suppress(OSError):  # the process has ended
+                for path in Path(f"/proc/{pid}/task").glob("*/schedstat"):
+                    with suppress(OSError):  # the thread has ended
+                        waits[path.parent.name] = int(path.read_text("ascii").split()[1]) / 1e9
         return waits

@@ -23,15 +23,19 @@ def pip_settings(index: str) -> dict[str, str | None]:
     return {**dict.fromkeys(_SETTINGS), **own}
 
 
-def tiny_wheel(folder: Path, name: str = "tiny", version: str = "1.0", platform: str = "any", code: str = "") -> str:
-    """Write a wheel with one module, and return its SHA-256."""
+def tiny_wheel(
+    folder: Path, name: str = "tiny", version: str = "1.0", platform: str = "any", code: str = "", needs: str = ""
+) -> str:
+    """Write a wheel with one module, which has the extra `more`, and return its SHA-256."""
     folder.mkdir(parents=True, exist_ok=True)
     module = name.replace("-", "_")
     path = folder / f"{module}-{version}-py3-none-{platform}.whl"
     info = f"{module}-{version}.dist-info"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr(f"{module}.py", code)
-        archive.writestr(f"{info}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        needed = f"Requires-Dist: {needs}\n" if needs else ""
+        described = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\nProvides-Extra: more\n{needed}"
+        archive.writestr(f"{info}/METADATA", described)
         purelib = str(platform == "any").lower()
         archive.writestr(f"{info}/WHEEL", f"Wheel-Version: 1.0\nRoot-Is-Purelib: {purelib}\nTag: py3-none-{platform}\n")
         archive.writestr(f"{info}/RECORD", f"{module}.py,,\n")
@@ -45,9 +49,9 @@ class SmallIndex:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
 
-    def add(self, name: str, version: str = "1.0", platform: str = "any") -> str:
+    def add(self, name: str, version: str = "1.0", platform: str = "any", needs: str = "") -> str:
         """Add a wheel, and return its SHA-256, which is on the page, too."""
-        digest = tiny_wheel(self.folder / name, name, version, platform)
+        digest = tiny_wheel(self.folder / name, name, version, platform, needs=needs)
         files = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in self.folder.glob(f"{name}/*.whl")}
         links = "".join(f'<a href="{file}#sha256={known}">{file}</a>\n' for file, known in sorted(files.items()))
         (self.folder / name / "index.html").write_text(f"<!DOCTYPE html><html><body>{links}</body></html>", "utf-8")

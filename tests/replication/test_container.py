@@ -47,6 +47,13 @@ def test_what_compares_stands_apart_unless_the_experiment_needs_it_anyway():
     assert '"--environment", "here", "--yes"]' in together
 
 
+def test_what_has_all_hashes_is_installed_as_it_is_listed():
+    manifest = {"experiment_name": "trial", "robot": "simulated"}
+    hashed = containerfile(manifest, has_wheels=False, demands_hashes=True)
+    assert "install --no-cache-dir ${PIP_OPTIONS} --no-deps \\\n    -r environment/requirements.txt" in hashed
+    assert "--no-deps" not in containerfile(manifest, has_wheels=False)
+
+
 def test_a_base_with_its_digest_is_taken_and_what_is_no_image_is_refused():
     pinned = f"registry.example/python:3.12-slim@sha256:{'ab' * 32}"
     recipe = _recipe(robot="simulated", image=as_base(pinned))

@@ -133,6 +133,8 @@ def test_an_environment_gets_its_own_pip_where_there_is_none_beside_us(tmp_path,
     folder.mkdir()
     monkeypatch.setattr(virtual_environments, "find_spec", lambda _: None)
     monkeypatch.setattr(virtual_environments, "_call", lambda words, *_: called.append(words))
+    (tmp_path / "environment").mkdir()
+    (tmp_path / "environment" / "requirements.txt").write_text("tiny==1.0\n", encoding="utf-8")
     make_environment(tmp_path, folder, {})
     assert "--without-pip" not in called[0]
     assert called[1][:4] == [str(folder / "bin" / "python"), "-m", "pip", "install"]

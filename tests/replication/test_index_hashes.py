@@ -17,7 +17,8 @@ from robot_runner.core.errors import PackageError
 from robot_runner.replication import index_hashes
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import ask_index, findings_of_hashes
-from robot_runner.replication.packing import Packing, pack
+from robot_runner.replication.packing import pack
+from robot_runner.replication.sealing import Packing
 from robot_runner.replication.virtual_environments import make_environment
 
 PYTHON = "3.11.7"
@@ -152,6 +153,19 @@ def test_a_file_of_another_hash_is_not_installed(tmp_path, index):
         make_environment(root, tmp_path / "made", {})
     assert "sha256" in refused.value.findings[0].problem
     assert not list(tmp_path.glob("made/lib/python*/site-packages/tiny.py"))
+
+
+def test_a_list_with_hashes_is_installed_also_once_newer_releases_are_there(tmp_path, index):
+    old = index.add("library", "1.0")
+    index.add("library", "2.0")
+    application = index.add("application", needs="library[more]>=1.0")
+    root = tmp_path / "package"
+    (root / "environment").mkdir(parents=True)
+    lines = f"application==1.0 --hash=sha256:{application}\nlibrary==1.0 --hash=sha256:{old}\n"
+    (root / "environment" / "requirements.txt").write_text(lines, encoding="utf-8")
+    make_environment(root, tmp_path / "made", {})
+    names = [path.name for path in tmp_path.glob("made/lib/python*/site-packages/*.dist-info")]
+    assert sorted(names) == ["application-1.0.dist-info", "library-1.0.dist-info"]
 
 
 def _pinned(packed):

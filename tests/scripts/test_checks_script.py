@@ -16,6 +16,8 @@ SUCCESS = {
     "python": '[ "$1" != scripts/execute_tests.py ] || exec .venv/bin/real-python "$@"',
     "pytest": "echo 1 passed in 1s",
 }
+#: `python -m pytest` finds this in the folder where it is called.
+PYTEST = "import subprocess, sys\n\nsys.exit(subprocess.call(['.venv/bin/pytest', *sys.argv[1:]]))\n"
 
 
 @pytest.fixture
@@ -31,6 +33,7 @@ def clone(tmp_path: Path) -> Path:
     for tool in TOOLS:
         _write_tool(tmp_path, tool, SUCCESS.get(tool, "exit 0"))
     (tools / "real-python").symlink_to(sys.executable)
+    (tmp_path / "pytest.py").write_text(PYTEST, encoding="utf-8")
     return tmp_path
 
 

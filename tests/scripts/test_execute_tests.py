@@ -10,11 +10,37 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from scripts.execute_tests import batches_of
+from scripts.execute_tests import batches_of, main, ros2_batches_of
 
 ROOT = Path(__file__).parents[2]
 PASSES, FAILS = "def test_it() -> None:\n    assert True\n", "def test_it() -> None:\n    assert 1 == 2, 'no'\n"
 NEVER = "import pytest\n\n\n@pytest.mark.soak\ndef test_it() -> None:\n    raise AssertionError\n"
+FOR_ROS2 = """\
+import os
+from pathlib import Path
+
+import pytest
+
+
+def note(name):
+    with Path("executed").open("a") as file:
+        file.write(f"{name} {os.environ.get('HAS_RCLPY')}\\n")
+
+
+@pytest.mark.ros2
+def test_it():
+    note("test_it")
+
+
+@pytest.mark.ros2
+@pytest.mark.soak
+def test_for_long():
+    raise AssertionError
+
+
+def test_another():
+    note("test_another")
+"""
 #: It takes part in what one of two processes makes, and the other finds.
 SHARES = """\
 import os
@@ -35,7 +61,9 @@ def write_tests(folder: Path, files: dict[str, str]) -> None:
         path = folder / "tests" / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    (folder / "pytest.ini").write_text("[pytest]\nmarkers = soak\naddopts = --import-mode=importlib\npythonpath = .\n")
+    (folder / "pytest.ini").write_text(
+        "[pytest]\nmarkers =\n soak\n ros2\naddopts = --import-mode=importlib\npythonpath = .\n"
+    )
 
 
 def execute(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -50,7 +78,10 @@ def test_each_test_file_is_in_one_batch_and_no_batch_has_files_of_two_rooms() ->
     assert set(count.values()) == {1}
     assert all(len({file.relative_to(ROOT).parts[1] for file in batch.files}) == 1 for batch in batches)
     assert len({batch.name for batch in batches}) == len(batches)
-    assert [batch.size for batch in batches] == sorted((batch.size for batch in batches), reverse=True)
+    assert [batch.weight for batch in batches] == sorted((batch.weight for batch in batches), reverse=True)
+    rooms = [batch.files[0].relative_to(ROOT).parts[1] for batch in batches]
+    assert rooms[0] == "process"
+    assert max(rooms.index(room) for room in ("firmware", "hostile", "page")) < rooms.index("core")
 
 
 def test_what_fails_is_shown_and_the_rest_is_executed_and_counted(tmp_path: Path) -> None:
@@ -61,6 +92,8 @@ def test_what_fails_is_shown_and_the_rest_is_executed_and_counted(tmp_path: Path
     assert "FAILED  tests/hall: 1 failed" in answer.stdout
     assert "AssertionError: no" in answer.stdout
     assert "ok      tests/shed: 1 deselected" in answer.stdout
+    assert len(re.findall(r"^  (?:ok    |FAILED)  tests/\w+: .*, from \d+ to \d+ s$", answer.stdout, re.MULTILINE)) == 3
+    assert re.search(r"^\d+ s of processor time, \d+% of what was there$", answer.stdout, re.MULTILINE)
     assert re.fullmatch(r"1 failed, 1 passed, 1 deselected in \d+\.\d\ds", answer.stdout.splitlines()[-1])
 
 
@@ -88,6 +121,36 @@ def test_skipped_tests_are_told_with_their_reason(tmp_path: Path) -> None:
     assert answer.returncode == 0
     assert "no robot here" in answer.stdout
     assert answer.stdout.splitlines()[-1].startswith("1 passed, 1 skipped in ")
+
+
+def test_what_needs_rclpy_is_executed_by_the_python_that_has_it_and_nothing_else_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_tests(tmp_path, {"room/test_a.py": FOR_ROS2, "room/test_b.py": PASSES, "hall/test_c.py": PASSES})
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nHAS_RCLPY=yes exec {sys.executable} "$@"\n')
+    python.chmod(0o700)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("scripts.execute_tests._ROS2_PYTHON", python)
+    monkeypatch.setattr(sys, "argv", ["execute_tests.py", "-m", "not soak", "--strict-markers"])
+    assert main() == 0, capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "ok      tests/room (ROS 2): 1 passed, 2 deselected" in said
+    assert "ok      tests/hall: 1 passed" in said
+    assert sorted((tmp_path / "executed").read_text().splitlines()) == [
+        "test_another None",
+        "test_it None",
+        "test_it yes",
+    ]
+
+
+def test_without_such_a_python_this_one_has_all_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_tests(tmp_path, {"room/test_a.py": FOR_ROS2})
+    monkeypatch.setattr("scripts.execute_tests._ROS2_PYTHON", tmp_path / "python")
+    assert ros2_batches_of(tmp_path / "tests") == []
+    (tmp_path / "python").touch()
+    (batch,) = ros2_batches_of(tmp_path / "tests")
+    assert [file.name for file in batch.files] == ["test_a.py"]
 
 
 def test_what_is_made_once_is_made_by_one_process_for_all(tmp_path: Path) -> None:

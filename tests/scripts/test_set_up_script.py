@@ -67,7 +67,7 @@ def test_what_is_locked_is_installed_and_nothing_else(clone: Path, purpose: str)
     _python(clone, "python3", WORKING)
     answer = _set_up(clone, purpose)
     assert answer.returncode == 0, answer.stderr
-    assert _installed(clone) == [f"--require-hashes --requirement requirements/{purpose}.txt", PROJECT]
+    assert _installed(clone) == [f"--no-deps --require-hashes --requirement requirements/{purpose}.txt", PROJECT]
 
 
 def test_what_is_set_up_is_left_alone(clone: Path) -> None:
@@ -86,7 +86,7 @@ def test_a_changed_lock_or_project_is_installed_anew(clone: Path, changed: str) 
     with (clone / changed).open("a", encoding="utf-8") as file:
         file.write("# changed\n")
     assert _set_up(clone).returncode == 0
-    assert _installed(clone) == ["--require-hashes --requirement requirements/demo.txt", PROJECT] * 2
+    assert _installed(clone) == ["--no-deps --require-hashes --requirement requirements/demo.txt", PROJECT] * 2
 
 
 def test_nothing_of_the_system_is_installed_where_that_is_not_wanted(clone: Path) -> None:

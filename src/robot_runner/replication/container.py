@@ -10,8 +10,6 @@ from robot_runner.core.errors import PackageError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["as_base", "container_commands", "containerfile", "image_name", "is_pinned"]
-
 #: An image by its name, with a tag or a digest or both, as the Open Container Initiative's distribution names them.
 _IMAGE = re.compile(r"[\w][\w.\-/:]{0,254}(@sha256:[0-9a-f]{64})?", re.ASCII)
 #: The distributions of ROS whose Python is older than ours (REP 3, REP 2000), so that they get another one.
@@ -28,7 +26,7 @@ COPY environment environment
 ARG PIP_OPTIONS=""
 # What executes the experiment: what the package lists, and nothing else.
 RUN python3 -m venv /opt/robot-runner \\
- && /opt/robot-runner/bin/pip install --no-cache-dir ${{PIP_OPTIONS}}{links} \\
+ && /opt/robot-runner/bin/pip install --no-cache-dir ${{PIP_OPTIONS}}{alone}{links} \\
     -r environment/requirements.txt
 {comparison}COPY . original
 VOLUME /results
@@ -86,13 +84,19 @@ def is_pinned(image: str) -> bool:
 
 
 def containerfile(
-    manifest: Mapping[str, Any], *, has_wheels: bool, has_comparison: bool = False, image: str | None = None
+    manifest: Mapping[str, Any],
+    *,
+    has_wheels: bool,
+    demands_hashes: bool = False,
+    has_comparison: bool = False,
+    image: str | None = None,
 ) -> str:
     """Return the text of a Containerfile (Docker, Podman, Buildah) of an image that replicates the experiment.
 
     Args:
         manifest: the experiment's.
         has_wheels: whether the package brings wheels.
+        demands_hashes: whether the list of packages has the hash of each: then it is installed as it is.
         has_comparison: whether what the experiment needs holds what compares results, so that one environment does.
         image: the base image; None for the official one of the experiment's Python or ROS.
     """
@@ -113,6 +117,7 @@ def containerfile(
         name=manifest.get("experiment_name", "experiment"),
         pin=_PINNED if is_pinned(str(facts["image"])) else _NOT_PINNED,
         base=base.format(**facts),
+        alone=" --no-deps" if demands_hashes else "",
         links=links,
         comparison="" if has_comparison else apart,
         program=f"/opt/{'robot-runner' if has_comparison else 'comparison'}/bin/robot-runner",

@@ -18,7 +18,7 @@ from robot_runner.replication import contents
 from robot_runner.replication.about import readme
 from robot_runner.replication.badges import BadgeFacts, badges_text
 from robot_runner.replication.citation_files import citation_text, licence_text, zenodo_text
-from robot_runner.replication.cleaning import Cleaning, Replaced, in_words
+from robot_runner.replication.cleaning import Cleaning, in_words
 from robot_runner.replication.container import containerfile
 from robot_runner.replication.contents import ALL, Contents, LeftOut, PackedFile
 from robot_runner.replication.crate import Executed, crate_text
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from robot_runner.replication.environment import RecordedEnvironment
     from robot_runner.replication.plain_zip import PlainZip
     from robot_runner.replication.redaction import Redactor
-
-__all__ = ["Packing", "PackingPlan", "Progress", "Replaced", "Sealing"]
 
 #: Called with the number of bytes that are done, and with that of all.
 Progress = Callable[[int, int], None]
@@ -214,6 +212,7 @@ class Sealing:
         return containerfile(
             self._plan.manifest,
             has_wheels=bool(self.wheels),
+            demands_hashes=not self._plan.environment.without_hash(self.wheels),
             has_comparison=packages_of_extra("robot-runner", "analysis") <= needed,
             image=self._plan.asked.base_image,
         )

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import REQUIREMENTS, WHEELS
 from robot_runner.replication.distributions import installed_distributions, wheel_name, wheel_of, write_wheel
@@ -21,15 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from types import FrameType
     from typing import TextIO
-
-__all__ = [
-    "compare_with",
-    "execute_with",
-    "is_complete",
-    "make_comparison_environment",
-    "make_environment",
-    "program_in",
-]
 
 _OUR_NAME = "robot-runner"
 _DEADLINE_S = 3600.0
@@ -71,7 +63,12 @@ def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -
         "Mend what is said there, or take your own environment: --environment here. The first lines of "
         f"{REQUIREMENTS} say for which Python and platforms its hashes are."
     )
-    _make(folder, _python(environment), [*wheels, "-r", str(root / REQUIREMENTS)], fix)
+    asked = [*wheels, "-r", str(root / REQUIREMENTS)]
+    if not is_complete(folder) and _demands_hashes(root / REQUIREMENTS, root):
+        # Then the list is whole. Pip before 23.3 refuses such a list once there is a newer release of what another
+        # package needs with an extra (`coverage[toml]`), unless it is told that nothing else is needed.
+        asked.insert(0, "--no-deps")
+    _make(folder, _python(environment), asked, fix)
     return program_in(folder)
 
 
@@ -148,6 +145,11 @@ def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
             (folder / _COMPLETE).touch()
     except OSError as error:
         raise storage_error(folder, "made", error) from error
+
+
+def _demands_hashes(requirements: Path, root: Path) -> bool:
+    lines = read_text(requirements, root).splitlines()
+    return any("--hash=" in line.partition("#")[0] for line in lines)
 
 
 def _python(environment: Mapping[str, Any]) -> str:
