@@ -80,12 +80,12 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import Origin as Origin
     from robot_runner.core.events.outlook import ExperimentEnd as ExperimentEnd
     from robot_runner.core.events.outlook import NextRun as NextRun
-    from robot_runner.core.execution.from_python import ExperimentResults as ExperimentResults
-    from robot_runner.core.execution.from_python import run_experiment as run_experiment
     from robot_runner.core.inactive import INACTIVE as INACTIVE
     from robot_runner.core.links.declared_host import Host as Host
     from robot_runner.core.links.declared_host import Reboot as Reboot
-    from robot_runner.core.links.several_robots import Robots as Robots
+    from robot_runner.core.links.robot_name import Robots as Robots
     from robot_runner.core.treatments import treatment as treatment
+    from robot_runner.notebook.from_python import ExperimentResults as ExperimentResults
+    from robot_runner.notebook.from_python import run_experiment as run_experiment
 else:
     __getattr__, __dir__ = open_door(__name__)

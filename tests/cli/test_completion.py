@@ -61,6 +61,18 @@ def test_commands_options_plugins_and_configs_are_completed(shell: pexpect.spawn
     completed(shell, "robot-runner run --set robot=sim", "robot-runner run --set robot=simulated")
 
 
+@pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
+def test_fish_completes_it_by_the_line_that_the_command_names(tmp_path: Path) -> None:
+    (tmp_path / "study.py").touch()
+    settings = {"PATH": f"{BIN}:{os.environ['PATH']}", "HOME": str(tmp_path), "TERM": "dumb", "LANG": "C.UTF-8"}
+    for typed, whole in {"robot-runner smo": "smoke", "robot-runner check study.py --pro": "--probe"}.items():
+        line = f'robot-runner completion fish | source; complete -C "{typed}"'
+        answer = subprocess.run(
+            [shutil.which("fish"), "-c", line], env=settings, cwd=tmp_path, capture_output=True, text=True, check=True
+        )
+        assert answer.stdout.split()[0] == whole, answer.stderr
+
+
 def offered(line: str, tmp_path: Path) -> list[str]:
     """Return what is offered for a line, as the function of the shell asks for it."""
     target = tmp_path / "offered"

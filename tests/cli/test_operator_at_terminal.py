@@ -32,10 +32,6 @@ TWO_RUNS = """\
 """
 
 
-def call(program: str, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([program, *words], cwd=folder, capture_output=True, text=True, check=False, timeout=60)
-
-
 def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -52,7 +48,7 @@ def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
     ]
     assert "▶" not in shown.text, "the live part gives way"
     shown.child.sendline("14")
-    shown.wait_for("voltage: 14 is above 13 V. Enter V, 9 to 13.")
+    shown.wait_for(r"voltage: 14 is above 13 V. Enter a number from 9 to 13 \(in V\)\.")
     shown.wait_for(r"voltage \(V, 9 to 13\): ")
     shown.child.sendline("11.8")
     shown.wait_for(r"remark \(may be left empty\): ")
@@ -74,7 +70,7 @@ def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
 
 
 def test_on_plain_lines_and_from_another_terminal(
-    write_config: Callable[..., Path], tmp_path: Path, program: str
+    write_config: Callable[..., Path], tmp_path: Path, program: str, robot_runner: Callable
 ) -> None:
     write_config(STEPS, table=TWO_RUNS)
     with subprocess.Popen(
@@ -86,23 +82,23 @@ def test_on_plain_lines_and_from_another_terminal(
             for line in running.stdout:
                 said.append(line.rstrip())
                 if line.startswith("Waiting before run 1 of 2") and "--answer" in line:
-                    self_told = json.loads(call(program, tmp_path, "status", "results/trial", "--json").stdout)
-                    told = call(program, tmp_path, "status", "results/trial").stdout
-                    bad = call(program, tmp_path, "continue", "config.py", "--answer", "voltag=11", "--answer", "x")
-                    assert call(program, tmp_path, "continue", "config.py", "--answer", "voltage=11.8").returncode == 0
+                    self_told = json.loads(robot_runner("status", "results/trial", "--json").out)
+                    told = robot_runner("status", "results/trial").out
+                    bad = robot_runner("continue", "config.py", "--answer", "voltag=11", "--answer", "x")
+                    assert robot_runner("continue", "config.py", "--answer", "voltage=11.8").code == 0
                 elif line.startswith("Waiting before run"):
-                    last = call(program, tmp_path, "continue", "config.py")
+                    last = robot_runner("continue", "config.py")
             assert running.wait(timeout=60) == 0
         finally:
             running.kill()
     assert self_told["waiting_for"]["step"] == "swap the battery"
     assert "swap the battery, before r_1; then tell voltage (V, 9 to 13), remark (may be left empty)" in told
     assert "robot-runner continue results/trial --answer voltage=..." in told
-    assert bad.returncode == 2
+    assert bad.code == 2
     for problem in ("'x' is no answer", "--answer voltag: nothing asks for this", "there is no answer to this"):
-        assert problem in bad.stderr
-    assert "Did you mean 'voltage'?" in bad.stderr
-    assert last.stdout == "trial goes on: 'place the robot' is done.\n"
+        assert problem in bad.err
+    assert "Did you mean 'voltage'?" in bad.err
+    assert last.out == "trial goes on: 'place the robot' is done.\n"
     assert said[1:5] == [
         "Next is r_1, run 1 of 2: Task=Video",
         "2 runs left",

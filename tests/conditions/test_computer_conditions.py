@@ -26,7 +26,7 @@ from robot_runner import (
 )
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.host import LOCAL
+from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.testing import make_context
 
 if TYPE_CHECKING:

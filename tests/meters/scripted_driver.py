@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.links.host import FileSample
+from robot_runner.measuring.host import FileSample
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.testing import FakeClock, make_context, rehearse
 

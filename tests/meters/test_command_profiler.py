@@ -14,7 +14,7 @@ import pytest
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
-from robot_runner.core.sampling.meter_process import MeterProcess
+from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.plugins import Circumstances, Measure
 from robot_runner.plugins.profilers import Aggregate, CommandColumn, CommandProfiler, TimeColumn
 from robot_runner.testing import ProfilerContract, make_context, rehearse
@@ -152,7 +152,7 @@ def _is_alive(pid: int) -> bool:
 def test_a_program_ends_when_the_run_is_killed(tmp_path):
     script = (
         "import sys, time; from pathlib import Path; from robot_runner.core.events.context import SystemClock\n"
-        "from robot_runner.core.sampling.meter_process import MeterProcess\n"
+        "from robot_runner.measuring.meter_process import MeterProcess\n"
         f"MeterProcess([sys.executable, {str(METER)!r}], output=None, clock=SystemClock(),\n"
         f"             folder=Path({str(tmp_path)!r}))\n"
         "time.sleep(60)"

@@ -14,7 +14,7 @@ from tests.meters.rail_trees import RailTree
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.local_host import LocalHost
+from robot_runner.measuring.local_host import LocalHost
 from robot_runner.meters.sysfs_rails import find_rails
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import PowerRails

@@ -7,8 +7,8 @@ import json
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.core.links.busy_core import busy_core, needs_affinity, wait
 from tests.core.links.ssh_server import SshServer
+from tests.measuring.busy_core import busy_core, needs_affinity, wait
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.events.context import SystemClock

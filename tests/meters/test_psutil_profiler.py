@@ -7,9 +7,9 @@ import pytest
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Origin
-from robot_runner.core.links import ssh_host
-from robot_runner.core.links.host import ProcessUtilisation, SamplingReport
-from robot_runner.core.links.utilisation import Selection, Utilisation
+from robot_runner.core.links import ssh_command
+from robot_runner.measuring.host import ProcessUtilisation, SamplingReport
+from robot_runner.measuring.utilisation import Selection, Utilisation
 from robot_runner.plugins import Circumstances, Window
 from robot_runner.plugins.profilers import PsUtil
 from robot_runner.testing import (
@@ -154,8 +154,8 @@ def test_without_psutil_the_check_says_how_to_get_it(monkeypatch):
 
 
 def test_a_host_that_ssh_cannot_reach_is_refused_by_the_check(monkeypatch):
-    monkeypatch.setattr(ssh_host, "_tried", lambda _: "ssh: Could not resolve hostname turtle")
-    monkeypatch.setattr(ssh_host.shutil, "which", lambda _: "/usr/bin/ssh")
+    monkeypatch.setattr(ssh_command, "_tried", lambda _: "ssh: Could not resolve hostname turtle")
+    monkeypatch.setattr(ssh_command.shutil, "which", lambda _: "/usr/bin/ssh")
     (finding,) = PsUtil(host="pi@turtle").check(Circumstances())
     assert finding.is_error
     assert "pi@turtle cannot be reached" in finding.problem

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
-from robot_runner.core.links.robot import ActionAborted, GoalStatus
+from robot_runner.core.links.goals import ActionAborted, GoalStatus
 from robot_runner.testing import FakeAction, FakeClock, FakeRobotLink
 
 DOCK = "nav2_msgs/NavigateToPose"

@@ -6,10 +6,11 @@ import pytest
 
 from robot_runner.core.errors import LinkError, MeasureError
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.connect import connect_host, connect_robot, open_serial_line
-from robot_runner.core.links.host import HostLink, UtilisationSampler
+from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.links.robot import RobotLink, Subscription
-from robot_runner.core.links.serial_line import SerialLine
+from robot_runner.measuring.devices import connect_host, open_serial_line
+from robot_runner.measuring.host import HostLink, UtilisationSampler
+from robot_runner.measuring.serial_line import SerialLine
 from robot_runner.plugins import Profiler
 from robot_runner.testing import (
     Chunk,

@@ -15,8 +15,6 @@ from robot_runner.cli.parser import Parser, UsageError, parser_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["complete", "shell_code"]
-
 #: How argcomplete is told where the words of the parser begin: after the program, or after program and command.
 _START = "_ARGCOMPLETE"
 _CONFIG = "run"

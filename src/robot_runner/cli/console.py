@@ -20,6 +20,7 @@ from rich.control import Control
 from rich.segment import ControlType
 from rich.text import Text
 
+from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.harmless_stream import HarmlessStream, unguarded
 from robot_runner.core.words import harmless, harmless_json, one_line
 
@@ -28,28 +29,6 @@ if TYPE_CHECKING:
 
     from rich.console import ConsoleOptions, RenderableType
     from rich.segment import Segment
-
-__all__ = [
-    "Column",
-    "UserConsole",
-    "aligned",
-    "command_line",
-    "complaints",
-    "fitting",
-    "folded",
-    "is_live_terminal",
-    "is_on_path",
-    "no_byte_code",
-    "output",
-    "print_facts",
-    "print_folded",
-    "print_json",
-    "quiet_loading",
-    "shortened",
-    "shown_path",
-    "width_of",
-]
-
 
 # Where text goes: coloured on a terminal, plain elsewhere; what a user wrote is never taken for markup.
 
@@ -151,8 +130,11 @@ def command_line(*words: str) -> str:
         "robot-runner check 'my study.py'"
     """
     program = Path(sys.argv[0])
-    if program.parts[-2:] == ("robot_runner", "__main__.py"):
-        return shlex.join([sys.executable, "-m", "robot_runner", *words])
+    if program.parts[-2:] == ("robot_runner", "__main__.py"):  # as a queue executes it
+        beside = Path(sys.executable).with_name(_PROGRAM)
+        found = shutil.which(_PROGRAM)
+        is_ours = found is not None and Path(found).resolve() == beside.resolve()
+        return shlex.join([_PROGRAM, *words] if is_ours else [sys.executable, "-m", "robot_runner", *words])
     is_found = program.name != _PROGRAM or is_on_path()
     return shlex.join([_PROGRAM if is_found else shown_path(program.absolute()), *words])
 
@@ -161,17 +143,6 @@ def is_on_path() -> bool:
     """Whether a shell that is given the program's name finds the program that is being executed."""
     found = shutil.which(_PROGRAM)
     return found is not None and Path(found).resolve() == Path(sys.argv[0]).resolve()
-
-
-@contextmanager
-def no_byte_code() -> Iterator[None]:
-    """While a config is looked at, no byte code is written beside the modules that it imports."""
-    earlier = sys.dont_write_bytecode
-    sys.dont_write_bytecode = True
-    try:
-        yield
-    finally:
-        sys.dont_write_bytecode = earlier
 
 
 @contextmanager

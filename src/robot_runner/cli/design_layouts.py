@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from robot_runner.cli.console import UserConsole
 
-__all__ = ["print_layouts"]
-
 #: More tables than this, and more rows of one, are left to `--json`, where not all are asked for.
 _MOST_TABLES = 4
 _MOST_ROWS = 40

@@ -21,25 +21,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumn, MeasureColumns
 
-__all__ = [
-    "batch_as_json",
-    "batch_order_in_words",
-    "columns_as_json",
-    "design_as_json",
-    "design_in_words",
-    "in_words",
-    "kind_in_words",
-    "later_orders_in_words",
-    "measures_in_words",
-    "order_in_words",
-    "print_runs",
-    "run_as_json",
-    "run_cells",
-    "run_columns",
-    "warm_ups_in_words",
-]
-
-
 # The columns that tell runs apart: id, treatments, repetition.
 
 

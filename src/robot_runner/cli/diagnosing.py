@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import grp
 import importlib.metadata
-import importlib.util
 import inspect
 import os
 import platform
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import is_on_path
+from robot_runner.cli.findings import installed_here
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.links.kinds import installed_links
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from robot_runner.core.plugin import InstalledPlugin
-
-__all__ = ["ABSENT", "BROKEN", "READY", "Diagnosis", "Question", "asked", "device_questions", "questions"]
 
 #: It can be used; it is not here, or has to be told something; it is here and cannot be used.
 READY, ABSENT, BROKEN = "ready", "absent", "broken"
@@ -94,7 +92,7 @@ def asked(wanted: Sequence[Question], *, deadline_s: float) -> Iterator[Diagnosi
             state, detail, fix = question.ask()
         except Exception as error:  # noqa: BLE001 - of a stranger's plugin; the others are told all the same
             state, detail, fix = BROKEN, f"{type(error).__name__}: {error}", "Report it to who wrote it."
-        answers[place] = Diagnosis(question.area, question.name, state, detail, fix)
+        answers[place] = Diagnosis(question.area, question.name, state, detail, installed_here(fix))
 
     threads = [threading.Thread(target=ask, args=each, daemon=True) for each in enumerate(wanted)]
     for thread in threads:
@@ -167,19 +165,10 @@ def _extra(extra: str, packages: Sequence[str]) -> Callable[[], tuple[str, str, 
     def ask() -> tuple[str, str, str]:
         missing = [name for name in packages if not _is_installed(name)]
         if missing:
-            return ABSENT, f"without {enumerated(missing)}", f"Install it: {_installing(extra)}"
+            return ABSENT, f"without {enumerated(missing)}", f"Install it: pip install 'robot-runner[{extra}]'"
         return READY, "", ""
 
     return ask
-
-
-def _installing(extra: str) -> str:
-    """Return the command that adds an extra to this very environment, whichever tool has made it."""
-    wanted = f"'robot-runner[{extra}]'"
-    if importlib.util.find_spec("pip") is None:  # made by uv
-        return f"uv pip install --python {sys.executable} {wanted}"
-    is_active = os.environ.get("VIRTUAL_ENV") == sys.prefix
-    return f"pip install {wanted}" if is_active else f"{sys.executable} -m pip install {wanted}"
 
 
 def _is_installed(package: str) -> bool:
@@ -220,7 +209,7 @@ def _meter(installed: InstalledPlugin) -> Callable[[], tuple[str, str, str]]:
         try:
             plugin = kind(**({"host": "localhost"} if "host" in parameters else {}))
         except RobotRunnerError as error:  # it needs one parameter of several
-            return READY, f"has to be told more: {error.problem}", ""
+            return READY, f"has to be told more: {error.problem}", error.fix
         for finding in plugin.check(Circumstances(robot=_REAL_ROBOT)):
             if finding.is_error:
                 return ABSENT, finding.problem, finding.fix

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.notices import ExperimentFinished
     from robot_runner.core.execution.recovery import Resumption
 
-__all__ = ["Execution", "Screen", "execute_on_screen", "read_or_not", "screen_for"]
-
-
 # Which screen fits where the output goes.
 
 Screen = LiveScreen | PlainScreen

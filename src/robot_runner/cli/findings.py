@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
 import re
+import shlex
+import sys
 from typing import TYPE_CHECKING
 
 from rich.text import Text
@@ -15,18 +19,6 @@ if TYPE_CHECKING:
 
     from robot_runner.cli.console import UserConsole
     from robot_runner.core.errors import Finding, RobotRunnerError
-
-__all__ = [
-    "as_json",
-    "grouped",
-    "print_findings",
-    "print_odd",
-    "quality_in_words",
-    "show_error",
-    "show_findings",
-    "tally",
-]
-
 
 # Findings and errors as a user reads them: severity, place, problem, and beneath it how to mend it.
 
@@ -53,7 +45,26 @@ def print_findings(console: UserConsole, findings: Sequence[Finding]) -> None:
         severity = finding.severity.value
         print_folded(console, f"{severity}: ", one_line(problem), style=_STYLES[severity])
         if finding.fix:
-            print_folded(console, "  fix: ", one_line(finding.fix), style="bold")
+            print_folded(console, "  fix: ", one_line(installed_here(finding.fix)), style="bold")
+
+
+_ADDING = re.compile(r"(?<!-m )\bpip install (?='?robot-runner\[)")
+
+
+def installed_here(fix: str) -> str:
+    """Return a remedy in which an extra is added to this very environment, whichever tool has made it.
+
+    A plain pip is that of the user's shell, which knows nothing of what uv or pipx keep elsewhere.
+    """
+    return _ADDING.sub(lambda _: _pip_install(), fix)
+
+
+def _pip_install() -> str:
+    python = shlex.quote(sys.executable)
+    if importlib.util.find_spec("pip") is None:  # made by uv
+        return f"uv pip install --python {python} "
+    is_active = os.environ.get("VIRTUAL_ENV") == sys.prefix
+    return "pip install " if is_active else f"{python} -m pip install "
 
 
 def quality_in_words(bad: Mapping[str, Mapping[str, Sequence[str]]]) -> str:
@@ -128,7 +139,7 @@ def print_odd(
     for text, fix in groups[:_MOST]:
         print_folded(console, "  ! ", one_line(text), style="bold yellow")
         if fix:
-            print_folded(console, "    ", one_line(fix), style="")
+            print_folded(console, "    ", one_line(installed_here(fix)), style="")
     if len(groups) > _MOST:
         more = counted(len(groups) - _MOST, "more finding")
         console.print(Text(f"  ! {more}: journal.jsonl has them all", style="yellow"))

@@ -10,8 +10,6 @@ TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be qu
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["BROKEN_PIPE", "FAULT", "INTERRUPTED", "REFUSED", "SOME_FAILED", "guarded", "let_go_of_stdout", "show_fault"]
-
 SOME_FAILED = 1
 REFUSED = 2
 #: Our own fault, as in sysexits.h (EX_SOFTWARE).

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from typing import Any, TextIO
 
-__all__ = ["HarmlessStream", "guard_streams", "unguarded"]
-
 
 class HarmlessStream:
     """A text stream that shows control characters and escape sequences instead of obeying them.

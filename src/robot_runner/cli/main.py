@@ -12,8 +12,6 @@ TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be qu
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["main", "overview"]
-
 #: Wide enough that nothing is folded where nobody looks at a screen.
 _UNLIMITED = 100_000
 

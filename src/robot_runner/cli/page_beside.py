@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["page_beside"]
-
 #: How long the page may take to listen, and to end, s; a Raspberry Pi takes some seconds to import its libraries.
 _DEADLINE, _ENDING = 60.0, 3.0
 

@@ -7,25 +7,10 @@ import textwrap
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from robot_runner.core.errors import RobotRunnerError, did_you_mean, nearest
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
-
-__all__ = [
-    "RUNS_HELP",
-    "CommandModule",
-    "Parser",
-    "UsageError",
-    "add_config",
-    "add_json",
-    "add_runs",
-    "add_set",
-    "add_target",
-    "parser_of",
-    "unknown_command",
-    "unknown_option",
-]
-
 
 # What each command takes, and what is said when it gets something else.
 
@@ -106,7 +91,8 @@ class Parser(argparse.ArgumentParser):
             UsageError: always.
         """
         missing = message.removeprefix("the following arguments are required: ")
-        problem = message if missing == message else f"{missing} is missing"
+        are = "are" if ", " in missing else "is"
+        problem = message if missing == message else f"{enumerated(missing.split(', '))} {are} missing"
         raise UsageError(problem, where=self.prog, fix=self._help_fix)
 
     @property
@@ -161,10 +147,19 @@ def add_config(parser: Parser) -> None:
     parser.add_argument("config", metavar="CONFIG", help="the Python file that describes the experiment")
 
 
-def add_target(parser: Parser) -> None:
-    """Add an experiment, named by its folder or by its config file."""
+def add_target(parser: Parser, *, is_the_only_one: bool = False) -> None:
+    """Add an experiment, named by its folder or by its config file.
+
+    Args:
+        parser: of the command.
+        is_the_only_one: whether it may be left out, for the only experiment that is here (`only_experiment`).
+    """
+    left_out = "; the only experiment here, or at most two folders below, where it is left out"
     parser.add_argument(
-        "target", metavar="EXPERIMENT", help="the folder of an experiment, or the config file that it comes from"
+        "target",
+        metavar="EXPERIMENT",
+        nargs="?" if is_the_only_one else None,
+        help=f"the folder of an experiment, or the config file that it comes from{left_out if is_the_only_one else ''}",
     )
 
 

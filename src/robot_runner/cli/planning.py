@@ -19,14 +19,13 @@ from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.events.measure import resolve_columns, with_phases
+from robot_runner.core.execution.begun_experiment import unplanned_additions
 from robot_runner.core.execution.deciding import asking_of, what_follows
 from robot_runner.core.execution.durations import Estimate, durations_of
-from robot_runner.core.execution.extension import unplanned_additions
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.excluded_runs import ExcludedRuns
-from robot_runner.core.storage.executed_runs import executed_order, moved_in_words, moved_runs
+from robot_runner.core.storage.executed_runs import ExcludedRuns, executed_order, moved_in_words, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
@@ -45,9 +44,6 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import TableSpelling
-
-__all__ = ["Plan", "folder_of", "folder_of_target", "plan_of"]
-
 
 # The run table that an experiment would be executed with: planned, or as it stands in its folder.
 
@@ -276,6 +272,8 @@ def _in_folder(path: Path, *, takes_older: bool) -> ExperimentFolder:
     if _is_of_older_tool(folder):
         raise _older(folder)
     within = sorted(each.name for each in path.iterdir() if ExperimentFolder(each).manifest.exists())
+    if len(within) == 1:  # a folder of results, such as `experiments`
+        return ExperimentFolder.found_at(path.resolve() / within[0])
     if within:
         names = listed(shown_path(path / name) for name in within)
         fix = f"Name the experiment's own folder: {names}."

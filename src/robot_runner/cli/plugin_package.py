@@ -12,8 +12,6 @@ from robot_runner.core.errors import StorageError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["write_plugin_package"]
-
 #: What the tests of each kind need beside pytest.
 _EXTRAS = {"profiler": "", "system": "[sim]"}
 

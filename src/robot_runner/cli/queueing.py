@@ -35,10 +35,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from types import FrameType
 
+    from robot_runner.cli.queued_experiments import ExperimentQueue, QueuedExperiment
     from robot_runner.core.storage.claim_locks import ClaimHolder
-    from robot_runner.core.storage.queued_experiments import ExperimentQueue, QueuedExperiment
-
-__all__ = ["NAMES_A_ROBOT", "QueueRunner", "awaited_by", "digest_of", "execute_queued", "named"]
 
 #: Variables that say which robot a config means; an experiment has them as they were when it was added.
 NAMES_A_ROBOT = ("ROS_DOMAIN_ID", "ROS_MASTER_URI", "ROS_NAMESPACE")

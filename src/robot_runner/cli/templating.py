@@ -6,8 +6,6 @@ from pathlib import Path
 
 from robot_runner.core.errors import StorageError
 
-__all__ = ["template", "write_new_file"]
-
 _TEMPLATES = Path(__file__).parent / "templates"
 
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.condition import LookAgain
     from robot_runner.core.events.context import RobotRunnerContext
 
-__all__ = ["Bound", "Measured", "Quantity", "Reading", "contradictions", "measure_above", "measure_below"]
-
 
 @dataclass(frozen=True, slots=True)
 class Reading:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.condition import LookAgain
     from robot_runner.core.events.context import Clock, RobotRunnerContext
 
-__all__ = ["all_of", "any_of", "leaves", "not_"]
-
 
 def all_of(*conditions: Condition) -> Condition:
     """Return the condition that all of these hold at the same look.

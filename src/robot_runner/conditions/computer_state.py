@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computers import ComputerName
 from robot_runner.core.errors import ConditionError
-from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.ssh_host import SshHost
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.measuring.ssh_host import SshHost
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -23,16 +23,7 @@ if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.condition import Condition
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.local_host import LocalHost
-
-__all__ = [
-    "ComputerBattery",
-    "clock_offset_below",
-    "load_above",
-    "load_below",
-    "temperature_above",
-    "temperature_below",
-]
+    from robot_runner.measuring.local_host import LocalHost
 
 _PERCENT = 100.0
 #: Linux tells temperatures in thousandths of a degree.

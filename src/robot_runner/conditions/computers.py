@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.errors import Finding, LinkError, Severity
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.host import LOCAL, process_selector
-from robot_runner.core.links.local_host import LocalHost, LocalProcesses, matches
-from robot_runner.core.links.ssh_host import SshHost, checked_destination, ssh_findings
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.ssh_command import checked_destination, ssh_findings
+from robot_runner.measuring.host import process_selector
+from robot_runner.measuring.local_host import LocalHost, LocalProcesses, matches
+from robot_runner.measuring.ssh_host import SshHost
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -25,8 +27,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.condition import LookAgain
     from robot_runner.core.events.context import RobotRunnerContext
-
-__all__ = ["ComputerName", "host_answers", "process_running", "throttled"]
 
 _PSUTIL = "Install it: pip install 'robot-runner[psutil]'."
 

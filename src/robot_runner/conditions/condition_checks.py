@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.condition import Condition
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["check_conditions"]
-
 
 def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
     """Yield what keeps the gates and guards of a config from what they are for.

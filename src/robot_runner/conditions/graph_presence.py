@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RobotLink
 
-__all__ = ["check_robot_named", "lifecycle_state", "node_present", "service_present", "topic_present"]
-
 
 def node_present(node: str, *, namespace: str = "") -> Condition:
     """Return the condition that a node is on the robot's graph.

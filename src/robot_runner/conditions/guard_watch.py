@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.config.gate_parameters import Guard, GuardAction
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.periodic import PeriodicSampler
+from robot_runner.measuring.periodic import PeriodicSampler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.condition import LookAgain
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Plugin
-
-__all__ = ["GuardWatch", "watch_guards"]
 
 _FIX = "Repeat the run once the cause is gone, or leave its values out."
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ConditionError, Finding
 from robot_runner.core.events.condition import Condition, Look
-from robot_runner.core.links.host import LOCAL
+from robot_runner.core.links.declared_host import LOCAL
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.condition import LookAgain
     from robot_runner.core.events.context import RobotRunnerContext
-
-__all__ = ["http_answers", "port_open"]
 
 #: How long a connection, or each step of a request, may take, s: one network of a lab.
 _PATIENCE = 2.0

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.condition import LookAgain
     from robot_runner.core.events.context import RobotRunnerContext
 
-__all__ = ["file_complete", "text_in"]
-
 #: How much of a text is kept to be searched with what comes next, characters: much longer than a line of a log.
 _KEPT = 1 << 16
 #: How much is read at once, bytes.

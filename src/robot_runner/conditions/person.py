@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.condition import LookAgain
     from robot_runner.core.events.context import RobotRunnerContext
 
-__all__ = ["Confirmed", "confirmed"]
-
 
 def confirmed(what: str) -> Condition:
     """Return the condition that a person has said yes, with `robot-runner continue` in any terminal.

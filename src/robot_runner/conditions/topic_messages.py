@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import Message
 
-__all__ = ["battery_above", "battery_below", "message_on", "topic_above", "topic_below"]
-
 _BATTERY_STATE = "sensor_msgs/BatteryState"
 _PERCENT = 100.0
 #: How old a message may be that tells of a battery, s: boards publish it once a second at least.

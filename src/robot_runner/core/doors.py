@@ -21,7 +21,6 @@ TYPE_CHECKING = False  # `typing` takes longer to import than all of this
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["open_door"]
 
 _ONLY_AST = 0x400  # ast.PyCF_ONLY_AST; the module `ast` is slow to import
 

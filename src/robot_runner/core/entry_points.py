@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.errors import PluginError
 
-__all__ = ["EntryPoint", "entry_points", "named_entry_point"]
 
 _PREFIX = "robot_runner."
 _METADATA = (".dist-info", ".egg-info")

@@ -29,27 +29,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from typing import Self
 
-__all__ = [
-    "AnalysisError",
-    "CommandError",
-    "ConditionError",
-    "ConditionTimeout",
-    "ConfigError",
-    "DesignError",
-    "ExecutionError",
-    "Finding",
-    "GoalRejectedError",
-    "LinkError",
-    "MeasureError",
-    "PackageError",
-    "PluginError",
-    "RobotRunnerError",
-    "Severity",
-    "StorageError",
-    "did_you_mean",
-    "nearest",
-]
-
 
 class Severity(Enum):
     """How much a finding weighs: an error refuses the experiment, a warning only speaks."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["INACTIVE", "Inactive"]
-
 
 class Inactive:
     """The treatment of a factor that does not apply to a run: `Factor("Resolution", [...], when={"Sensor": "camera"})`.

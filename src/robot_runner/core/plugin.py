@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import PluginError, did_you_mean
+from robot_runner.core.events.measure import Origin
 from robot_runner.core.treatments import Bindable
 
 if TYPE_CHECKING:
@@ -20,20 +21,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.measure import Measure
     from robot_runner.core.links.graph_needs import GraphNeed
+    from robot_runner.core.storage.input_files import InputFile
 
-__all__ = [
-    "GROUPS",
-    "THIS_MACHINE",
-    "Circumstances",
-    "InstalledPlugin",
-    "Plugin",
-    "Profiler",
-    "System",
-    "described_circumstances",
-    "find_plugin",
-    "installed_plugins",
-    "probe_window",
-]
 
 _log = logging.getLogger(__name__)
 
@@ -54,11 +43,19 @@ class Circumstances:
         robot: how the robot is to be reached, such as `"simulated"`, or None.
         factors: the treatments of each factor, by the factor's name.
         plugins: all plugins of the experiment, the one that is asked included.
+        listed: the names of all plugins in the order in which the config lists them.
     """
 
     robot: str | None = None
     factors: Mapping[str, Sequence[Any]] = field(default_factory=dict)
     plugins: Sequence[Plugin] = ()
+    listed: Sequence[str] = ()
+
+    def before(self, plugin: Plugin) -> list[Plugin]:
+        """Return the plugins that are listed before one, whose event callbacks are called before its own."""
+        names = list(self.listed) or [each.name for each in self.plugins]
+        earlier = names[: names.index(plugin.name)] if plugin.name in names else []
+        return [each for each in self.plugins if each.name in earlier]
 
 
 class Plugin(Bindable):
@@ -108,6 +105,18 @@ class Plugin(Bindable):
             ...         yield GraphNeed.service("gripper/close", "std_srvs/Trigger", fix="Start the gripper's driver.")
         """
         del circumstances
+        return ()
+
+    def input_files(self) -> Iterable[InputFile]:
+        """Return the files that this plugin reads, as it was given them: a replication needs them.
+
+        They are kept with the experiment and go into its package; `robot_runner.plugins.input_file` finds them there.
+
+        Example:
+            >>> class Map(System):
+            ...     def input_files(self):
+            ...         yield InputFile(self.path)
+        """
         return ()
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
@@ -161,7 +170,17 @@ class System(Plugin):
     """
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        """Stop whatever moves. Called after a failed run, once its closing events are over; may be called twice."""
+        """Stop whatever moves. Called after a failed run, once its closing events are over; may be called twice.
+
+        Where the run's process died, it is called in another one, which was not connected before but for `stand_by`.
+        """
+
+    def stand_by(self, context: RobotRunnerContext) -> None:
+        """Get ready for `make_safe` in the process that calls it should the run die; called while the run executes.
+
+        Open what takes long to open, and move, publish and measure nothing. What is raised here is passed over:
+        `make_safe` is called all the same, with nothing opened.
+        """
 
 
 class Profiler(Plugin):
@@ -197,6 +216,17 @@ def probe_window(rate_hz: float) -> float | None:
 
 #: The entry-point group of each kind of plugin, and the class that a plugin of that kind derives from.
 GROUPS: dict[str, type[Plugin]] = {"systems": System, "profilers": Profiler}
+
+
+def usual_origin(plugin: Plugin | None, *, is_simulated: bool) -> Origin:
+    """Return where values come from of which nothing is said: those of a simulated robot never pass for measured.
+
+    Args:
+        plugin: that publishes them; None for the config. A profiler may measure something else beside the robot.
+        is_simulated: whether the robot is.
+    """
+    is_of_robot = plugin is None or isinstance(plugin, System)
+    return Origin.SIMULATED if is_simulated and is_of_robot else Origin.MEASURED
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,20 +14,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = [
-    "REDACTED",
-    "forms_of",
-    "hidden_setting",
-    "hidden_settings",
-    "is_placeholder",
-    "is_same_setting",
-    "is_secret_name",
-    "secrets_of_environment",
-    "sentences_without_secrets",
-    "shown_assignments",
-    "shown_settings",
-    "without_environment_secrets",
-]
 
 #: What stands in a secret's place.
 REDACTED = "REDACTED"

@@ -15,18 +15,6 @@ from robot_runner.core.vain_parameters import check_set, parameters_of
 if TYPE_CHECKING:
     from typing import Self
 
-__all__ = [
-    "Bindable",
-    "Treatment",
-    "bind",
-    "built_with",
-    "factors_of",
-    "give_again",
-    "given_to",
-    "is_waiting",
-    "treatment",
-    "values_of",
-]
 
 _BINDING = "_robot_runner_binding"
 _WAITING = "_robot_runner_is_waiting"

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from types import FrameType
 
-__all__ = ["CONFIG_MODULE", "check_set", "parameters_guarded", "parameters_of"]
 
 #: What the module of a config file is called while it is executed.
 CONFIG_MODULE = "robot_runner_config"

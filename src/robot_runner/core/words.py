@@ -9,19 +9,6 @@ TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be qu
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = [
-    "counted",
-    "enumerated",
-    "harmless",
-    "harmless_json",
-    "listed",
-    "one_line",
-    "plain",
-    "shown_commit",
-    "shown_duration",
-    "shown_treatment",
-    "shown_value",
-]
 
 _MINUTE = 60
 _HOUR = 3600

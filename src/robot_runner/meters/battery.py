@@ -12,9 +12,9 @@ from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.core.sampling.series import Series, cut, energy, mean
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
+from robot_runner.measuring.series import Series, cut, energy, mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import Message, Subscription
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["Battery"]
 
 _TYPE = "sensor_msgs/BatteryState"
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
@@ -33,7 +31,7 @@ _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use
 class _Heard:
     """What was heard of the battery; NaN for what it does not measure, as ROS has it."""
 
-    is_simulated: bool
+    is_simulated: bool = False
     times: list[float] = field(default_factory=list)
     voltage: list[float] = field(default_factory=list)
     current: list[float] = field(default_factory=list)
@@ -145,16 +143,18 @@ class Battery(Profiler):
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to listen."""
         link, clock = connect_robot(context, namespace=self.namespace), context.clock
-        self._heard = heard = _Heard(is_simulation(link, robot_namespace(context, self.namespace)))
+        self._heard = heard = _Heard()
         self._subscription = link.subscribe(self.topic, _TYPE, lambda message: heard.take(clock.now(), message))
         self._begun_at = clock.now()
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Listen no more."""
         subscription, self._subscription = self._subscription, None
-        if subscription is not None:
+        if subscription is not None and self._heard is not None:
             subscription.close()
             self._sampled = Window(self._begun_at, context.clock.now())
+            link = connect_robot(context, namespace=self.namespace)
+            self._heard.is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Write what was heard: later than `stop_measurement`, so that other profilers need not wait for the disk."""

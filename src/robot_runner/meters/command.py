@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.measured_machine import clock_details, machine_clock
 from robot_runner.core.plugin import Profiler, probe_window
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.meter_process import Ending, MeterProcess, Record
-from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.measured_machine import clock_details, machine_clock
+from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
+from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
 from robot_runner.meters.command_output import CommandColumn, Parse, Row, TimeColumn, parse_csv, row_times
 
 if TYPE_CHECKING:
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.quality import SampleQuality
-
-__all__ = ["CommandProfiler", "Measured"]
+    from robot_runner.measuring.quality import SampleQuality
 
 #: How long to wait, once the measured window is over, for the row that tells of its last moments: in periods, and s.
 _AFTERMATH_PERIODS = 1.2

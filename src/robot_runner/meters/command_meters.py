@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.links.measured_machine import THIS_MACHINE, simulation_findings
+from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
 from robot_runner.meters.rapl import POWERCAP, permission_findings
@@ -21,16 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from robot_runner.core.plugin import Circumstances
-
-__all__ = [
-    "EnergiBridge",
-    "PowerJoular",
-    "Powermetrics",
-    "parse_energibridge",
-    "parse_powerjoular",
-    "parse_powermetrics",
-]
-
 
 #: Where the energy of the processor is, in the order of EnergiBridge's own summary (src/main.rs): power in W of Apple's
 #: processors, else a counter in J.

@@ -12,14 +12,12 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Over
-from robot_runner.core.sampling.device_clock import fit_clock
-from robot_runner.core.sampling.series import Series, cut, mean_of_intervals
+from robot_runner.measuring.device_clock import fit_clock
+from robot_runner.measuring.series import Series, cut, mean_of_intervals
 
 if TYPE_CHECKING:
     from robot_runner.core.events.measure import Measure
     from robot_runner.core.events.window import Window
-
-__all__ = ["Aggregate", "CommandColumn", "Parse", "Row", "TimeColumn", "TimeKind", "parse_csv", "row_times"]
 
 #: The cells of one row by the name of their column, as text or as numbers.
 Row = Mapping[str, str | float | None]

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["fall_count", "unwrapped"]
-
 
 def unwrapped(counts: Sequence[float], wraps_at: float | None = None) -> list[float]:
     """Return a counter that goes on where the true one began at 0 again, from 0 at its first count.

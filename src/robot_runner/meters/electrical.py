@@ -7,17 +7,15 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.core.sampling.quality import Column
-from robot_runner.core.sampling.series import Series, cut, energy, growth, mean
+from robot_runner.measuring.quality import Column
+from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from robot_runner.core.sampling.periodic import Sampling
-
-__all__ = ["ElectricalProfiler", "ElectricalReading", "electrical_measures"]
+    from robot_runner.measuring.periodic import Sampling
 
 #: What a counter's step and its seldom renewal may hide at one edge of the window, as a share of its increase: with
 #: both edges, the energy is off by 1 % at most.

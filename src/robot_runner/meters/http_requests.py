@@ -18,8 +18,6 @@ from robot_runner.core.errors import LinkError, PluginError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["HttpDevice", "Secret", "check_url"]
-
 #: Much more than an exporter's page takes; a device that sends without end is cut off.
 _MOST_BYTES = 32 << 20
 _UNAUTHORIZED, _FORBIDDEN = 401, 403

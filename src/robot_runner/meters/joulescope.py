@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.measured_machine import machine_clock, simulation_findings
+from robot_runner.measuring.measured_machine import machine_clock, simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["Joulescope"]
 
 _INSTALL = "Install it: pip install 'robot-runner[joulescope]'."
 _CONNECT = "Connect it by USB; on Linux its rules for udev must be installed (joulescope.com, user's guide)."

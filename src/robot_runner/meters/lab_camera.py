@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.links.measured_machine import clock_details, machine_clock
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.meter_process import MeterProcess
+from robot_runner.measuring.measured_machine import clock_details, machine_clock
+from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.meters.video_recording import (
     Recording,
     frame_times,
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.events.window import Window
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["LabCamera"]
 
 _VIDEO, _FRAMES, _STILLS, _ERRORS = "video.mkv", "frames.csv", "stills.json", "stderr.txt"
 _LOOK = f"Look at {_VIDEO} and {_ERRORS} in its folder."

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from robot_runner.meters.plug_dialects import Exchange
 
-__all__ = ["MQTT_INSTALL", "MqttRequests"]
-
 MQTT_INSTALL = "Install it: pip install 'robot-runner[mqtt]'."
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 #: How long paho waits for the network at a time, s.

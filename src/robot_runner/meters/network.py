@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.core.links.measured_machine import machine_clock, simulation_findings
-from robot_runner.core.sampling.meter_process import MeterProcess
-from robot_runner.core.sampling.quality import Column
-from robot_runner.core.sampling.series import Series, growth
+from robot_runner.measuring.measured_machine import machine_clock, simulation_findings
+from robot_runner.measuring.meter_process import MeterProcess
+from robot_runner.measuring.quality import Column
+from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.meter_process import Ending
-    from robot_runner.core.sampling.periodic import Sampling
-
-__all__ = ["Network", "counted"]
+    from robot_runner.measuring.meter_process import Ending
+    from robot_runner.measuring.periodic import Sampling
 
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "rx_dropped", "tx_dropped")
 #: Counters are as wide as a machine word: on a 32-bit Raspberry Pi OS they begin at 0 again after 4 GiB.

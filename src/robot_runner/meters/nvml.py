@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.core.links.measured_machine import simulation_findings
-from robot_runner.core.sampling.quality import Column
-from robot_runner.core.sampling.series import Series, cut, energy, growth, mean
+from robot_runner.measuring.measured_machine import simulation_findings
+from robot_runner.measuring.quality import Column
+from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.periodic import Sampling
-
-__all__ = ["GpuReading", "Nvml"]
+    from robot_runner.measuring.periodic import Sampling
 
 _INSTALL = "Install it: pip install 'robot-runner[nvml]'."
 _DRIVER = "Install NVIDIA's driver, and see that `nvidia-smi` works."

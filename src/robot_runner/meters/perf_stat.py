@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.measured_machine import THIS_MACHINE, simulation_findings
+from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind
 
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["PerfStat", "parse_perf"]
 
 _INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generic (Ubuntu)."
 _DEFAULT_EVENTS = ("task-clock", "context-switches", "page-faults", "instructions", "cycles", "cache-misses")

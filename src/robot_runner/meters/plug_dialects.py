@@ -13,8 +13,6 @@ from robot_runner.meters.electrical import ElectricalReading
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["DIALECTS", "Exchange", "PlugDialect"]
-
 _KILOWATT_HOUR, _WATT_HOUR, _WATT_MINUTE = 3.6e6, 3600.0, 60.0
 
 

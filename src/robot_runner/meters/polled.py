@@ -9,22 +9,19 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import SIMULATED
-from robot_runner.core.links.measured_machine import clock_details, machine_clock
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.live_samples import LiveSamples
-from robot_runner.core.sampling.periodic import PeriodicSampler, Sampling
-from robot_runner.core.sampling.quality import Column, report_quality, write_samples
-from robot_runner.core.sampling.series import Series
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.live_samples import LiveSamples
+from robot_runner.measuring.measured_machine import clock_details, machine_clock
+from robot_runner.measuring.periodic import PeriodicSampler, Sampling
+from robot_runner.measuring.quality import Column, report_quality, write_samples
+from robot_runner.measuring.series import Series
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["Meter", "PolledProfiler", "Sampler", "known_series", "reach_findings"]
-
 
 _FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
 

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_host
-from robot_runner.core.links.host import LOCAL, FileHost, RemoteHost, ReportingSampler, SamplingReport
-from robot_runner.core.links.local_host import LocalHost
-from robot_runner.core.links.measured_machine import Computer, machine_clock, simulation_findings
-from robot_runner.core.links.ssh_host import SshHost, ssh_findings
-from robot_runner.core.sampling.periodic import Sampling
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.ssh_command import ssh_findings
+from robot_runner.measuring.devices import connect_host
+from robot_runner.measuring.host import FileHost, RemoteHost, ReportingSampler, SamplingReport
+from robot_runner.measuring.local_host import LocalHost
+from robot_runner.measuring.measured_machine import Computer, machine_clock, simulation_findings
+from robot_runner.measuring.periodic import Sampling
+from robot_runner.measuring.ssh_host import SshHost
 from robot_runner.meters.electrical import ElectricalProfiler
 from robot_runner.meters.sysfs_rails import choose_rails, find_rails
 
@@ -22,13 +24,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.links.host import FileSample, FileSampler
     from robot_runner.core.plugin import Circumstances
+    from robot_runner.measuring.host import FileSample, FileSampler
     from robot_runner.meters.electrical import Readings
     from robot_runner.meters.polled import Sampler
     from robot_runner.meters.sysfs_rails import Rail
-
-__all__ = ["PowerRails", "RailSampler"]
 
 #: Samples whose clock is known to less than this share of the window are doubted, as elsewhere.
 _CLOCK_SHARE = 0.01

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.core.sampling.quality import Column
-from robot_runner.core.sampling.series import Series, cut, growth, mean
+from robot_runner.measuring.quality import Column
+from robot_runner.measuring.series import Series, cut, growth, mean
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.polled import PolledProfiler, known_series
@@ -24,9 +24,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.periodic import Sampling
-
-__all__ = ["Prometheus", "ScrapedMetric"]
+    from robot_runner.measuring.periodic import Sampling
 
 _INSTALL = "Install it: pip install 'robot-runner[prometheus]'."
 _SELECTOR = re.compile(r"([a-zA-Z_:][a-zA-Z0-9_:]*)(?:\{(.*)\})?")

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_host
-from robot_runner.core.links.host import (
-    LOCAL,
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.plugin import Profiler
+from robot_runner.measuring.devices import connect_host
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.host import (
     EndingSampler,
     ProcessHost,
     PromptSampler,
@@ -21,23 +23,18 @@ from robot_runner.core.links.host import (
     TellingSampler,
     process_selector,
 )
-from robot_runner.core.links.measured_machine import Computer, host_findings, machine_clock
-from robot_runner.core.links.on_board_session import FORMS
-from robot_runner.core.links.utilisation import Selection, Utilisation
-from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.live_samples import LiveSamples
-from robot_runner.core.sampling.quality import Column
+from robot_runner.measuring.live_samples import LiveSamples
+from robot_runner.measuring.measured_machine import Computer, host_findings, machine_clock
+from robot_runner.measuring.on_board_session import FORMS
+from robot_runner.measuring.quality import Column
+from robot_runner.measuring.utilisation import Selection, Utilisation
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.links.host import HostLink, UtilisationSample, UtilisationSampler
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["PsUtil"]
-
+    from robot_runner.measuring.host import HostLink, UtilisationSample, UtilisationSampler
 
 _REMEDY = "Look at the load of the computer, at the network and at samples.csv before you use this run."
 #: For the estimate of raw data: bytes of a sample, of each core's share of it, and of each process's; a mission's
@@ -171,7 +168,7 @@ class PsUtil(Profiler):
             context.times.at_edges(self._sampler.take_now)
         if isinstance(self._sampler, TellingSampler):
             live = self._live = LiveSamples(context.raw_data_folder / "samples.csv")
-            self._sampler.tell(lambda sample: live.show(lambda: _shown(sample)))
+            self._sampler.tell(lambda sample: live.show(lambda: _shown(sample())))
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """End sampling; other profilers need not wait for samples that come over a network."""

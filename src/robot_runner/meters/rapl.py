@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.core.links.measured_machine import THIS_MACHINE, simulation_findings
-from robot_runner.core.sampling.quality import Column
-from robot_runner.core.sampling.series import Series, growth
+from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
+from robot_runner.measuring.quality import Column
+from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.counters import unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.periodic import Sampling
-
-__all__ = ["POWERCAP", "Rapl", "find_domains", "permission_findings"]
+    from robot_runner.measuring.periodic import Sampling
 
 POWERCAP = Path("/sys/class/powercap")
 #: `intel-rapl:0` is a package, `intel-rapl:0:1` a domain within it; AMD processors have the same names. The same

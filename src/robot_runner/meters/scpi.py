@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
-from robot_runner.core.links.measured_machine import simulation_findings
+from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["Scpi", "parse_number"]
 
 _INSTALL = "Install it: pip install 'robot-runner[scpi]'."
 _ENERGY_UNITS = {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6}

@@ -20,11 +20,9 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.periodic import Sampling
+    from robot_runner.measuring.periodic import Sampling
     from robot_runner.meters.electrical import ElectricalReading, Readings
     from robot_runner.meters.plug_dialects import PlugDialect
-
-__all__ = ["SmartPlug"]
 
 #: Power of which a whole watt is this share or more is told too coarsely, and noticed after so many readings.
 _COARSE_SHARE, _COARSE_READINGS = 0.01, 10

@@ -13,9 +13,7 @@ from robot_runner.meters.electrical import ElectricalReading
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from robot_runner.core.links.host import FileHost
-
-__all__ = ["Rail", "RailFile", "choose_rails", "find_rails"]
+    from robot_runner.measuring.host import FileHost
 
 #: The quantities of a rail, by the word that each of the two interfaces has for them, and what one step of a file is
 #: in SI units. Sources: Linux, Documentation/hwmon/sysfs-interface.rst and Documentation/ABI/testing/sysfs-bus-iio.

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["COPY", "FFMPEG", "FFPROBE", "Recording", "frame_times", "missing_programs", "take_still", "without_secrets"]
-
 FFMPEG, FFPROBE = "ffmpeg", "ffprobe"
 #: An encoder that is none: what the camera encoded is kept.
 COPY = "copy"

@@ -8,22 +8,21 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import is_simulated, open_serial_line
-from robot_runner.core.links.serial_line import port_problem
+from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.core.sampling.series import Series, mean_of_intervals
+from robot_runner.measuring.devices import open_serial_line
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
+from robot_runner.measuring.serial_line import port_problem
+from robot_runner.measuring.series import Series, mean_of_intervals
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.links.serial_line import SerialLine
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.quality import SampleQuality
-
-__all__ = ["Recording", "WattsUpPro", "WattsUpSample", "parse_record"]
+    from robot_runner.measuring.quality import SampleQuality
+    from robot_runner.measuring.serial_line import SerialLine
 
 #: Source of what is said and answered: Electronic Educational Devices, Watts up? PRO communications protocol (2009):
 #: `#L,W,3,E,<reserved>,<interval in s>;` begins to log to the line, `#L,R,0;` ends it. A record is

@@ -29,41 +29,43 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import Over as Over
     from robot_runner.core.events.window import Phase as Phase
     from robot_runner.core.events.window import Window as Window
-    from robot_runner.core.links.connect import connect_host as connect_host
     from robot_runner.core.links.connect import connect_robot as connect_robot
-    from robot_runner.core.links.connect import open_serial_line as open_serial_line
+    from robot_runner.core.links.connect import open_robot as open_robot
     from robot_runner.core.links.goals import ActionAborted as ActionAborted
     from robot_runner.core.links.goals import ActionCanceled as ActionCanceled
     from robot_runner.core.links.goals import GoalStatus as GoalStatus
     from robot_runner.core.links.graph_needs import GraphNeed as GraphNeed
-    from robot_runner.core.links.measured_machine import Computer as Computer
-    from robot_runner.core.links.outside_run import open_robot as open_robot
     from robot_runner.core.plugin import Circumstances as Circumstances
     from robot_runner.core.plugin import Plugin as Plugin
     from robot_runner.core.plugin import Profiler as Profiler
     from robot_runner.core.plugin import System as System
-    from robot_runner.core.sampling.device_clock import ClockMap as ClockMap
-    from robot_runner.core.sampling.device_clock import fit_clock as fit_clock
-    from robot_runner.core.sampling.evaluation import note_own_window as note_own_window
-    from robot_runner.core.sampling.evaluation import publish_measures as publish_measures
-    from robot_runner.core.sampling.periodic import PeriodicSampler as PeriodicSampler
-    from robot_runner.core.sampling.periodic import Sampling as Sampling
-    from robot_runner.core.sampling.quality import Column as Column
-    from robot_runner.core.sampling.quality import Jitter as Jitter
-    from robot_runner.core.sampling.quality import SampleQuality as SampleQuality
-    from robot_runner.core.sampling.quality import quality_of as quality_of
-    from robot_runner.core.sampling.quality import report_quality as report_quality
-    from robot_runner.core.sampling.quality import write_quality as write_quality
-    from robot_runner.core.sampling.quality import write_samples as write_samples
-    from robot_runner.core.sampling.series import Series as Series
-    from robot_runner.core.sampling.series import cut as cut
-    from robot_runner.core.sampling.series import energy as energy
-    from robot_runner.core.sampling.series import energy_from_mean_power as energy_from_mean_power
-    from robot_runner.core.sampling.series import growth as growth
-    from robot_runner.core.sampling.series import integrate as integrate
-    from robot_runner.core.sampling.series import mean as mean
-    from robot_runner.core.sampling.series import mean_of_intervals as mean_of_intervals
+    from robot_runner.core.storage.input_files import InputFile as InputFile
+    from robot_runner.core.storage.input_files import input_file as input_file
     from robot_runner.core.treatments import treatment as treatment
+    from robot_runner.measuring.device_clock import ClockMap as ClockMap
+    from robot_runner.measuring.device_clock import fit_clock as fit_clock
+    from robot_runner.measuring.devices import connect_host as connect_host
+    from robot_runner.measuring.devices import open_serial_line as open_serial_line
+    from robot_runner.measuring.evaluation import note_own_window as note_own_window
+    from robot_runner.measuring.evaluation import publish_measures as publish_measures
+    from robot_runner.measuring.measured_machine import Computer as Computer
+    from robot_runner.measuring.periodic import PeriodicSampler as PeriodicSampler
+    from robot_runner.measuring.periodic import Sampling as Sampling
+    from robot_runner.measuring.quality import Column as Column
+    from robot_runner.measuring.quality import Jitter as Jitter
+    from robot_runner.measuring.quality import SampleQuality as SampleQuality
+    from robot_runner.measuring.quality import quality_of as quality_of
+    from robot_runner.measuring.quality import report_quality as report_quality
+    from robot_runner.measuring.quality import write_quality as write_quality
+    from robot_runner.measuring.quality import write_samples as write_samples
+    from robot_runner.measuring.series import Series as Series
+    from robot_runner.measuring.series import cut as cut
+    from robot_runner.measuring.series import energy as energy
+    from robot_runner.measuring.series import energy_from_mean_power as energy_from_mean_power
+    from robot_runner.measuring.series import growth as growth
+    from robot_runner.measuring.series import integrate as integrate
+    from robot_runner.measuring.series import mean as mean
+    from robot_runner.measuring.series import mean_of_intervals as mean_of_intervals
     from robot_runner.meters.electrical import ElectricalProfiler as ElectricalProfiler
     from robot_runner.meters.electrical import ElectricalReading as ElectricalReading
     from robot_runner.meters.polled import Meter as Meter

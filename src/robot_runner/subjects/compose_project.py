@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Sequence
 
-__all__ = ["ComposeProject"]
-
 #: How long containers may take to stop, s: Docker gives each 10 s, and Compose stops one after another's dependants.
 _GRACE = 30.0
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")

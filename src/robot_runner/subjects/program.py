@@ -6,7 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.measure import Measure
+from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.subjects.subject import Subject
 from robot_runner.subjects.surroundings import is_known, word
 
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.subjects.supervised_program import Ended
-
-__all__ = ["Program"]
 
 _LOOK = 0.02
 
@@ -101,4 +99,5 @@ class Program(Subject):
         super().populate_run_data(context)
         if self.exit_codes and self.per == "run":
             ended = self._ended
-            context.publish("ExitCode", ended.code if ended is not None and not ended.was_asked else None)
+            code = ended.code if ended is not None and not ended.was_asked else None
+            context.publish("ExitCode", code, origin=Origin.MEASURED)

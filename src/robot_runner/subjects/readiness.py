@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.subjects.supervised_program import Ended, Start
 
-__all__ = ["Ready", "TextInOutput"]
-
 _SHOWN = 80
 
 

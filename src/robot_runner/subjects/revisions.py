@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.treatment_makers import Workshop
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["REVISIONS", "Repository"]
-
 _INSTALL = "Install git (Debian, Ubuntu: sudo apt install git)."
 _URL = re.compile(r"[a-z][a-z0-9+.-]*://|[\w.-]+@[\w.-]+:")
 _HASH = re.compile(r"[0-9a-f]{40}(?:[0-9a-f]{24})?")

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-__all__ = ["RosLaunch"]
-
 #: How both tell of an argument that a launch file takes: `  speed: ...` (ROS 1), and `    'speed':` (ROS 2).
 _ARGUMENTS = {1: re.compile(r"^  (\w+)(?: \(.*\))?:", re.MULTILINE), 2: re.compile(r"^\s+'([^']+)':", re.MULTILINE)}
 _REQUIRED = re.compile(r"requires the '(\w+)' arg")

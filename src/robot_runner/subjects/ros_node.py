@@ -18,8 +18,6 @@ from robot_runner.subjects.surroundings import is_known, word
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-__all__ = ["RosNode"]
-
 _GRAPH_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _PARAMETER = re.compile(r"[A-Za-z0-9_./~-]+")
 #: roslaunch reads the launch file of the one node from its input, wherever it is executed; the file is its `$0`.

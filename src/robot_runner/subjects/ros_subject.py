@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.subjects.supervised_program import Start
     from robot_runner.subjects.surroundings import Answer
 
-__all__ = ["PROGRAMS", "RosSubject", "last_line"]
-
 #: What starts the software of each generation.
 PROGRAMS = {1: "roslaunch", 2: "ros2"}
 #: roslaunch gives its nodes 15 s after SIGINT and 2 s after SIGTERM; launch of ROS 2 gives them 5 s and 5 s.

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.condition import Condition
-from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.host import LOCAL, SUBJECT_VARIABLE
-from robot_runner.core.links.measured_machine import machine_clock
+from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import factors_of
+from robot_runner.measuring.host import SUBJECT_VARIABLE
+from robot_runner.measuring.measured_machine import machine_clock
 from robot_runner.subjects.readiness import Ready, TextInOutput
 from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task, user_cache
 from robot_runner.subjects.surroundings import Surroundings
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.subjects.supervised_program import Ended
-
-__all__ = ["Subject"]
 
 _SPANS = ("run", "experiment")
 #: How often we look whether it has died, s.
@@ -215,7 +214,7 @@ class Subject(System):
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish how long it took to be ready."""
         if self.per == "run":
-            context.publish("StartupTime", self._startup_time)
+            context.publish("StartupTime", self._startup_time, origin=Origin.MEASURED)  # a program of this machine
 
     def _begin(
         self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None

@@ -15,14 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PluginError
-from robot_runner.core.links.ssh_host import gist, remedy, ssh_command
+from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
 from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
-
-__all__ = ["Ended", "Start", "SupervisedProgram", "Task", "shell_words", "tail", "user_cache"]
 
 #: How long a supervisor may take to start its program, s: here, and over a network.
 _PATIENCE, _FAR_PATIENCE = 20.0, 40.0

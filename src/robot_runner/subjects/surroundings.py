@@ -13,15 +13,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import Finding, LinkError, PluginError
-from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.ssh_host import checked_destination, execute, ssh_command, ssh_findings
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.ssh_command import checked_destination, execute, ssh_command, ssh_findings
 from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.subjects.supervised_program import shell_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-
-__all__ = ["Answer", "Surroundings", "is_known", "word"]
 
 #: How long a question to a program may take, s: roslaunch needs one second here and several on a small computer.
 _PATIENCE = 30.0

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.treatment_makers import Workshop
 
-__all__ = ["WorkTree", "cache_folder"]
-
 #: How long cloning may take, s.
 _CLONING = 3600.0
 _LOOK = 0.1

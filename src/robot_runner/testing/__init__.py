@@ -17,8 +17,8 @@ from robot_runner.core.doors import open_door
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from robot_runner.core.links.host import UtilisationSample as UtilisationSample
-    from robot_runner.core.links.serial_line import Chunk as Chunk
+    from robot_runner.measuring.host import UtilisationSample as UtilisationSample
+    from robot_runner.measuring.serial_line import Chunk as Chunk
     from robot_runner.testing.condition_contract import ConditionContract as ConditionContract
     from robot_runner.testing.fake_actions import FakeAction as FakeAction
     from robot_runner.testing.fake_devices import FakeHostLink as FakeHostLink

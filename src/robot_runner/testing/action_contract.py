@@ -7,8 +7,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.unhandled import fails_run
-from robot_runner.core.links.robot import ActionAborted, ActionCanceled, GoalStatus
+from robot_runner.core.events.early_end import fails_run
+from robot_runner.core.links.goals import ActionAborted, ActionCanceled, GoalStatus
 from robot_runner.testing.link_tries import PATIENCE, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from robot_runner.core.links.robot import Goal, GoalExecution, Message, RobotLink
-
-__all__ = ["ActionContract"]
 
 _FIBONACCI = "example_interfaces/Fibonacci"
 #: How long a step of an execution takes, s.
@@ -32,11 +30,13 @@ class ActionContract:
 
     Attributes:
         action_type: of the action of the tests: an order, and a sequence as result and feedback.
+        other_action_type: of no action of the tests; its definition is known here as well.
         can_reject: whether an action that is offered over the link can reject a goal. A rosbridge of ROS 2 accepts all
             goals by itself: there the goal is aborted.
     """
 
     action_type: ClassVar[str] = _FIBONACCI
+    other_action_type: ClassVar[str] = "nav2_msgs/NavigateToPose"
     can_reject: ClassVar[bool] = True
 
     if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class ActionContract:
             error = punctual_refusal(lambda: link.send_goal("coumt", self.action_type, timeout=1.0), timeout=1.0)
             require("coumt" in f"{error.where} {error.problem}", f"the action is not named: {error}")
             require("/count" in error.fix, f"the nearest is not named: {error}")
-            error = refusal(lambda: link.send_goal("count", "nav2_msgs/NavigateToPose", timeout=1.0))
+            error = refusal(lambda: link.send_goal("count", self.other_action_type, timeout=1.0))
             require(self.action_type in f"{error.problem} {error.fix}", f"the true type is not named: {error}")
             refusal(lambda: link.send_goal("count", "example_interfaces/Fibonaci", timeout=1.0))
             error = refusal(lambda: link.send_goal("count", self.action_type, {"odrer": 1}))

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.testing.fake_run import FakeLinks
 
-__all__ = ["ConditionContract"]
-
 #: How long beginning to watch may take, s: a run must not be held up by it.
 _SOON = 20.0
 #: How long what holds, or is to hold, is awaited, s of the condition's clock.

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import GoalExecution, Message
 
-__all__ = ["FakeAction", "FakeGoal"]
-
 #: How far a wait moves the clock on between two looks, s.
 _POLL = 0.01
 

@@ -7,16 +7,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.host import UtilisationSample
+from robot_runner.measuring.host import UtilisationSample
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.serial_line import Chunk
-
-__all__ = ["FakeHostLink", "FakeSerialLine"]
-
+    from robot_runner.measuring.serial_line import Chunk
 
 # A computer whose utilisation a test writes down.
 
@@ -120,7 +117,7 @@ class FakeSerialLine:
         is_closed: whether it was closed.
 
     Example:
-        >>> from robot_runner.core.links.serial_line import Chunk
+        >>> from robot_runner.measuring.serial_line import Chunk
         >>> from robot_runner.testing import FakeClock, FakeSerialLine
         >>> clock = FakeClock()
         >>> line = FakeSerialLine(clock, [Chunk(1.0, b"hello")])

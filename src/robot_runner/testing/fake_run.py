@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
 from robot_runner.core.events.context import RobotRunnerContext
-from robot_runner.core.events.joint_missions import sleep_with_others
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, resolve_columns, with_phases
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
-from robot_runner.core.links.connect import SIMULATED, open_clock
+from robot_runner.core.links.connect import SIMULATED, is_simulated, open_clock
 from robot_runner.core.links.declared_host import named_hosts
 from robot_runner.core.links.host_commands import DeclaredHosts
-from robot_runner.core.plugin import System
+from robot_runner.core.plugin import System, usual_origin
 from robot_runner.core.treatments import bind, factors_of
+from robot_runner.ros.missions.joint_missions import sleep_with_others
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -32,22 +32,10 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import Measure, MeasureValue
     from robot_runner.core.events.resources import Closable
     from robot_runner.core.links.declared_host import Host
-    from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.robot import RobotLink
-    from robot_runner.core.links.serial_line import SerialLine
     from robot_runner.core.plugin import Plugin
-
-__all__ = [
-    "FakeClock",
-    "FakeLinks",
-    "RecordingBroker",
-    "Rehearsal",
-    "Repetition",
-    "context_for",
-    "make_context",
-    "rehearse",
-]
-
+    from robot_runner.measuring.host import HostLink
+    from robot_runner.measuring.serial_line import SerialLine
 
 # A clock that tests move.
 
@@ -255,12 +243,15 @@ def make_context(
         times=MissionTimes(clock, broker.report, phases),
         broker=broker,
         hosts=DeclaredHosts(named_hosts(hosts)),
+        usual_origin=usual_origin(plugins[0] if plugins else None, is_simulated=is_simulated(robot)),
     )
 
 
 def context_for(plugin: Plugin, context: RobotRunnerContext) -> RobotRunnerContext:
     """Return the same run's context for another plugin."""
-    return replace(context, owner=plugin.name)
+    return replace(
+        context, owner=plugin.name, usual_origin=usual_origin(plugin, is_simulated=is_simulated(context.robot))
+    )
 
 
 class Rehearsal:

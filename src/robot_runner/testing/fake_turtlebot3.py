@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.testing.fake_robot import Answer
     from robot_runner.testing.fake_run import FakeClock
 
-__all__ = ["FakeTurtlebot3Link"]
-
 
 class FakeTurtlebot3Link(FakeRobotLink):
     """A link to an ideal robot: it moves exactly as `cmd_vel` says and tells of it on `odom`, 30 times a second.

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.unhandled import fails_run
+from robot_runner.core.events.early_end import fails_run
 from robot_runner.core.links.robot import Encoding, RobotLink, Subscription
 from robot_runner.testing.action_contract import ActionContract
 from robot_runner.testing.link_tries import PATIENCE, punctual_refusal, refusal
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from robot_runner.core.links.robot import Message, RawMessage
-
-__all__ = ["RobotLinkContract"]
 
 _TWIST = "geometry_msgs/Twist"
 _ODOMETRY = "nav_msgs/Odometry"

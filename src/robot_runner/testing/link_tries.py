@@ -11,8 +11,6 @@ from robot_runner.testing.plugin_contract import require
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["PATIENCE", "punctual_refusal", "refusal"]
-
 #: How long what takes milliseconds may take on a busy machine, s.
 PATIENCE = 20.0
 #: How much longer than its deadline something may take, s; and how often it is tried, since a busy machine may be late.

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, Offerer
     from robot_runner.ros.parameter_values import ParameterValue
 
-__all__ = ["LifecycleNode", "ParameterNode"]
-
 
 class ParameterNode:
     """A node that has parameters, behind any link that can offer services.

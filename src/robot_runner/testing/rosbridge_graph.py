@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message
     from robot_runner.ros.type_catalogue import TypeCatalogue
 
-__all__ = ["Client", "Graph", "Refusal", "ServedRosapi", "ServedTopic", "received", "typed_array", "with_typed_arrays"]
-
-
 #: Tag and layout of an array of numbers, by the kind of its elements.
 _TYPED = MappingProxyType(
     {

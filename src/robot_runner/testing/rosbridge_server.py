@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message
     from robot_runner.testing.rosbridge_graph import ServedTopic
 
-__all__ = ["RosbridgeServer", "ServedClient"]
-
-
 _logger = logging.getLogger(__name__)
 
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from robot_runner.testing.rosbridge_graph import Graph
 
-__all__ = ["ACTION_OPERATIONS", "ServedActions"]
-
 ACTION_OPERATIONS = (
     "advertise_action",
     "unadvertise_action",

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
+from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
+from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import System
 from robot_runner.testing.fake_robot import FakeRobotLink
-from robot_runner.testing.fake_run import Rehearsal
+from robot_runner.testing.fake_run import Rehearsal, context_for
 from robot_runner.testing.plugin_contract import MissionFailed, PluginContract, require
 
 if TYPE_CHECKING:
@@ -17,12 +20,14 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
 
-__all__ = ["SystemContract"]
-
 #: A robot that was told to stop is given this long, s, and then may not move by more than this, m and rad.
 _STOPPING_SECONDS = 0.5
 _STANDING_SECONDS = 0.5
 _STANDING_TOLERANCE = 0.002
+#: When the process of a run dies, as parts of the run's time.
+_DEATHS = (0.3, 0.6)
+#: How long a thread of the contract may take to come where it is awaited, s.
+_DEADLINE = 60.0
 
 
 class SystemContract(PluginContract):
@@ -31,6 +36,8 @@ class SystemContract(PluginContract):
     Attributes:
         namespace: the robot's ROS namespace.
         breaking_points: at how many moments, evenly spread over the mission, it is broken off.
+        goes_on_without_its_process: whether what the mission has begun goes on where the run's process dies. The
+            simulated robot's goals do not: their server dies with it, and nothing there cancels those of others.
 
     Example:
         >>> from robot_runner.plugins.systems import BasicTurtlebot3
@@ -43,6 +50,7 @@ class SystemContract(PluginContract):
 
     namespace: ClassVar[str] = ""
     breaking_points: ClassVar[int] = 8
+    goes_on_without_its_process: ClassVar[bool] = True
 
     def robot_stands_still(self, context: RobotRunnerContext) -> bool:
         """Return whether the robot stands still, by its odometry; to be overridden for a robot without any."""
@@ -79,6 +87,16 @@ class SystemContract(PluginContract):
                 f"the robot still moves after an exception {moment:.2f} s into the run",
             )
 
+    def test_the_robot_is_stopped_by_a_process_that_did_not_move_it(self, tmp_path: Path) -> None:
+        """Hold that `make_safe` needs nothing that the run's callbacks have kept: its process may have been killed."""
+        duration = self._seconds_of_a_good_run(tmp_path / "good") if self.goes_on_without_its_process else 0.0
+        for number, moment in enumerate(duration * part for part in _DEATHS if duration > 0):
+            require(
+                self._stands_still_after_its_death(tmp_path / f"dead_{number}", moment),
+                f"the robot still moves where the run died after {moment:.2f} s, and another process called make_safe: "
+                "connect to the robot there (connect_robot) instead of using what start_run has kept",
+            )
+
     def test_it_can_be_made_safe_at_any_time_and_twice(self, tmp_path: Path) -> None:
         """Hold that `make_safe` works before, after and without a run."""
         plugin = self.make_plugin()
@@ -110,6 +128,52 @@ class SystemContract(PluginContract):
             f"an exception of context.clock.sleep {moment:.2f} s into the run did not end it: "
             "sleep on context.clock only, and let exceptions through"
         )
+
+    def _stands_still_after_its_death(self, folder: Path, moment: float) -> bool:
+        plugin, standing_by = (cast("System", self.make_plugin()) for _ in range(2))
+        context = self.make_context(folder, plugin)
+        dying = _DyingClock(context.clock, context.clock.now() + moment)
+        run = threading.Thread(target=self._execute_until_death, args=(replace(context, clock=dying), plugin))
+        run.start()
+        try:
+            require(dying.is_dead.wait(_DEADLINE), "the run did not sleep on context.clock any more")
+            own = context_for(standing_by, context)
+            standing_by.stand_by(own)
+            standing_by.make_safe(own)
+            return self.robot_stands_still(context)
+        finally:
+            dying.is_over.set()
+            run.join(_DEADLINE)
+            context.resources.close()
+
+    def _execute_until_death(self, context: RobotRunnerContext, plugin: System) -> None:
+        rehearsal = Rehearsal(context, plugin)
+        with suppress(MissionFailed):
+            for event in (RobotRunnerEvents.START_RUN, RobotRunnerEvents.START_MEASUREMENT):
+                rehearsal.emit(event)
+            rehearsal.emit(RobotRunnerEvents.LAUNCH_MISSION)
+            self.mission(context)
+
+
+class _DyingClock:
+    """The run's clock, on which one sleep lasts until the contract is over, as that of a process that was killed."""
+
+    def __init__(self, clock: Clock, dies_at: float) -> None:
+        self._clock = clock
+        self._dies_at = dies_at
+        self.is_dead = threading.Event()
+        self.is_over = threading.Event()
+
+    def now(self) -> float:
+        return self._clock.now()
+
+    def sleep(self, seconds: float) -> None:
+        if not self.is_dead.is_set() and self.now() + seconds < self._dies_at:
+            self._clock.sleep(seconds)
+            return
+        self.is_dead.set()
+        self.is_over.wait()
+        raise MissionFailed
 
 
 class _BreakingClock:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.cli.commands import continue_
-from robot_runner.core.execution import person_requests
+from robot_runner.core.execution import experiment_status
 from robot_runner.core.execution.experiment_status import ExperimentStatus
 from robot_runner.core.storage.lock import Command, Holder, Request, take_request
 
@@ -51,7 +51,7 @@ def test_an_experiment_that_does_not_hear_is_said_not_to(
         finished_at=None,
     )
     monkeypatch.setattr(continue_, "read_status", lambda _: waiting)
-    monkeypatch.setattr(person_requests, "_PATIENCE", 0.0)
+    monkeypatch.setattr(experiment_status, "_PATIENCE", 0.0)
     answer = robot_runner("continue", "config.py")
     assert answer.code == 2
     assert "the experiment has not taken the request" in answer.err

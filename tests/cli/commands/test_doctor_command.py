@@ -1,12 +1,17 @@
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tests.linked_environment import make_linked_environment
+
+import robot_runner as robot_runner_package
 from robot_runner.cli import diagnosing
 from robot_runner.cli.diagnosing import ABSENT, BROKEN, READY, Question, asked, device_questions
 from robot_runner.core.links.kinds import installed_links
@@ -14,9 +19,11 @@ from robot_runner.core.plugin import installed_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     import pytest
+
+#: What the core needs, and what that needs.
+CORE = ("rich", "markdown-it-py", "mdurl", "pygments")
 
 
 def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, program: str) -> None:
@@ -35,6 +42,19 @@ def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, 
     assert "country" in found["Meters", "CodeCarbon"]["detail"]
     assert answer.code == any(each["state"] == BROKEN for each in found.values())
     assert all(each["name"] in told.stdout for each in found.values())
+
+
+def test_where_the_core_alone_is_installed_all_is_told_and_nothing_has_to_be_mended(tmp_path: Path) -> None:
+    program = make_linked_environment(tmp_path / "core", CORE, code=Path(robot_runner_package.__file__).parents[1])
+    told = subprocess.run([program, "doctor", "--json"], capture_output=True, text=True, check=False)
+    assert told.stderr == ""
+    found = {each["name"]: each for each in json.loads(told.stdout)["found"]}
+    assert found["sim"]["detail"] == "without mujoco and numpy"
+    broken = {name: each["detail"] for name, each in found.items() if each["state"] == BROKEN}
+    # Serial lines are this machine's matter.
+    assert {name: detail for name, detail in broken.items() if "cannot be imported" in detail} == {}
+    listed = subprocess.run([program, "plugins"], capture_output=True, text=True, check=False)
+    assert (listed.returncode, listed.stderr) == (0, "")
 
 
 def test_an_extra_that_is_missing_is_told_with_its_packages(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
@@ -27,15 +26,13 @@ def rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_study_is_extended_and_executed_by_the_program(
-    program: str, write_config: Callable[..., Path], tmp_path: Path
+def test_a_study_is_extended_and_executed(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
     def call(*words: str, code: int = 0) -> str:
-        answer = subprocess.run(
-            [program, *words], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-        )
-        assert answer.returncode == code, answer.stdout + answer.stderr
-        return answer.stdout + answer.stderr
+        answer = robot_runner(*words)
+        assert answer.code == code, answer.out + answer.err
+        return str(answer.out + answer.err)
 
     write_config(MEASURING)
     call("config.py")

@@ -24,7 +24,7 @@ def test_what_is_written_can_be_executed_as_it_is(
     assert answer.code == 0
     assert f"{name} is written: 6 runs" in answer.out
     assert f"robot-runner check {name if ' ' not in name else repr(name)}" in answer.out
-    assert f"robot-runner check {name} " in (tmp_path / name).read_text(encoding="utf-8")
+    assert f"robot-runner check {name if ' ' not in name else repr(name)} " in (tmp_path / name).read_text("utf-8")
     executed = robot_runner(name)
     assert executed.code == 0
     assert "All 6 runs are done" in executed.out
@@ -109,6 +109,7 @@ def test_a_plugins_package_is_installed_found_by_its_name_tried_and_passes_its_o
     )
     (measure,) = json.loads(tried)["measures"].values()
     assert measure["value"] > 0
+    assert measure["origin"] == {"profiler": "measured", "system": "simulated"}[kind]
     assert " passed" in call(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", package, **installed)
     rules = Path(__file__).parents[3] / "pyproject.toml"
     ignored = "D,S101,ANN,PLR6301,ARG,INP001,E501,I001,PLR2004"

@@ -200,4 +200,6 @@ def test_a_plan_that_may_be_repeated_says_until_when_and_how_often(
     assert "r_20" in answer.out
     assert "r_21" not in answer.out
     assert robot_runner("plan", "config.py", "--json").json["repeat_until"] == until
-    assert until in " ".join(robot_runner("check", "config.py").out.split())
+    checked = " ".join(robot_runner("check", "config.py").out.split())
+    assert "hold at 95 % for values that are near to normal, in 88 to 95 % for skewed ones" in checked
+    assert until in checked

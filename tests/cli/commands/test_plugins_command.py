@@ -31,7 +31,8 @@ def test_every_built_in_plugin_is_listed_with_all_there_is_to_know(robot_runner:
 def test_json_has_the_same(robot_runner: Callable) -> None:
     found = robot_runner("plugins", "--json").json
     systems = ["ActionMission", "BasicTurtlebot3", "ComposeProject", "Lifecycle", "PlayBag", "Program", "RosLaunch"]
-    systems += ["RosNode", "RosParameters", "Simulation", "Together", "TopicMission", "Tune", "Waypoints"]
+    systems += ["RosNode", "RosParameters", "SimulatedWorld", "Simulation", "Together", "TopicMission", "Tune"]
+    systems += ["Waypoints"]
     assert [plugin["name"] for plugin in found["systems"]] == systems
     launch = next(plugin for plugin in found["systems"] if plugin["name"] == "RosLaunch")
     assert {"package", "ros=None", "stop_signal=SIGINT", "grace_s=20.0", "ready=None"} <= set(launch["parameters"])

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from robot_runner.cli.smoke_test import covering_runs
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
-from robot_runner.core.execution.smoke_test import covering_runs
 
 if TYPE_CHECKING:
     from collections.abc import Callable

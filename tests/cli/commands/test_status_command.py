@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from typing import TYPE_CHECKING
 
 import pytest
@@ -123,10 +124,11 @@ def test_an_experiment_that_was_never_executed_is_told_how(
 
 
 def test_a_folder_of_experiments_names_them(robot_runner: Callable, half_done: Path) -> None:
+    assert robot_runner("status", "results").out == robot_runner("status", "results/trial").out, "the only one in it"
+    shutil.copytree(half_done, half_done.with_name("other"))
     answer = robot_runner("status", "results")
     assert answer.code == 2
-    assert "fix: Name the experiment's own folder: results/trial." in answer.err
-    assert half_done.exists()
+    assert "fix: Name the experiment's own folder: results/other, results/trial." in answer.err
 
 
 @pytest.mark.parametrize(

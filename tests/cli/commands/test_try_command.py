@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.core.execution import trial
+from robot_runner.cli import trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -87,7 +87,7 @@ def test_an_author_sees_what_the_framework_sees(robot_runner: Callable, plugin: 
     assert "Measures what it is told." in answer.out
     assert "start_run          no callback" in answer.out
     assert "start_measurement  called" in answer.out
-    assert "Power  7.500 W  (measured)" in answer.out
+    assert "Power  7.500 W  (measured" in answer.out  # "measured, doubtful" where a busy machine kept samples off
     assert "Spare  no value" in answer.out
     assert "samples.csv   " in answer.out
     assert "time_s" in answer.out

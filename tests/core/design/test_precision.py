@@ -123,6 +123,23 @@ def test_values_that_are_all_the_same_are_precise_and_odd() -> None:
     assert found.known[0].oddity == "all 5 values are 7, so that nothing tells their spread"
 
 
+def test_it_has_to_remain_precise_for_three_more_repetitions() -> None:
+    looks = {
+        (100.0, 101, 99, 100, 101): 1,
+        (100.0, 101, 99, 100, 101, 100, 99): 3,
+        (100.0, 101, 99, 100, 101, 100, 99, 100): 4,
+        (100.0, 101, 99, 100, 101, 100, 99, 100, 101): 4,
+        (100.0, 101, 99, 100, 101, 100, 115, 100): 0,
+    }
+    found = {values: judged({("Video",): list(values)}, rule("4 %")) for values in looks}
+    assert {values: each.in_a_row for values, each in found.items()} == looks
+    assert {values: each.needs_more for values, each in found.items()} == {
+        values: in_a_row < 4 for values, in_a_row in looks.items()
+    }
+    assert "1 of 1 mean precise, 3 of 4 looks in a row" in found[100.0, 101, 99, 100, 101, 100, 99].in_words()
+    assert not judged({("Video",): [100.0, 101, 99, 100, 101, 100]}, rule("4 %", at_most=6)).needs_more
+
+
 def test_one_value_is_too_few_and_at_most_is_the_end() -> None:
     few = judged({("Video",): [7.0, None, None, None, None]}, rule())
     assert few.known[0].half_width is None

@@ -256,16 +256,24 @@ def test_a_factor_that_nobody_looks_at_is_found_after_the_first_run_and_told_aga
     assert [each["readers"] for each in executed.journal("attempt_finished")] == [{}] * 3
 
 
-@pytest.mark.parametrize("process", ["FORK", "SPAWN", "IN_PROCESS"])
+#: Of a callback of the orchestrator, and of one of the run.
+READ = "def {}(self, context): self.rate = context.combination['Rate']"
+
+
 @pytest.mark.parametrize(
-    "callback",
+    ("process", "callback"),
     [
-        "def before_run(self, context): self.rate = context.combination['Rate']",
-        "def before_run(self, context): self.command = ['drive', *map(str, context.combination.values())]",
-        "def launch_mission(self, context): print(f'now {context.combination}')",
-        "def launch_mission(self, context): subprocess.run(['true'], env={'RATE': str(context.combination['Rate'])})",
-        "def launch_mission(self, context): helper(**context.combination)",
-        "def populate_run_data(self, context): context.combination.get('Rate')",
+        *(("IN_PROCESS", READ.format(event)) for event in ("before_run", "launch_mission")),
+        *(("SPAWN", READ.format(event)) for event in ("before_run", "launch_mission")),
+        ("FORK", READ.format("before_run")),
+        ("FORK", "def before_run(self, context): self.command = ['drive', *map(str, context.combination.values())]"),
+        ("FORK", "def launch_mission(self, context): print(f'now {context.combination}')"),
+        (
+            "FORK",
+            "def launch_mission(self, context): subprocess.run(['true'], env={'R': str(context.combination['Rate'])})",
+        ),
+        ("FORK", "def launch_mission(self, context): helper(**context.combination)"),
+        ("FORK", "def populate_run_data(self, context): context.combination.get('Rate')"),
     ],
 )
 def test_a_factor_that_a_callback_reads_anywhere_is_read(execute: Execute, callback: str, process: str) -> None:

@@ -10,7 +10,7 @@ import subprocess
 import pytest
 from tests.core.execution.conftest import execute_in
 
-from robot_runner.core.storage.system_packages import installed_system_packages
+from robot_runner.core.storage.manifest import installed_system_packages
 from robot_runner.replication.explanation import explain_run
 
 CALLS = """

@@ -164,7 +164,7 @@ def test_a_bad_answer_is_asked_for_again_with_the_reason(execute: Callable) -> N
     body = steps(f'OperatorStep("measure", first=True, ask=[{VOLTAGE}, {place}])')
     executed, _ = execute(body, "much\n8\n14\nnan\n\n12\ndok a\nDOCK a\n", Resumption(only=("r_1",)))
     refused = [str(each.findings[0]) for each in executed.notices if isinstance(each, AnswersRefused)]
-    limits = "Enter V, 9 to 13."
+    limits = "Enter a number from 9 to 13 (in V)."
     assert refused == [
         f"voltage: 'much' is no number → {limits}",
         f"voltage: 8 is below 9 V → {limits}",

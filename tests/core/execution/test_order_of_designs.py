@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.conftest import HEAD
 
+from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.growing import Additions
 from robot_runner.core.errors import DesignError
-from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.execution.notices import FindingsNoticed
 
 if TYPE_CHECKING:

@@ -12,16 +12,11 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.links.connect import (
-    connect_host,
-    connect_robot,
-    link_findings,
-    open_clock,
-    open_serial_line,
-)
+from robot_runner.core.links.connect import connect_robot, link_findings, open_clock
 from robot_runner.core.links.kinds import installed_links, link_kind
-from robot_runner.core.links.local_host import LocalHost
-from robot_runner.core.links.ssh_host import SshHost
+from robot_runner.measuring.devices import connect_host, open_serial_line
+from robot_runner.measuring.local_host import LocalHost
+from robot_runner.measuring.ssh_host import SshHost
 from robot_runner.simulator.simulated_clock import SimulatedClock
 
 

@@ -17,6 +17,7 @@ from tests.core.links.ssh_server import SshServer
 from robot_runner.core.errors import CommandError, ConfigError, LinkError
 from robot_runner.core.links.declared_host import Host, Reboot, are_hosts
 from robot_runner.core.links.host_commands import DeclaredHosts
+from robot_runner.core.links.ssh_command import KeptConnection
 from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
@@ -216,6 +217,24 @@ def test_a_connection_that_is_lost_fails_the_command_and_is_made_again(
     while time.monotonic() < deadline and is_alive("sleep 4713.5"):
         time.sleep(0.05)
     assert not is_alive("sleep 4713.5")
+
+
+def test_a_connection_whose_master_is_still_ending_counts_as_lost(server: SshServer) -> None:
+    connection = KeptConnection("robot", server.config)
+    line = connection.command("true")
+    try:
+        assert connection.is_connected()
+        Path(line[line.index("-S") + 1]).unlink()  # what a master that ends does first: its process is still there
+        assert not connection.is_connected()
+    finally:
+        connection.close()
+
+
+def test_a_command_may_end_as_ssh_does_where_the_connection_fails(
+    server: SshServer, context: RobotRunnerContext
+) -> None:
+    host = DeclaredHosts({"robot": Host(address="robot", ssh_config=server.config)}).open("robot", context)
+    assert host.run("exit 255", check=False).exit_status == 255
 
 
 def test_a_host_that_cannot_be_reached_says_why(context: RobotRunnerContext, tmp_path: Path) -> None:

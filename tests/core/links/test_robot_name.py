@@ -7,7 +7,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import is_simulated, link_findings, open_clock
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 
 
 def test_a_plain_name_has_no_options():

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links import ssh_host as module
-from robot_runner.core.links.ssh_host import remedy, ssh_command, ssh_findings
+from robot_runner.core.links import ssh_command as module
+from robot_runner.core.links.ssh_command import remedy, ssh_command, ssh_findings
 
 
 def test_the_client_never_asks_and_the_users_own_config_applies():

@@ -142,3 +142,10 @@ def test_a_file_system_that_flushes_no_folders_is_no_reason_to_fail(
 def test_an_error_without_a_number_is_said_as_it_is() -> None:
     error = storage_error(Path("table.csv"), "read", OSError("odd"))
     assert str(error) == "table.csv: the file cannot be read: odd → Mend what the system names, then try again."
+
+
+def test_a_name_that_is_too_long_is_told_as_what_it_is(tmp_path: Path) -> None:
+    name = tmp_path / ("long" * 100)
+    with pytest.raises(OSError, match="too long") as refused:
+        name.read_text()
+    assert "the file cannot be read: File name too long" in str(storage_error(name, "read", refused.value))

@@ -13,14 +13,8 @@ from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
-from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
-from robot_runner.core.storage.table_schema import (
-    ColumnDescription,
-    describe_columns,
-    read_schema,
-    type_of_values,
-    write_schema,
-)
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole, TableLayout
+from robot_runner.core.storage.table_schema import describe_columns, read_schema, type_of_values, write_schema
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from robot_runner.core.errors import PluginError
-from robot_runner.core.links import serial_line
+from robot_runner.measuring import serial_line
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import Ina219
 

@@ -10,7 +10,7 @@ from tests.meters.scripted_meter import ScriptedMeter, hello, sample
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.window import Window
-from robot_runner.core.sampling.device_clock import fit_clock
+from robot_runner.measuring.device_clock import fit_clock
 from robot_runner.meters.ina219.doubts import silence, stuck_doubts
 from robot_runner.meters.ina219.sample_stream import SampleStream, Trouble
 from robot_runner.plugins.profilers import Ina219

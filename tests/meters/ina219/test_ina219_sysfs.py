@@ -12,7 +12,7 @@ from tests.meters.scripted_driver import HWMON, measured
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.local_host import LocalHost
+from robot_runner.measuring.local_host import LocalHost
 from robot_runner.meters.ina219 import sysfs
 from robot_runner.meters.ina219.sysfs import find_sensor
 from robot_runner.plugins.profilers import Ina219
@@ -160,10 +160,22 @@ def test_a_driver_on_this_machine_is_read_in_a_thread(tree, tmp_path):
     tree("hwmon/hwmon0", HWMON)
     clock, profiler = SystemClock(), Ina219(sysfs="auto", rate_hz=100.0)
     context = make_context(tmp_path, profiler, robot=None, clock=clock)
-    measures = dict(rehearse(context, profiler, mission=lambda: clock.sleep(0.3)))
+    shown = context.raw_data_folder / ".samples.csv.live"
+    seen = []
+
+    def mission():
+        clock.sleep(0.3)
+        deadline = clock.now() + 20.0
+        while not any(row.endswith(",7.6") for row in seen) and clock.now() < deadline:
+            clock.sleep(0.05)
+            seen[:] = shown.read_text().splitlines() if shown.exists() else []
+
+    begun = clock.now()
+    measures = dict(rehearse(context, profiler, mission=mission))
+    assert (seen[0], not shown.exists()) == ("time_s,power_W", True)
     context.resources.close()
     assert measures["MeanPower"] == pytest.approx(7.6)
-    assert measures["Energy"] == pytest.approx(7.6 * 0.3, rel=0.5)
+    assert 7.6 * 0.3 <= measures["Energy"] <= 7.6 * (clock.now() - begun)
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The power is shown while the meter is read over a real line, and what is measured stays the same."""
+"""The power is shown while the meter is read, a simulated one too, and what is measured stays the same."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import pytest
 from tests.meters.scripted_meter import sample
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.plugins.profilers import Ina219
+from robot_runner.measuring import live_samples
+from robot_runner.plugins.profilers import Ina219, PsUtil
 from robot_runner.testing import make_context, rehearse
 
 if TYPE_CHECKING:
@@ -64,3 +65,35 @@ def test_the_power_is_shown_while_it_is_measured_and_gone_when_the_samples_are_t
     assert not shown.exists()
     assert context.measures["MeanPower"] == pytest.approx(0.613 * 12.4)
     assert (context.raw_data_folder / "samples.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("profiler", "heading"), [(Ina219, "time_s,power_W"), (PsUtil, "time_s,cpu_percent,memory_percent")]
+)
+def test_a_simulated_meter_is_shown_as_a_real_one_and_its_samples_are_those_of_a_run_that_nobody_watches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, profiler: type[Ina219 | PsUtil], heading: str
+) -> None:
+    def executed(folder: str, every: float) -> tuple[list[str], bytes, dict[str, object]]:
+        monkeypatch.setattr(live_samples, "_EVERY", every)
+        meter = profiler()
+        context = make_context(tmp_path / folder, meter)
+        shown = context.raw_data_folder / ".samples.csv.live"
+        seen: list[str] = []
+
+        def mission() -> None:
+            context.clock.sleep(3.3)
+            seen[:] = shown.read_text(encoding="utf-8").splitlines()
+
+        measures = dict(rehearse(context, meter, mission=mission))
+        context.resources.close()
+        assert not shown.exists()
+        return seen, (context.raw_data_folder / "samples.csv").read_bytes(), measures
+
+    (told, *rows), samples, measures = executed("watched", 0.0)
+    assert told == heading
+    times = [float(row.split(",")[0]) for row in rows]
+    assert times == sorted(times)
+    assert len(times) >= 6
+    values = [float(cell) for row in rows[1:] for cell in row.split(",")[1:]]
+    assert all(0 < value < 100 for value in values)
+    assert executed("unwatched", float("inf"))[1:] == (samples, measures)

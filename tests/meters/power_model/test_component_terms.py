@@ -9,7 +9,7 @@ import pytest
 from tests.meters.power_model.test_power_model import PHASES, write_run
 
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.sampling.quality import Column, write_samples
+from robot_runner.measuring.quality import Column, write_samples
 from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.linear_power_model import term_value
 from robot_runner.meters.power_model.states import read_states

@@ -147,8 +147,8 @@ def test_a_run_that_was_never_measured_publishes_no_values(tmp_path):
 @pytest.mark.parametrize(
     ("settings", "problem"),
     [
-        ({}, "the plugin got 0 of model, coefficients and function"),
-        ({"coefficients": STEADY, "function": lambda state: 1.0}, "the plugin got 2 of"),
+        ({}, "none of model, coefficients and function are given"),
+        ({"coefficients": STEADY, "function": lambda state: 1.0}, "2 of model, coefficients and function are given"),
         ({"coefficients": {"cpus": 1.0}}, "no term 'cpus'"),
         ({"coefficients": {"motion:": 1.0}}, "no term 'motion:'"),
         ({"coefficients": {"cpu": "much"}}, "the coefficient of 'cpu' is 'much'"),

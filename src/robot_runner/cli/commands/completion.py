@@ -1,9 +1,10 @@
-"""Print what lets bash or zsh complete robot-runner: commands, options, config files, plugins.
+"""Print what lets bash, zsh or fish complete robot-runner: commands, options, config files, plugins.
 
-Add one line to ~/.bashrc or ~/.zshrc, after compinit in the latter:
+Add one line to ~/.bashrc, to ~/.zshrc (after compinit), or to ~/.config/fish/config.fish:
 
     eval "$(robot-runner completion bash)"
     eval "$(robot-runner completion zsh)"
+    robot-runner completion fish | source
 """
 
 from __future__ import annotations
@@ -18,12 +19,10 @@ if TYPE_CHECKING:
 
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    parser.add_argument("shell", metavar="SHELL", choices=["bash", "zsh"], help="bash or zsh")
+    parser.add_argument("shell", metavar="SHELL", choices=["bash", "zsh", "fish"], help="bash, zsh or fish")
 
 
 def execute(arguments: Namespace) -> int:

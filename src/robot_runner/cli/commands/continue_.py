@@ -9,13 +9,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import shown_path
+from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.config.operator_steps import read_answers
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.person_requests import continue_and_see, questions_of, require_waiting
-from robot_runner.core.storage.lock import forget_pause
+from robot_runner.core.execution.experiment_status import continue_and_see, questions_of, read_status, require_waiting
+from robot_runner.core.storage.lock import forget_requests
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -24,12 +24,10 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.operator_steps import Question
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     add_set(parser)
     parser.add_argument(
         "--answer",
@@ -42,10 +40,10 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Tell the experiment to go on, and see that it has taken the request."""
-    folder = folder_of_target(arguments.target, arguments.set)
+    folder = folder_of_target(arguments.target or only_experiment("continue"), arguments.set)
     status = read_status(folder.root)
     if status.is_paused or status.pause_is_requested:
-        forget_pause(folder.pause)
+        forget_requests(folder.pause)
         print(f"{status.experiment_name} {'goes on' if status.is_paused else 'does not pause'}.")
         return 0
     require_waiting(status, shown_path(status.folder))

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.core.execution.notices import ExperimentFinished
 
-__all__ = ["add_arguments", "execute"]
-
 _FOLDER = "robot-runner-demo"
 _SHOWN = ("run_id", "status", "Task", "Repetition", "CPU", "Memory", "Energy")
 _UNITS = {"CPU": "%", "Memory": "%", "Energy": "J"}

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.diagnosing import Diagnosis
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 #: All of it together, s: a driver that is well answers in a moment.
 _DEADLINE_S = 20.0
 _MARKS = {READY: ("✓", "green"), ABSENT: ("○", "dim"), BROKEN: ("✗", "bold red")}

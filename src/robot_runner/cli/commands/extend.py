@@ -16,13 +16,13 @@ from robot_runner.cli.design_words import (
     run_as_json,
     warm_ups_in_words,
 )
+from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.cli.findings import show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.design.growing import Additions, NewFactor
-from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.words import counted
 
@@ -30,10 +30,8 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator, Sequence
 
+    from robot_runner.cli.extension import Extension
     from robot_runner.cli.parser import Parser
-    from robot_runner.core.execution.extension import Extension
-
-__all__ = ["add_arguments", "execute"]
 
 
 def add_arguments(parser: Parser) -> None:

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from robot_runner.cli.excluding import include_runs
 from robot_runner.cli.parser import add_runs, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.execution.excluding import include_runs
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
-
-__all__ = ["add_arguments", "execute"]
 
 
 def add_arguments(parser: Parser) -> None:

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 #: The folder that each kind is written to where none is named.
 _PLUGINS = {"profiler": "my_meter", "system": "my_robot"}
 
@@ -51,7 +49,7 @@ def execute(arguments: Namespace) -> int:
     path = Path(name)
     if path.suffix != ".py":
         raise UsageError("a config is a Python file", where=name, fix=f"Name it {path.name}.py.")
-    text = template("new_config.py").replace("{file}", path.name)
+    text = template("new_config.py").replace("{file}", _in_text(path.name))
     write_new_file(path, text, instead="Choose another name: robot-runner new NAME.py")
     console = output()
     console.tell(f"{name} is written: 6 runs on the embedded robot, ready to be executed.")
@@ -64,6 +62,11 @@ def execute(arguments: Namespace) -> int:
         ],
     )
     return 0
+
+
+def _in_text(name: str) -> str:
+    """Return a file's name as a shell takes it, where a text of Python can hold it."""
+    return "FILE.py" if {'"', "\\"} & {*name} or not name.isprintable() else shlex.quote(name)
 
 
 def _write_plugin(name: str, kind: str) -> int:

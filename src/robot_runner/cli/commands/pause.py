@@ -9,29 +9,27 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import shown_path
+from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
-from robot_runner.core.execution.person_requests import require_executed
-from robot_runner.core.storage.lock import request_pause
+from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status, require_executed
+from robot_runner.core.storage.lock import leave_request
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     add_set(parser)
 
 
 def execute(arguments: Namespace) -> int:
     """Leave the request, and say when it takes effect."""
-    folder = folder_of_target(arguments.target, arguments.set)
+    folder = folder_of_target(arguments.target or only_experiment("pause"), arguments.set)
     status = read_status(folder.root)
     where = shown_path(folder.root)
     require_executed(status, where, "There is nothing to pause")
@@ -39,7 +37,7 @@ def execute(arguments: Namespace) -> int:
     if status.is_paused:
         print(f"{status.experiment_name} is paused already. To go on: {command}")
         return 0
-    request_pause(folder.pause)
+    leave_request(folder.pause)
     print(f"{status.experiment_name} pauses {_moment(status)}. To go on, or to take this back: {command}")
     return 0
 

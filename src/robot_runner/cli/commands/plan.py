@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""

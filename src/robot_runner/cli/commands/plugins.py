@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import Measure
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["add_arguments", "execute"]
-
 
 @dataclass(frozen=True, slots=True)
 class _Described:

@@ -12,7 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cli.console import command_line, no_byte_code, output, print_json
+from robot_runner.cli.byte_code import no_byte_code
+from robot_runner.cli.console import command_line, output, print_json
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
@@ -34,9 +35,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
-
-__all__ = ["add_arguments", "apply_shortcuts", "execute"]
-
 
 #: The options that choose runs, and what becomes of those that are chosen.
 _CHOICES = {

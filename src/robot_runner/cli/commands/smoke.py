@@ -11,23 +11,24 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.console import no_byte_code, output, print_facts, quiet_loading, shown_path
+from robot_runner.cli.byte_code import no_byte_code
+from robot_runner.cli.console import output, print_facts, quiet_loading, shown_path
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.findings import print_odd, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import add_config, add_set
 from robot_runner.cli.planning import plan_of
-from robot_runner.core.config import preparation
-from robot_runner.core.config.dialects import load_config
-from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.execution.smoke_test import (
+from robot_runner.cli.smoke_test import (
     Shortening,
     covering_runs,
     result_of,
     shortened_loader,
     study_estimate,
 )
+from robot_runner.core.config import preparation
+from robot_runner.core.config.dialects import load_config
+from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:
@@ -37,10 +38,8 @@ if TYPE_CHECKING:
     from robot_runner.cli.console import UserConsole
     from robot_runner.cli.executing import Execution
     from robot_runner.cli.parser import Parser
+    from robot_runner.cli.smoke_test import SmokeResult
     from robot_runner.core.execution.durations import Estimate
-    from robot_runner.core.execution.smoke_test import SmokeResult
-
-__all__ = ["add_arguments", "execute"]
 
 
 def add_arguments(parser: Parser) -> None:

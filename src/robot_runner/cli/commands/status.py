@@ -12,11 +12,11 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
+from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.cli.screens.plain import continue_command
-from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status
-from robot_runner.core.execution.person_requests import questions_of
+from robot_runner.core.execution.experiment_status import ExperimentStatus, questions_of, read_status
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
@@ -26,21 +26,21 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.core.execution.experiment_history import Session
 
-__all__ = ["add_arguments", "execute"]
-
 _BAR = 30
 
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     add_set(parser)
     add_json(parser)
 
 
 def execute(arguments: Namespace) -> int:
     """Print how far the experiment is."""
-    status = read_status(folder_of_target(arguments.target, arguments.set, takes_older=True).root)
+    status = read_status(
+        folder_of_target(arguments.target or only_experiment("status"), arguments.set, takes_older=True).root
+    )
     if arguments.json:
         print_json(_as_json(status))
     else:

@@ -8,32 +8,30 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import shown_path
+from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.planning import folder_of_target
-from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.person_requests import require_executed
-from robot_runner.core.storage.lock import request_stop
+from robot_runner.core.execution.experiment_status import read_status, require_executed
+from robot_runner.core.storage.lock import leave_request
 
 if TYPE_CHECKING:
     from argparse import Namespace
 
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     add_set(parser)
 
 
 def execute(arguments: Namespace) -> int:
     """Leave the request, and say what becomes of the run."""
-    folder = folder_of_target(arguments.target, arguments.set)
+    folder = folder_of_target(arguments.target or only_experiment("stop"), arguments.set)
     status = read_status(folder.root)
     require_executed(status, shown_path(folder.root), "There is nothing to stop")
-    request_stop(folder.stop)
+    leave_request(folder.stop)
     run = f"; {status.current_run} is closed first, and is to be done again" if status.current_run else ""
     print(f"{status.experiment_name} stops{run}. To go on later: robot-runner run with its config.")
     return 0

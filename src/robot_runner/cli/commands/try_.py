@@ -20,10 +20,10 @@ from robot_runner.cli.console import UserConsole, output, print_facts, print_fol
 from robot_runner.cli.findings import as_json, print_findings, show_findings
 from robot_runner.cli.guard import REFUSED, SOME_FAILED
 from robot_runner.cli.parser import add_json
+from robot_runner.cli.trial import has_mission, try_plugin
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.task import AttemptStatus
-from robot_runner.core.execution.trial import has_mission, try_plugin
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import System, installed_plugins
 from robot_runner.core.words import enumerated, one_line, shown_duration, shown_value
@@ -33,10 +33,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.cli.parser import Parser
-    from robot_runner.core.execution.trial import CalledEvent, RawFile, Trial
+    from robot_runner.cli.trial import CalledEvent, RawFile, Trial
     from robot_runner.core.plugin import Plugin
-
-__all__ = ["add_arguments", "execute"]
 
 _SECONDS = 5.0
 #: A mission of a system is longer than most measurements, and breaks off by itself only where it hangs.

@@ -12,8 +12,6 @@ from robot_runner.cli.console import complaints, is_live_terminal
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["byte_progress"]
-
 _BETWEEN_LINES_S = 5.0
 _MEBIBYTE = 1 << 20
 

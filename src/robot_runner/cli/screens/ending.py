@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.screens.progress import Progress
     from robot_runner.core.execution.notices import ExperimentFinished
 
-__all__ = ["print_outcome", "print_verdict", "whereabouts"]
-
 _UNMEASURED = {
     "simulated": "simulated, not measured",
     "estimated": "estimated, not measured",

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from typing import TextIO
 
-__all__ = ["input_gives_way"]
-
 
 class _Keyboard:
     """Standard input that calls `give_way` before anybody waits for a line; everything else is as it was.

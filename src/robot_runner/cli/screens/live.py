@@ -50,7 +50,7 @@ from robot_runner.core.execution.notices import (
     UserHasContinued,
     WaitingForUser,
 )
-from robot_runner.core.storage.lock import pause_is_requested
+from robot_runner.core.storage.lock import is_requested
 from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
@@ -62,8 +62,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.console import UserConsole
     from robot_runner.cli.screens.progress import CurrentRun
     from robot_runner.core.config.experiment import Experiment
-
-__all__ = ["LiveScreen"]
 
 _BAR = 40
 #: The arrow and the id of a run.
@@ -293,7 +291,7 @@ class LiveScreen:
         return run.append(f"{f' ({brackets})' if brackets else ''}: {treatments}", style="default")
 
     def _pause(self) -> str:
-        return ", pauses after this run" if pause_is_requested(self._experiment.folder.pause) else ""
+        return ", pauses after this run" if is_requested(self._experiment.folder.pause) else ""
 
     def _between_runs(self) -> tuple[Text, Text]:
         waiting = self.progress.gate

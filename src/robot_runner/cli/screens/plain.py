@@ -47,25 +47,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.task import RunOutcome, RunTask
 
-__all__ = [
-    "PlainScreen",
-    "announced",
-    "closing",
-    "continue_command",
-    "forget_typed",
-    "gate_passed",
-    "opening",
-    "pausing",
-    "question_asked",
-    "refusals",
-    "request",
-    "run_to_come",
-    "terminal_input",
-    "waited_so_far",
-    "waiting_at_gate",
-]
-
-
 # What a screen says beside its rows: how an experiment begins, and what is asked of the user.
 
 #: A shorter experiment is over before its duration is read, s.

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.notices import Notice
     from robot_runner.core.execution.task import RunTask
 
-__all__ = ["CurrentRun", "Progress"]
-
 
 @dataclass(slots=True)
 class CurrentRun:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.notices import AttemptFinished, WaitingForUser
     from robot_runner.core.execution.task import RunTask
 
-__all__ = ["RunRows", "heading_of", "shown_measure", "treatments_in_words"]
-
 #: A measure in four significant digits needs as much, with exponent and question mark.
 _MEASURE = 10
 _TOOK = 11

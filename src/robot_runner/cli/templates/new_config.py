@@ -9,7 +9,15 @@ Execute it as it is (a simulated robot, some seconds), then make it yours:
 
 from pathlib import Path
 
-from robot_runner import ExperimentConfig, ExperimentContext, Factor, OperationType, RobotRunnerContext, RunTableModel
+from robot_runner import (
+    ExperimentConfig,
+    ExperimentContext,
+    Factor,
+    Measure,
+    OperationType,
+    RobotRunnerContext,
+    RunTableModel,
+)
 from robot_runner.plugins.profilers import Ina219, PsUtil
 from robot_runner.plugins.systems import BasicTurtlebot3
 
@@ -55,7 +63,12 @@ class RobotRunnerConfig(ExperimentConfig):
         run_table = RunTableModel(
             factors=[Factor("Task", ["Computation", "Video", "Network"])],
             repetitions=2,
-            data_columns=["Energy", "CPU", "Memory", "EnergyPerMeter"],
+            data_columns=[
+                "Energy",
+                "CPU",
+                "Memory",
+                Measure("EnergyPerMeter", "J/m", "Energy drawn over the mission, for each metre of the way."),
+            ],
         )
         # The seed is recorded with the results; give one, randomize_runs_order(seed=1), for the same order each time.
         run_table.randomize_runs_order()

@@ -11,7 +11,6 @@ from robot_runner.core.errors import ConfigError, Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Author", "authors_from_text", "is_licence"]
 
 _ORCID = re.compile(r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])")
 _URL = re.compile(r"https?://[^\s/]+\S*")

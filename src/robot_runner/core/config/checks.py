@@ -31,7 +31,7 @@ from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError, did_you_mean
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import ROBOT
-from robot_runner.core.links.several_robots import Robots
+from robot_runner.core.links.robot_name import Robots
 from robot_runner.core.storage.executed_runs import done_runs
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -46,20 +46,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import MeasureColumns
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.layout import ExperimentFolder
-
-__all__ = [
-    "announced_checks",
-    "check_analysis",
-    "check_disk_space",
-    "check_names",
-    "check_neighbours",
-    "check_repeat_until",
-    "check_results_path",
-    "check_threads",
-    "create_model",
-    "read_parameters",
-    "runs_listed_in",
-]
 
 
 # The analysis plan: that it is about factors and measures that the experiment has.
@@ -229,11 +215,6 @@ def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugi
     """Return what the checks find that installed packages announce in the group `robot_runner.checks`.
 
     Each is a function that takes these arguments and returns findings.
-
-    Args:
-        where: the config's file and class.
-        parameters: of the experiment.
-        plugins: all of the experiment.
     """
     findings: list[Finding] = []
     for point in entry_points("checks"):

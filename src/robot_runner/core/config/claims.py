@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.manager import EventManager
 
-__all__ = ["Claims", "check_workers", "held_claims", "usable_cores", "worker_count"]
 
 #: Of a design with more runs than this, the first ones tell what all of them claim.
 _LOOKED_AT = 200

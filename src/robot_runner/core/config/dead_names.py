@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.loader import LoadedConfig
 
-__all__ = ["check_dead_names"]
 
 #: What to use for a method: names that earlier tools have for it, or that people guess.
 _METHODS = {

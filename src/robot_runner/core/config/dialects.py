@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.preparation import Preparation
 
-__all__ = ["Dialect", "load_config", "prepare", "prepare_or_refuse", "stand_in_modules"]
-
 
 class Dialect(Protocol):
     """How another tool, or an earlier version, spells a config file. Importing it must be cheap."""

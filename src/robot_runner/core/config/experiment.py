@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.storage.input_files import InputFile
     from robot_runner.core.storage.registration import Registration
-
-__all__ = ["Experiment", "event_manager_for", "experiment_folder", "grown_model"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +39,7 @@ class Experiment:
         replication: which package is executed again and what was changed on purpose, for the manifest; None where
             the experiment is nobody's replication.
         registration: what was registered before the first run; None where nothing was.
+        inputs: the files that its plugins and robots read, as the config names them.
         kept: how much of the config's source the folder keeps: the `file`, the notebook's `cell` alone, or `nothing`.
     """
 
@@ -58,6 +58,7 @@ class Experiment:
     replication: Mapping[str, Any] | None = None
     kept: str = "file"
     registration: Registration | None = None
+    inputs: tuple[InputFile, ...] = ()
 
     def table_layout(self, types: Mapping[str, str] | None = None, *, warms_up: bool = False) -> TableLayout:
         """Return the columns of the run table.

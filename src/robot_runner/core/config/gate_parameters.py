@@ -9,8 +9,6 @@ from enum import Enum
 from robot_runner.core.errors import ConditionError, did_you_mean
 from robot_runner.core.events.condition import Condition
 
-__all__ = ["Gate", "GatePolicy", "Guard", "GuardAction"]
-
 
 class GatePolicy(Enum):
     """What follows a gate whose condition did not hold in time.

@@ -22,21 +22,13 @@ if TYPE_CHECKING:
     from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["GraphCheck"]
 
 #: The callbacks of a config that may start a robot's nodes before its run needs them.
 _BEFORE = (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN, RobotRunnerEvents.START_RUN)
 
 
 class GraphCheck:
-    """Looks at the graphs of an experiment's robots, all at once; nothing is moved or started.
-
-    Args:
-        parameters: of the experiment.
-        plugins: all of the experiment.
-        model: the factors; None where there is no run table.
-        events: what the config and the plugins hear.
-    """
+    """Looks at the graphs of an experiment's robots, all at once; nothing is moved or started."""
 
     def __init__(
         self,
@@ -48,6 +40,7 @@ class GraphCheck:
         robots = parameters.robots.values() if parameters.robots else filter(None, [parameters.robot])
         self._starters = list(_starters(parameters, plugins, events))
         self._looks = {}
+        self._places = {"robot", *(f"plugin {plugin.name}" for plugin in plugins)}
         self._failed: list[Finding] = []
         for robot in dict.fromkeys(robots):
             if any(finding.is_error for finding in link_findings(robot)):
@@ -61,11 +54,14 @@ class GraphCheck:
                 self._failed.append(error.as_finding())
 
     def findings(self, robot: str | None) -> Iterator[Finding]:
-        """Yield what is missing on the graph of one robot: a warning where the experiment may start it itself."""
+        """Yield what is missing on the graph of one robot: a warning where the experiment may start it itself.
+
+        What is wrong in a plugin, such as a field of its goal, has a place of its own and stays an error.
+        """
         look = self._looks.get(robot or "")
         found = [*self._failed, *(look() if look is not None else ())]
         for finding in found:
-            if finding.is_error and self._starters:
+            if finding.is_error and self._starters and finding.where in self._places:
                 problem = f"{finding.problem}, unless {enumerated(self._starters)} will start it"
                 yield Finding.warning(finding.where, problem, finding.fix)
             else:

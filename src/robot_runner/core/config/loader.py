@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
+import inspect
+import re
 import sys
 import threading
 import traceback
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.misspelt_keywords import misspelt_keyword
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
@@ -27,20 +28,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.layout import ExperimentFolder
-
-__all__ = [
-    "LoadedConfig",
-    "apply_overrides",
-    "execute_source",
-    "importable",
-    "load_config",
-    "local_modules_among",
-    "own_parameters",
-    "parse_assignments",
-    "place_in",
-    "raised_in",
-    "threads_since",
-]
 
 
 # Static parameters set from the command line: `--set robot=simulated`.
@@ -300,3 +287,37 @@ def local_modules_among(config: Path, names: set[str]) -> tuple[Path, ...]:
             if path != config and config.parent in path.parents and "site-packages" not in path.parts
         )
     )
+
+
+#: How CPython words it, since 3.10 with the class: `Ina219.__init__() got an unexpected keyword argument 'prt'`.
+_UNEXPECTED = re.compile(r"(?P<called>[\w.<>]+)\(\) got an unexpected keyword argument '(?P<keyword>\w+)'")
+
+
+def misspelt_keyword(path: Path, error: BaseException) -> str:
+    """Return the fix for a keyword that nothing has, by its nearest name; empty where it was something else."""
+    found = _UNEXPECTED.search(str(error)) if isinstance(error, TypeError) else None
+    if found is None:
+        return ""
+    name = found["called"].removesuffix(".__init__").rpartition(".")[2]
+    for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
+        if Path(frame.f_code.co_filename) == path:
+            known = keywords_of(_named(name, {**frame.f_globals, **frame.f_locals}))
+            return did_you_mean(found["keyword"], known)
+    return ""
+
+
+def keywords_of(called: Any) -> list[str]:
+    """Return the names of the parameters of a class or function; none where it does not tell."""
+    with suppress(TypeError, ValueError):  # it is no callable, or one of Python's own
+        parameters = inspect.signature(called).parameters.values()
+        return [each.name for each in parameters if each.kind in {each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY}]
+    return []
+
+
+def _named(name: str, known: Mapping[str, Any]) -> Any:
+    """Return what goes by this name where the call was made: under it, under another, or in a module."""
+    if name in known:
+        return known[name]
+    values = list(known.values())
+    inside = [getattr(each, name, None) for each in values if inspect.ismodule(each)]
+    return next((each for each in [*values, *inside] if getattr(each, "__name__", None) == name), None)

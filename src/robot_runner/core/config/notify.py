@@ -14,7 +14,6 @@ from robot_runner.core.errors import Finding, did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["NOTIFIED_OF", "Notify", "addresses_from", "check_notify"]
 
 #: What can be told of.
 NOTIFIED_OF = ("end", "failure", "waiting")
@@ -78,12 +77,7 @@ def addresses_from(notify: Notify) -> tuple[str, ...]:
 
 
 def check_notify(where: str, notify: Notify | None) -> Iterator[Finding]:
-    """Yield what keeps anybody from being told.
-
-    Args:
-        where: the config's file and class, and the parameter.
-        notify: as the config has it.
-    """
+    """Yield what keeps anybody from being told."""
     if notify is None:
         return
     malformed = list(_malformed(where, notify))

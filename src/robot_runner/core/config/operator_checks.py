@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["check_operator_steps"]
 
 #: So many runs are shown to a function that says before which runs a step is done.
 _TRIED = 200
@@ -27,13 +26,7 @@ _RULES = ("every", "when_changes", "first")
 
 
 def check_operator_steps(where: str, steps: Sequence[OperatorStep], model: RunTableModel | None) -> list[Finding]:
-    """Return everything that is wrong with the steps of a config.
-
-    Args:
-        where: the config's file and class.
-        steps: as the config has them.
-        model: of the run table; None where there is none, which is a finding of its own.
-    """
+    """Return everything that is wrong with the steps of a config."""
     findings: list[Finding] = []
     names = Counter(step.name for step in steps if isinstance(step.name, str))
     asked = Counter(question.name for step in steps for question in _questions(step) if isinstance(question.name, str))

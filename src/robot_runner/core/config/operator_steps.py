@@ -11,8 +11,6 @@ from robot_runner.core.design.factor import treatments_are_equal
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
 from robot_runner.core.events.measure import Measure, MeasureValue, as_measure_value
 
-__all__ = ["ANSWER_TYPES", "OperatorStep", "Question", "StepCondition", "operator_measures", "read_answers"]
-
 #: A class, such as float.
 AnswerType = type
 #: What an answer can be, by the name under which the journal keeps the type.
@@ -126,7 +124,19 @@ class Question:
         raise MeasureError(f"{said!r} is none of the choices", where=self.name, fix=did_you_mean(said, shown))
 
     def _refusal(self, problem: str) -> MeasureError:
-        return MeasureError(problem, where=self.name, fix=f"Enter {self.hint or 'an answer'}.")
+        return MeasureError(problem, where=self.name, fix=f"Enter {self._wanted()}.")
+
+    def _wanted(self) -> str:
+        """Return what is to be entered, as a sentence has it."""
+        if self.kind in {bool, str} or self.choices:
+            return self.hint or "an answer"
+        limits = {
+            (True, True): f" from {self.low} to {self.high}",
+            (True, False): f", {self.low} or more",
+            (False, True): f", {self.high} or less",
+        }.get((self.low is not None, self.high is not None), "")
+        unit = f" (in {self.unit})" if self.unit else ""
+        return f"a {_TYPE_NAMES[self.kind]}{limits}{unit}"
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the question as plain data: the journal keeps it, so that any terminal knows what is asked."""
@@ -226,11 +236,6 @@ def read_answers(
     questions: Sequence[Question], answers: Mapping[str, str], answered: Mapping[str, MeasureValue] | None = None
 ) -> tuple[dict[str, MeasureValue], list[Finding]]:
     """Read the answers to several questions; all findings at once.
-
-    Args:
-        questions: what is asked.
-        answers: texts by the names of the questions.
-        answered: what was answered before.
 
     Returns:
         The values that were taken, and a finding for each that was not, for each question without an answer, and for

@@ -15,38 +15,11 @@ from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.precision import Precision
 from robot_runner.core.events.window import is_phase_name
 from robot_runner.core.links.declared_host import are_hosts, named_hosts
-from robot_runner.core.links.several_robots import Robots
+from robot_runner.core.links.robot_name import Robots
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from enum import Enum
-
-__all__ = [
-    "AUTHORS",
-    "CLAIMS",
-    "CLUSTER",
-    "FLAG",
-    "HOSTS",
-    "LICENCE",
-    "LINK",
-    "NAME",
-    "NOTIFY",
-    "OPERATOR_STEPS",
-    "PATH",
-    "PHASES",
-    "PLAN",
-    "REPEAT_UNTIL",
-    "ROS_DISTRIBUTION",
-    "ROS_GENERATION",
-    "SECONDS",
-    "SMOKE",
-    "TEXT",
-    "WORKERS",
-    "Kind",
-    "choice",
-    "instances",
-    "whole",
-]
 
 
 @dataclass(frozen=True, slots=True)

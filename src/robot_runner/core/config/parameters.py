@@ -51,21 +51,8 @@ if TYPE_CHECKING:
     from robot_runner.core.design.precision import Precision
     from robot_runner.core.design.run_table_model import RunTable, RunTableModel
     from robot_runner.core.links.declared_host import Host
-    from robot_runner.core.links.several_robots import Robots
+    from robot_runner.core.links.robot_name import Robots
     from robot_runner.core.plugin import Plugin
-
-__all__ = [
-    "PARAMETERS",
-    "REQUIRED",
-    "BadValuePolicy",
-    "ExperimentConfig",
-    "FailurePolicy",
-    "OperationType",
-    "Parameter",
-    "Parameters",
-    "RunProcess",
-    "StaticParameters",
-]
 
 
 class OperationType(Enum):

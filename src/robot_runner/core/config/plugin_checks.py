@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["check_plugins", "check_treatments", "companions", "failed_check", "gather_plugins", "with_each_treatment"]
-
 
 def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[tuple[Plugin, ...], list[Finding]]:
     """Return the plugins of the config: those in `plugins`, then those that an import line activated.
@@ -73,14 +71,7 @@ def check_plugins(plugins: Sequence[Plugin], model: RunTableModel | None, robot:
 def check_treatments(
     plugins: Sequence[Plugin], model: RunTableModel, robot: str | None, combinations: Iterable[Mapping[str, Any]]
 ) -> list[Finding]:
-    """Return what keeps plugins from treatments of a run table that was written by hand.
-
-    Args:
-        plugins: all of the experiment.
-        model: the factors as the config has them.
-        robot: how the robot is reached.
-        combinations: of the runs that are to be executed.
-    """
+    """Return what keeps plugins from treatments of a run table that was written by hand."""
     bound = [plugin for plugin in plugins if factors_of(plugin)]
     listed = list(combinations) if bound else []
     factors = {factor.name: factor.treatments for factor in model.factors}
@@ -302,6 +293,7 @@ def _checked_with_each(
             others = tuple(built_with(each, combination) for each in plugins if each is not plugin)
         except Exception as error:  # noqa: BLE001 - a stranger's code, which could be built a moment ago
             return [failed_check(plugin.name, error)]
-        return _asked(asked, Circumstances(circumstances.robot, circumstances.factors, (*others, asked)))
+        listed = [each.name for each in plugins]
+        return _asked(asked, Circumstances(circumstances.robot, circumstances.factors, (*others, asked), listed))
 
     return _with_each(plugin, combinations, look)

@@ -25,6 +25,7 @@ from robot_runner.core.config.dead_names import check_dead_names
 from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder, grown_model
 from robot_runner.core.config.graph_checks import GraphCheck
 from robot_runner.core.config.loader import LoadedConfig, load_config
+from robot_runner.core.config.named_inputs import named_inputs
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
@@ -53,8 +54,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.plugin import Plugin
-
-__all__ = ["Loader", "Preparation", "check_robot", "choose_robot", "prepare", "prepare_or_refuse"]
 
 
 def choose_robot(loaded: LoadedConfig) -> list[Finding]:
@@ -340,4 +339,5 @@ def _experiment(
         spelling=loaded.spelling,
         kept=loaded.kept,
         registration=registered(loaded),
+        inputs=named_inputs(parameters, plugins, model),
     )

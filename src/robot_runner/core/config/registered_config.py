@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.events.measure import MeasureColumns
 
-__all__ = ["check_registration", "registered", "registration_content", "registration_path", "take_registered_seed"]
 
 #: What is put behind the stem of the config file.
 SUFFIX = ".registration.json"

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["CONFIG_CLASS", "ConfigSource", "activating_imports", "read_source", "read_tree"]
-
 
 # A config file as text: read, parsed, and searched for the class that describes the experiment.
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["PREPARED", "TreatmentMaker", "Workshop", "known_treatments", "made_treatments", "maker_findings"]
 
 #: The journal's record of what was made.
 PREPARED = "prepared"

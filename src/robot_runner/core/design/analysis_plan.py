@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import Self
 
-__all__ = ["ELAPSED", "ORDER", "AnalysisPlan", "Correction", "Estimand", "Family", "Statistic"]
 
 #: Covariates that are no measures: the place in the order of execution (from 1), and the seconds since the first run.
 ORDER, ELAPSED = "order", "elapsed"

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.factor import Combination, Factor
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["DECIDED", "AdaptiveDesign", "Asking", "Decision", "Told", "decides_order"]
 
 #: The kind of the journal's record of runs that were decided on; see `Decision.kind`.
 DECIDED = "decided"

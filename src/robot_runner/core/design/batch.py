@@ -11,7 +11,6 @@ from robot_runner.core.design.planned_runs import PlannedRun, RunOrder
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["CONFIRMATION", "Batch", "BatchRun", "plain_treatment"]
 
 #: What the role of a batch is called that confirms what the runs before have found.
 CONFIRMATION = "confirmation"

@@ -29,18 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.growing import Begun, GrownDesign
     from robot_runner.core.design.warm_up import WarmUp
 
-__all__ = [
-    "EXTENDED",
-    "REPEATED",
-    "GrownRunTableModel",
-    "as_configured",
-    "batches_of",
-    "first_batch",
-    "grown_batch",
-    "missing_runs",
-    "next_batch",
-    "records_of",
-]
 
 #: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
 EXTENDED = "extended"
@@ -126,10 +114,6 @@ class GrownRunTableModel(RunTableModel):
 
     def __init__(self, model: RunTableModel, batches: Sequence[Batch]) -> None:
         """Put the plan together.
-
-        Args:
-            model: the design as the config has it now.
-            batches: all of them, the first plan included.
 
         Raises:
             DesignError: the config lacks a treatment that cannot be made from its text, or no run can have an id.

@@ -10,23 +10,6 @@ from robot_runner.core.errors import Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = [
-    "BATCH",
-    "EXCLUDED",
-    "REPETITION",
-    "RUN_ID",
-    "STAMP_COLUMNS",
-    "STATUS",
-    "WARM_UP",
-    "NamedColumn",
-    "column_name",
-    "is_fit_for_heading",
-    "name_findings",
-    "numbered_run_id",
-    "numbered_warm_up_id",
-    "reserved_names",
-]
-
 
 class _Named(Protocol):
     @property

@@ -16,15 +16,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.errors import Finding
 
-__all__ = [
-    "FULL_FACTORIAL",
-    "ChosenCombinations",
-    "CombinationDesign",
-    "Design",
-    "DesignedRuns",
-    "FullFactorial",
-    "IsAllowed",
-]
 
 #: Whether the exclusions leave a combination. The one that a run-table model gives is an `exclusions.Allowed`, which
 #: also says which treatments exclude each other, for designs that build combinations factor by factor.

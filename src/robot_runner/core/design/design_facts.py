@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["described_design"]
-
 
 def described_design(model: RunTableModel) -> dict[str, Any]:
     """Return what the manifest says of a design: factors, repetitions, order, warm-up runs, batches.

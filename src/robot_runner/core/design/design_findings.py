@@ -18,7 +18,6 @@ from robot_runner.core.errors import DesignError, Finding, did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["MAX_RUNS", "design_findings", "listed_elsewhere", "order_findings", "size_findings"]
 
 #: Whether the runs of a design that is too large are listed in a table.
 _ARE_LISTED: ContextVar[bool] = ContextVar("_ARE_LISTED", default=False)
@@ -52,16 +51,6 @@ def design_findings(
     design: object = None,
 ) -> Iterator[Finding]:
     """Say everything that is wrong with a design, its exclusions left aside.
-
-    Args:
-        factors: what is to be a sequence of factors.
-        repetitions: what is to be how often each combination is executed.
-        data_columns: what is to be the names of the measures' columns, or None.
-        shuffle: what is to be whether the order is randomised.
-        seed: what is to be the seed, or None.
-        blocks: what is to be what runs are kept together by, or None.
-        warm_up: what is to be how the experiment warms up, or None.
-        design: what is to be the design, or None for the full factorial.
 
     Yields:
         An error finding for each problem.

@@ -14,7 +14,6 @@ from robot_runner.core.errors import DesignError, Finding, did_you_mean
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Allowed", "Exclusion", "Exclusions", "apply_exclusions"]
 
 #: `{"Task": ["Video", "Network"], "Speed": 0.2}` leaves out what matches in *all* named factors;
 #: a predicate leaves out the combinations for which it returns True.
@@ -111,13 +110,7 @@ class Allowed:
 
 
 def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combination], exclusions: object) -> Exclusions:
-    """Find out which combinations are left out.
-
-    Args:
-        factors: the factors of the design.
-        combinations: every combination of the factors' treatments.
-        exclusions: mappings and predicates, see `Exclusion`.
-    """
+    """Find out which combinations are left out."""
     left_out = [False] * len(combinations)
     errors: list[Finding] = []
     warnings: list[Finding] = []

@@ -19,18 +19,6 @@ from robot_runner.core.inactive import INACTIVE
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
 
-__all__ = [
-    "MAX_TREATMENTS",
-    "Combination",
-    "Factor",
-    "factor_places",
-    "full_factorial",
-    "full_size",
-    "treatment_findings",
-    "treatment_text",
-    "treatments_are_equal",
-]
-
 
 # What a treatment looks like in the run table, and what keeps a value from being one.
 
@@ -57,10 +45,6 @@ def treatments_are_equal(one: Any, other: Any) -> bool:
 
 def treatment_findings(where: str, treatments: Sequence[Any]) -> Iterator[Finding]:
     """Say which values cannot be treatments of one factor, alone or beside each other.
-
-    Args:
-        where: the factor that they belong to.
-        treatments: the values, in order.
 
     Yields:
         An error finding for each value that could not be recognised in the run table.

@@ -10,8 +10,6 @@ from robot_runner.core.inactive import INACTIVE
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-__all__ = ["condition_findings", "identified", "impossible_treatments"]
-
 
 class _Factor(Protocol):
     """What a condition is made of; see `factor.Factor`, which is built on this module."""

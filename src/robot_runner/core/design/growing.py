@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["Additions", "Begun", "GrownDesign", "NewFactor", "grown_design", "typed"]
 
 _WRITTEN_ONE_BY_ONE = "the runs were listed one by one, and no factorial says which are to be added"
 
@@ -114,11 +113,6 @@ def grown_design(begun: Begun, config: RunTableModel, added: Additions) -> Grown
     """Return what an experiment is to have: what it has, what the config has beyond that, and what is asked for.
 
     Treatments that the config has no longer get no further runs; those that were added on the command line do.
-
-    Args:
-        begun: as the run table has it.
-        config: the design as the config has it now.
-        added: what is asked for.
 
     Raises:
         DesignError: something cannot be added; `findings` lists everything that was found.

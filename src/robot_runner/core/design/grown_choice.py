@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import Design
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["Choice", "grown_choice"]
-
 
 @dataclass(frozen=True, slots=True)
 class Choice:
@@ -41,10 +39,6 @@ def grown_choice(choice: Choice, factors: Sequence[Factor]) -> list[Combination]
     """Return the combinations of the plan, each once, with those that the design chooses besides from more treatments.
 
     It grows where what it chose before is among what it chooses now, as of one factor at a time.
-
-    Args:
-        choice: what was chosen.
-        factors: the same, perhaps in another order and with more treatments.
 
     Raises:
         DesignError: it would choose others, so that the runs that there are would not belong to the design.

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["HELD_ORDER", "HeldOrder"]
 
 #: The fact of a design that holds what is described here.
 HELD_ORDER = "held_order"
@@ -53,22 +52,13 @@ class HeldOrder:
         return {name: value for name in self.__slots__ if (value := getattr(self, name))}
 
     def waits_for(self, run: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-        """Return whether a run has to wait until another one is over, which comes before it in the plan.
-
-        Args:
-            run: its treatments.
-            other: those of the other one.
-        """
+        """Return whether a run has to wait until another one is over, which comes before it in the plan."""
         if self.one_by_one and _is_same(self.one_by_one, run, other):
             return True
         return bool(self.one_after_another) and not _is_same(self.one_after_another, run, other)
 
     def rests(self, runs: Iterable[PlannedRun]) -> dict[str, float]:
-        """Return how long the unit of each run rests before it, s, by the run's id, where it does.
-
-        Args:
-            runs: in the order of the plan.
-        """
+        """Return how long the unit of each run rests before it, s, by the run's id, where it does."""
         found: dict[str, float] = {}
         last: dict[str, Mapping[str, Any]] = {}
         for run in runs if self.rest_in_s else ():

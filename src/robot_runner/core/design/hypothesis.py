@@ -12,7 +12,6 @@ from robot_runner.core.errors import DesignError, Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Hypothesis", "is_number", "names_findings", "names_of"]
 
 #: Weights of a contrast that sum up to less are a sum of zero but for rounding.
 _ROUNDING = 1e-9

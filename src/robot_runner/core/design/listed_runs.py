@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["ListedRun", "ListedRunTableModel", "run_findings"]
 
 _RUN_ID = re.compile(r"\w[\w.-]{0,59}")  # it names the run's folder
 

@@ -12,7 +12,6 @@ from robot_runner.core.errors import DesignError, Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Range"]
 
 #: Without a step of its own a range has about a thousand: finer than a robot can be set, and short in the table.
 _STEPS = 1000

@@ -13,7 +13,6 @@ from robot_runner.core.errors import DesignError, Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["Doubtful", "Outliers"]
 
 _ENDS = 2
 _WHERE = "analysis, outliers"

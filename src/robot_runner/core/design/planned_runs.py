@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.factor import Combination
 
-__all__ = ["PlannedRun", "RunOrder", "arranged", "garbage_collection_paused", "planned_runs", "shuffle_in_place"]
-
 
 # The order of the runs: as written, randomised, or randomised within complete blocks. Always from a known seed.
 

@@ -14,16 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from typing import Self
 
-__all__ = [
-    "LEAST_REPETITIONS",
-    "PreciseOf",
-    "Precision",
-    "most_repetitions",
-    "precision_findings",
-    "rule_in_words",
-    "rules_as_mapping",
-    "rules_of_mapping",
-]
 
 #: Two values have a spread, and nobody would trust it.
 LEAST_REPETITIONS = 3

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["CONFIDENCE", "METHOD", "half_width_of", "level_at_each_look", "t_quantile"]
 
 #: How often all intervals that are looked at hold their value.
 CONFIDENCE = 0.95

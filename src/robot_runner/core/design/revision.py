@@ -6,8 +6,6 @@ import re
 
 from robot_runner.core.errors import DesignError
 
-__all__ = ["Revision", "is_revision_name"]
-
 #: What git's rules for names of references (git-check-ref-format) forbid, and what would pass for an option. `~` and
 #: `^` count from a reference, and `@{...}` asks the reflog of one clone, which no other has.
 _FORBIDDEN = re.compile(r"^-|\.\.|@\{|[\s\x00-\x1f\x7f:?*\[\\]")

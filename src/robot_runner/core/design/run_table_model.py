@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.columns import NamedColumn
     from robot_runner.core.design.exclusions import Exclusion, Exclusions
 
-__all__ = ["RunTable", "RunTableModel"]
-
 
 class RunTable(Sequence[PlannedRun]):
     """All runs of an experiment in the order of execution. Immutable.

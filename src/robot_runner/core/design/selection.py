@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["Chosen", "RunChooser"]
 
 _MOST_KNOWN = 1000  # ids that are compared with a misspelt one
 
@@ -57,12 +56,7 @@ class RunChooser:
         self.findings: list[Finding] = []
 
     def choose(self, option: str, expressions: Sequence[str]) -> Chosen:
-        """Return the runs that these expressions choose; what is wrong with them is kept until `refuse` is called.
-
-        Args:
-            option: where they were given, for findings.
-            expressions: each as on the command line.
-        """
+        """Return the runs that these expressions choose; what is wrong with them is kept until `refuse` is called."""
         places: dict[int, None] = {}
         named: set[int] = set()
         for expression in expressions:

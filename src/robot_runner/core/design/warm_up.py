@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["COMBINATION", "WarmUp", "warm_up_of", "with_warm_ups", "with_warm_ups_again"]
 
 #: What `WarmUp.per` is where each combination is warmed up for.
 COMBINATION = "combination"
@@ -118,14 +117,7 @@ def with_warm_ups(runs: Sequence[PlannedRun], warm_up: WarmUp | None, *, first: 
 def with_warm_ups_again(
     runs: Sequence[PlannedRun], selected: Sequence[int], done: Iterable[int], warm_up: WarmUp
 ) -> list[int]:
-    """Return the places of runs to execute, with those of warm-up runs that are done and are executed again.
-
-    Args:
-        runs: the runs of the table, in its order.
-        selected: the places of the runs that are to be executed, in their order.
-        done: the places of the runs that are done.
-        warm_up: how the experiment warms up.
-    """
+    """Return the places of runs to execute, with those of warm-up runs that are done and are executed again."""
     again: dict[tuple[int, ...], list[int]] = {}
     for place in set(done).difference(selected):
         if runs[place].is_warm_up:

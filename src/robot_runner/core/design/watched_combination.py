@@ -10,15 +10,9 @@ from robot_runner.core.errors import Finding
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["WatchedCombination", "unread"]
-
 
 class WatchedCombination(Mapping[str, Any]):
     """A run's combination that tells of each treatment when it is read for the first time. Read-only.
-
-    Args:
-        combination: what is read.
-        tell: called with the name of a factor.
 
     Example:
         >>> watched = WatchedCombination({"Task": "Video", "Speed": 0.2}, print)

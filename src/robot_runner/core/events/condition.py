@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import Clock, RobotRunnerContext
 
-__all__ = ["Condition", "HeldFor", "Look", "LookAgain"]
 
 #: What is left of a wait is not slept, s: on a clock whose steps are longer than that it would never be over.
 _RESOLUTION = 1e-6

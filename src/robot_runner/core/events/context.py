@@ -26,17 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.resources import Resources
     from robot_runner.core.events.window import MissionTimes, Phase, Window
 
-__all__ = [
-    "Clock",
-    "ExperimentContext",
-    "HostDoor",
-    "NoHosts",
-    "RobotRunnerContext",
-    "RunBroker",
-    "StartedProgram",
-    "SystemClock",
-]
-
 
 # The clock that a run lives by: the machine's own, or that of a simulated robot.
 
@@ -181,6 +170,7 @@ class RobotRunnerContext(ExperimentContext):
         ending: what ends the run or its mission; ask for it through `fail` and `stop_mission`.
         hosts: what opens the hosts of the config; ask for one through `host`.
         run_path: where the run's folder is once something is kept in it; ask for `run_folder` to keep something.
+        usual_origin: where the owner's values come from, unless it says something else.
         next_run: in `continue_experiment`, the run that comes next; all else there is about the run that is over.
     """
 
@@ -200,6 +190,7 @@ class RobotRunnerContext(ExperimentContext):
     attempts_left: int = 0
     ending: Ending = field(default_factory=EndingInPlace, repr=False)
     hosts: HostDoor = field(default_factory=NoHosts, repr=False)
+    usual_origin: Origin = field(default=Origin.MEASURED, repr=False)
     next_run: NextRun | None = None
 
     @property
@@ -272,13 +263,19 @@ class RobotRunnerContext(ExperimentContext):
         """The key-value pairs that plugins shared so far in this run, by the plugin's name."""
         return self.broker.shared
 
-    def publish(self, name: str, value: object, *, origin: Origin = Origin.MEASURED) -> None:
+    def publish(self, name: str, value: object, *, origin: Origin | None = None) -> None:
         """Publish a measure of this run; None says that there is no value.
+
+        Args:
+            name: the measure.
+            value: a number, a text, a boolean or None.
+            origin: where the value comes from; left out, measured, and simulated where the config or a system publishes
+                it on a simulated robot.
 
         Raises:
             MeasureError: the name was not declared, the type is wrong, or the number is not finite.
         """
-        self.broker.publish(self.owner, name, value, origin)
+        self.broker.publish(self.owner, name, value, self.usual_origin if origin is None else origin)
 
     def host(self, name: str) -> HostAccess:
         """Return a host of the config's `hosts`, to execute commands there, copy to it and fetch from it.

@@ -9,8 +9,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["CommandResult", "HostAccess"]
-
 
 @dataclass(frozen=True, slots=True)
 class CommandResult:

@@ -17,25 +17,6 @@ from robot_runner.core.vain_parameters import parameters_guarded
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
 
-__all__ = [
-    "CLOSED_BY",
-    "EVENTS_BY_CALLBACK",
-    "ORCHESTRATED_EVENTS",
-    "RUN_EVENTS",
-    "Callback",
-    "CallbackFailure",
-    "Emission",
-    "EventManager",
-    "EventSubscriptionController",
-    "OwnerKind",
-    "RequestedSubscription",
-    "RobotRunnerEvents",
-    "Subscriber",
-    "checked_subscriber",
-    "place_of",
-    "recorded_subscriptions",
-]
-
 
 # The events of an experiment and their order (paper, Fig. 2): the one table that says which process each is emitted in.
 

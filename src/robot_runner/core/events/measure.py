@@ -16,27 +16,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.columns import NamedColumn
 
-__all__ = [
-    "CONFIG_OWNER",
-    "OPERATOR_OWNER",
-    "QUALITY_SUFFIX",
-    "ROBOT",
-    "ROBOTS_OWNER",
-    "Measure",
-    "MeasureColumn",
-    "MeasureColumns",
-    "MeasureValue",
-    "Origin",
-    "Over",
-    "PublishedMeasure",
-    "Quality",
-    "as_measure_value",
-    "quality_of_value",
-    "quality_text",
-    "resolve_columns",
-    "with_phases",
-]
-
 
 #: What a cell of the run table can hold. None is a missing value: an empty cell.
 MeasureValue = int | float | bool | str | None

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.measure import MeasureColumns, MeasureValue
 
-__all__ = ["MeasureBroker", "ReportRecord"]
 
 #: Takes what happens in a run as it happens: a kind and its plain fields.
 ReportRecord = Callable[[str, dict[str, Any]], None]
@@ -92,12 +91,6 @@ class MeasureBroker:
 
     def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str] = ()) -> None:
         """Record a warning finding that makes values of this run doubtful.
-
-        Args:
-            owner: who doubts.
-            problem: the reason.
-            fix: what can be done about it.
-            measures: whose values; none named: all that the owner declared.
 
         Raises:
             MeasureError: the owner declared no such measure.

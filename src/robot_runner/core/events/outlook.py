@@ -10,8 +10,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.errors import Finding
 
-__all__ = ["ExperimentEnd", "NextRun"]
-
 
 @dataclass(frozen=True, slots=True)
 class NextRun:

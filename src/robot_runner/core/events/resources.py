@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["Closable", "Resources"]
-
 
 class Closable(Protocol):
     """Anything that is closed once it is no longer needed."""

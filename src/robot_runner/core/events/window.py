@@ -15,8 +15,6 @@ from robot_runner.core.errors import PluginError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-__all__ = ["MissionTimes", "Phase", "TimeSource", "Window", "is_phase_name"]
-
 
 @dataclass(frozen=True, slots=True)
 class Window:

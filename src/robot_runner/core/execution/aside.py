@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents, methods_of
 from robot_runner.core.events.measure import CONFIG_OWNER
-from robot_runner.core.execution.executor import executor_for
+from robot_runner.core.execution.executor import begin_run
 from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.task import OutcomeBuilder
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -29,15 +29,12 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.task import RunOutcome, RunTask
     from robot_runner.core.plugin import Profiler
 
-__all__ = ["execute_aside", "executed_aside"]
-
 
 def execute_aside(
     experiment: Experiment, task: RunTask, mission: Callable[..., object], watch: Watch, **asked: Any
 ) -> RunOutcome:
     """Go through the steps of `executed_aside` while nothing else goes on, and return how that went."""
-    patience = Patience(watch.interruption, watch.refresh, watch.refresh_interval)
-    return patience.follow(executed_aside(experiment, task, mission, watch, **asked))
+    return Patience(watch.interruption).follow(executed_aside(experiment, task, mission, watch, **asked))
 
 
 def executed_aside(
@@ -85,6 +82,6 @@ def executed_aside(
             events=manager,
             folder=ExperimentFolder(Path(folder)),
         )
-        with closing(executor_for(aside).begin(task, OutcomeBuilder(task.run_id, aside.columns), watch)) as run:
+        with closing(begin_run(aside, task, OutcomeBuilder(task.run_id, aside.columns), watch)) as run:
             yield run
             return run.outcome()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.gate_parameters import GuardAction
@@ -14,6 +14,7 @@ from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
 from robot_runner.core.execution.between_runs import BetweenRuns
 from robot_runner.core.execution.gates import Gates, Passage
+from robot_runner.core.execution.interruption import failure_fields
 from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
@@ -23,77 +24,29 @@ from robot_runner.core.execution.notices import (
 )
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.places import Watch
-from robot_runner.core.execution.run_ending import failure_fields
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.held_order import HeldOrder
-    from robot_runner.core.execution.notices import Notice, Observer
-    from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
-    from robot_runner.core.execution.patience import Patience, Steps
+    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
+    from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.places import Place
-    from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
-
-__all__ = ["Attempts", "Stop"]
-
-
-@dataclass(slots=True)
-class Stop:
-    """Whether the experiment begins no more runs; those in flight come to their end.
-
-    Attributes:
-        reason: `on_failure`, `a gate` or `a guard`; empty while it goes on.
-    """
-
-    reason: str = ""
 
 
 class Attempts:
-    """Executes runs, each at a place, as often as the config allows.
+    """Executes runs, each at a place, as often as the config allows."""
 
-    Args:
-        experiment: what is executed.
-        progress: takes down what happens.
-        events: emits the events of the orchestrator.
-        observer: the screen, and where somebody may type.
-        notify: tells the screens.
-        patience: what goes on meanwhile.
-        stop: is told when no more runs are to begin.
-        has_one_place: whether no run ever goes on beside another one.
-    """
-
-    def __init__(
-        self,
-        experiment: Experiment,
-        progress: ProgressManager,
-        events: OrchestratorEvents,
-        observer: Observer,
-        notify: Callable[[Notice], None],
-        patience: Patience,
-        stop: Stop,
-        *,
-        has_one_place: bool,
-    ) -> None:
-        self._experiment = experiment
-        self._parameters = experiment.parameters
-        self._progress = progress
-        self._events = events
-        self._observer = observer
-        self._notice = notify
-        self._interruption = patience.interruption
-        self._stop = stop
-        self._has_one_place = has_one_place
-        self._operator = Operator(experiment, progress, observer.user_input, notify, patience)
-        self._between_runs = BetweenRuns(experiment, progress, events, self._operator, observer, notify, patience)
-        self._gates = Gates(experiment, progress, notify, patience)
-        self._refresh = patience.refresh_screen
+    def __init__(self, ongoing: OngoingExperiment) -> None:
+        self._ongoing = ongoing
+        self._parameters = ongoing.experiment.parameters
+        self._progress = ongoing.progress
+        self._operator = Operator(ongoing)
+        self._between_runs = BetweenRuns(ongoing, self._operator)
+        self._gates = Gates(ongoing)
         self._lost: Counter[str] = Counter()
         self._left: dict[str, int] = {}
 
@@ -101,11 +54,6 @@ class Attempts:
     def held(self) -> HeldOrder:
         """What the design holds of the order of runs."""
         return self._between_runs.held
-
-    @property
-    def _is_ending(self) -> bool:
-        """Whether no attempt is to begin any more."""
-        return self._interruption.is_requested or bool(self._stop.reason)
 
     def execute(
         self, run: PendingRun, place: Place, finished: PendingRun | None, *, is_cleared: bool
@@ -121,29 +69,30 @@ class Attempts:
         Returns:
             how its last attempt went; None where it was not begun, as the experiment ends.
         """
-        name = "" if self._has_one_place else place.name
+        ongoing = self._ongoing
+        name = "" if ongoing.has_one_place else place.name
         yield from self._between_runs.prepare(run, finished, place, name, is_cleared=is_cleared)
         outcome = None
         for attempts_left in range(self._left.pop(run.run_id, self._parameters.attempts - 1), -1, -1):
             if attempts_left < self._parameters.attempts - 1:
-                yield from self._between_runs.prepare_again(run)
-            passage = Passage() if self._is_ending else (yield from self._gates.pass_before(run, place.experiment))
-            if self._is_ending or self._is_stopped_by(passage.stop, run):
+                yield from self._operator.prepare(run, is_retry=True)
+            passage = Passage() if ongoing.is_ending else (yield from self._gates.pass_before(run, place.experiment))
+            if ongoing.is_ending or self._is_stopped_by(passage.stop, run):
                 return outcome
             entered = self._operator.answers(run.run_id)
             task = replace(self._progress.begin(run, name, place.slot), attempts_left=attempts_left, entered=entered)
-            self._notice(AttemptStarted(task, self._progress.time_left))
+            ongoing.notify(AttemptStarted(task, self._progress.time_left))
             outcome = yield from self._attempt(task, place, passage)
             if self._keep(task, outcome):
                 break
         has_failed = outcome is not None and outcome.status is AttemptStatus.FAILED
         if has_failed and not self.is_to_do_elsewhere(run) and self._parameters.on_failure is FailurePolicy.STOP:
-            self._stop.reason = self._stop.reason or "on_failure"
+            ongoing.stopped_by = ongoing.stopped_by or "on_failure"
         return outcome
 
     def _keep(self, task: RunTask, outcome: RunOutcome) -> bool:
         """Keep how an attempt went; return whether it was the last one."""
-        is_last = outcome.status is not AttemptStatus.FAILED or bool(self._stop.reason)
+        is_last = outcome.status is not AttemptStatus.FAILED or bool(self._ongoing.stopped_by)
         if outcome.is_lost and not is_last:
             # Beyond what the config grants to attempts that were lost, such a one is one of `attempts`.
             self._lost[task.run_id] += 1
@@ -153,9 +102,9 @@ class Attempts:
         is_to_do = task.run_id in self._left
         is_last = is_last or (task.attempts_left == 0 and not is_to_do)
         noticed = self._progress.record_outcome(task, outcome, is_last=is_last)
-        self._notice(AttemptFinished(task, outcome, is_last, self._progress.time_left))
+        self._ongoing.notify(AttemptFinished(task, outcome, is_last, self._progress.time_left))
         if noticed:
-            self._notice(FindingsNoticed(noticed))
+            self._ongoing.notify(FindingsNoticed(noticed))
         return is_last or is_to_do
 
     def is_to_do_elsewhere(self, run: PendingRun) -> bool:
@@ -165,31 +114,30 @@ class Attempts:
     def tell_of_place(self, problem: str) -> None:
         """Keep and show what a person should know of a place that has come, or is gone."""
         self._progress.note("place", problem=problem)
-        finding = Finding.warning("places", problem)
-        self._progress.find(finding)
-        self._notice(FindingsNoticed((finding,)))
+        self._ongoing.find(Finding.warning("places", problem))
 
     def _is_stopped_by(self, reason: str, run: PendingRun) -> bool:
         """Stop the experiment where there is a reason to; the run that it was about to execute is still to do."""
         if reason:
-            self._stop.reason = "a gate"
+            self._ongoing.stopped_by = "a gate"
             fix = "See to it, and start the experiment again: it resumes."
             self._progress.find(Finding.warning(f"before {run.run_id}", f"stopped, as {reason}", fix))
         return bool(reason)
 
     def _attempt(self, task: RunTask, place: Place, passage: Passage) -> Steps[RunOutcome]:
+        ongoing, columns = self._ongoing, self._ongoing.experiment.columns
         builder = OutcomeBuilder(
             task.run_id,
-            self._experiment.columns,
+            columns,
             on_bad_value=self._parameters.on_bad_value,
             has_attempts_left=task.attempts_left > 0,
         )
 
         def report(kind: str, fields: dict[str, Any]) -> None:
             self._progress.record(task, kind, fields)
-            self._notice(RunRecord(task.run_id, kind, fields))
+            ongoing.notify(RunRecord(task.run_id, kind, fields))
             if kind == "guard" and fields["action"] == GuardAction.STOP.value:
-                self._stop.reason = "a guard"
+                ongoing.stopped_by = "a guard"
 
         def report_own(kind: str, fields: dict[str, Any]) -> None:
             builder.take(kind, fields)
@@ -200,19 +148,17 @@ class Attempts:
             origin = Origin.SIMULATED if is_simulated(place.experiment.parameters.robot) else Origin.MEASURED
             robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": origin.value}
             report_own("measure", robot)
-        passage.report_to(report_own, [column.name for column in self._experiment.columns.declared])
+        passage.report_to(report_own, [column.name for column in columns.declared])
         self._bind_plugins(task, report_own)
         if not builder.has_failed:
-            self._events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own, place.experiment)
-        if builder.has_failed or self._interruption.is_requested:
-            return builder.outcome(interrupted=self._interruption.is_requested)
+            ongoing.events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own, place.experiment)
+        if builder.has_failed or ongoing.is_interrupted:
+            return builder.outcome(interrupted=ongoing.is_interrupted)
         watch = Watch(
-            interruption=self._interruption,
+            interruption=ongoing.patience.interruption,
             report=report,
-            refresh=self._refresh,
-            refresh_interval=self._observer.refresh_interval,
-            noticed_interruption=lambda: self._notice(InterruptionNoticed(task.run_id)),
-            tend=self._progress.tend_table,
+            refresh=ongoing.patience.refresh_screen,
+            noticed_interruption=lambda: ongoing.notify(InterruptionNoticed(task.run_id)),
         )
         with closing(place.begin(task, builder, watch)) as run:
             yield run
@@ -220,7 +166,7 @@ class Attempts:
 
     def _bind_plugins(self, task: RunTask, report: Report) -> None:
         """Build plugins with bound parameters with the treatments of a run; what they raise fails the run."""
-        for plugin in self._experiment.plugins:
+        for plugin in self._ongoing.experiment.plugins:
             values = values_of(plugin, task.combination)
             if not values:
                 continue

@@ -1,26 +1,31 @@
-"""What an experiment finds that goes on: its manifest, and treatments that were put into its table by hand."""
+"""What an experiment needs before its first run: folder, manifest, treatments that are made or were put in by hand."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.config.plugin_checks import check_plugins, check_treatments
+from robot_runner.core.config.treatment_makers import Workshop, made_treatments
+from robot_runner.core.design.batches import GrownRunTableModel, as_configured
+from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.circumstances import manifest_of, restored_manifest, resumed_manifest
-from robot_runner.core.execution.extension import refuse_unplanned, unplanned_additions
-from robot_runner.core.execution.recovery import config_changes
+from robot_runner.core.execution.recovery import ACCEPT, config_changes
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
+from robot_runner.core.treatments import factors_of
+from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.storage.layout import ExperimentFolder
-
-__all__ = ["begun_manifest", "made_folder", "refuse_unfit_treatments"]
 
 
 def made_folder(folder: ExperimentFolder) -> set[str]:
@@ -75,13 +80,6 @@ def refuse_unfit_treatments(
 ) -> None:
     """See that plugins can be built with the treatments of a table that was written or changed by hand.
 
-    Args:
-        experiment: what is executed.
-        manifest: tells where the table comes from.
-        recovered: the table.
-        places: of the runs that are to be executed.
-        accept_changes: whether the table may differ from the plan.
-
     Raises:
         ExecutionError: one of them cannot be.
     """
@@ -90,6 +88,112 @@ def refuse_unfit_treatments(
         return
     combinations = (recovered.rows.combination(place) for place in places)
     found = check_treatments(experiment.plugins, experiment.model, experiment.parameters.robot, combinations)
-    refused = [finding for finding in found if finding.is_error]
-    if refused:
-        raise ExecutionError.of_findings(refused)
+    _refuse(found)
+
+
+def prepared_treatments(
+    experiment: Experiment, known: Mapping[str, Any], interruption: Interruption, tell: Callable[[str], None]
+) -> dict[str, Any]:
+    """Make the treatments of an experiment, and return plain facts of them.
+
+    Args:
+        experiment: whose they are; its treatments are changed in place.
+        known: the facts that this returned when the experiment first began; a replication begins with the original's.
+        interruption: the user's; it ends the making.
+        tell: says on the screen what is being made.
+
+    Raises:
+        RobotRunnerError: one cannot be made, or a plugin cannot do with what was made.
+        KeyboardInterrupt: the user has interrupted it.
+    """
+    known = known or (experiment.replication or {}).get("treatments", {})
+    workshop = Workshop(experiment.folder.revisions, lambda: interruption.is_requested, tell)
+    made = made_treatments(experiment.model.factors, known, workshop)
+    if made:
+        _refuse_unfit(experiment)
+    return made
+
+
+def _refuse_unfit(experiment: Experiment) -> None:
+    """Ask plugins again that are bound to what was made: only now can they look into it."""
+    names = {
+        each.name for each in experiment.model.factors if any(isinstance(one, Revision) for one in each.treatments)
+    }
+    bound = [each for each in experiment.plugins if names.intersection(factors_of(each).values())]
+    found = check_plugins(bound, experiment.model, experiment.parameters.robot)
+    _refuse(found)
+
+
+def _refuse(found: Iterable[Finding]) -> None:
+    errors = [finding for finding in found if finding.is_error]
+    if errors:
+        raise ExecutionError.of_findings(errors)
+
+
+def refuse_unplanned(experiment: Experiment, manifest: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """Return the warnings of `unplanned_additions`.
+
+    Raises:
+        ExecutionError: the config plans more than the run table has, and an extension would add just that.
+    """
+    has_others = bool(config_changes(experiment, of_design=False, of_settings=False))
+    found = unplanned_additions(experiment.config_path, experiment.model, manifest, has_other_changes=has_others)
+    if any(each.is_error for each in found):
+        raise ExecutionError.of_findings(found)
+    return found
+
+
+def unplanned_additions(
+    config: Path, model: RunTableModel, manifest: Mapping[str, Any], *, has_other_changes: bool = False
+) -> tuple[Finding, ...]:
+    """Return a finding where the config plans what the experiment was not planned with: an extension adds it.
+
+    It is an error where the config only has more than before, and a warning where it also has less: then somebody
+    changed the design, and said that the run table counts.
+
+    Args:
+        config: the config file.
+        model: the design as the config has it now, with the batches that there are.
+        manifest: of the experiment, as it was planned.
+        has_other_changes: whether the config has changed outside what makes the run table, too, which an extension has
+            to be told to accept.
+    """
+    design = manifest.get("design") or {}
+    if design.get("source") != "config" or "factors" not in design:
+        return ()
+    now = as_configured(model)
+    more = list(_more(now, design))
+    if not more:
+        return ()
+    less = any(
+        set(design["factors"].get(own.name, ())).difference(own.texts, _chosen(model).get(own.name, ()))
+        for own in now.factors
+    )
+    problem = f"the config plans more than the run table has: {enumerated(more)}"
+    accepting = f" {ACCEPT}" if has_other_changes else ""
+    fix = f"Add these runs: robot-runner extend {shown_config(config)}{accepting}. Or undo the change."
+    finding = Finding.warning if less else Finding.error
+    return (finding(f"{config}, create_run_table", problem, fix),)
+
+
+def _more(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[str]:
+    if model.repetitions > int(design.get("repetitions", 1)):
+        before = int(design.get("repetitions", 1))
+        yield f"{model.repetitions} repetitions of each combination instead of {before}"
+    for factor in model.factors:
+        known = design["factors"].get(factor.name)
+        there = frozenset(known or ())
+        new = [text for text in factor.texts if text not in there]
+        if known is None:
+            yield f"the factor {factor.name!r}"
+        elif new:
+            yield f"{counted(len(new), 'treatment')} of {factor.name} ({listed(new)})"
+
+
+def _chosen(model: RunTableModel) -> Mapping[str, Sequence[str]]:
+    return model.chosen if isinstance(model, GrownRunTableModel) else {}
+
+
+def shown_config(path: Path) -> str:
+    """Return a path as it is named in a command: from the present folder, where it is below it."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)

@@ -1,71 +1,74 @@
-"""Between two runs: the robot rests, or the user swaps its battery and says to go on."""
+"""Between two runs: the robot rests, a pause is awaited, the user swaps the battery and says to go on, hosts reboot."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import logging
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.parameters import OperationType
+from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.held_order import HeldOrder
+from robot_runner.core.errors import CommandError, ExecutionError, Finding, LinkError
+from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.execution.aside import executed_aside
+from robot_runner.core.execution.notices import FindingsNoticed, HostRestarts, Paused
 from robot_runner.core.execution.patience import Pause
-from robot_runner.core.execution.pausing import pause_where_requested
-from robot_runner.core.execution.reboots import Reboots
+from robot_runner.core.execution.places import Watch
+from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.links.declared_host import Reboot
+from robot_runner.core.links.host_commands import DeclaredHosts
+from robot_runner.core.storage.lock import forget_requests, is_requested
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.notices import Notice, Observer
+    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.execution.operator import Operator
-    from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
-    from robot_runner.core.execution.patience import Patience, Steps
+    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
+    from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.places import Place
-    from robot_runner.core.execution.progress_manager import ProgressManager
-    from robot_runner.core.execution.task import PendingRun
+    from robot_runner.core.execution.task import PendingRun, RunTask
+    from robot_runner.core.links.declared_host import Host
+    from robot_runner.core.links.host_commands import HostCommands, Shell
 
-__all__ = ["BetweenRuns"]
 
-#: How often a run looks whether a pause is over that was told of before another one, s.
-_LOOK = 0.2
+_log = logging.getLogger(__name__)
+
+#: How often a second terminal is listened to, and a run looks whether a pause is over that was told of before another
+#: one, s.
+_LISTEN = 0.2
+
+# Of hosts that are started anew (`Host.reboot`).
+
+#: The id of the run that starting a host anew is, in its contexts.
+_RUN = "reboot"
+#: How often it is tried whether a host answers again, s.
+_EVERY = 0.5
+#: How long one question may take, s.
+_ASKED = 15.0
+#: Beyond the time for the host and for its condition, s: to begin and end the process that waits.
+_PATIENCE = 30.0
+#: What is another one each time that Linux starts.
+_BOOT = "cat /proc/sys/kernel/random/boot_id"
 
 
 class BetweenRuns:
     """What happens between the end of a run and the beginning of the next.
 
-    Args:
-        experiment: what is executed.
-        progress: takes down what happens.
-        events: emits `continue`.
-        operator: the person who takes part.
-        observer: whose user may end a pause.
-        notify: tells the screens.
-        patience: what goes on meanwhile.
-
     Attributes:
         held: what the design holds of the order of runs.
     """
 
-    def __init__(
-        self,
-        experiment: Experiment,
-        progress: ProgressManager,
-        events: OrchestratorEvents,
-        operator: Operator,
-        observer: Observer,
-        notify: Callable[[Notice], None],
-        patience: Patience,
-    ) -> None:
-        self._parameters = experiment.parameters
-        self._folder = experiment.folder
-        self._observer = observer
-        self._notify = notify
-        self._progress = progress
-        self._events = events
+    def __init__(self, ongoing: OngoingExperiment, operator: Operator) -> None:
+        model = ongoing.experiment.model
+        self._ongoing = ongoing
         self._operator = operator
-        self._patience = patience
+        self._parameters = ongoing.experiment.parameters
         self._is_paused = False
-        self.held = HeldOrder.of_facts(experiment.model.design_facts)
-        self._rests = self.held.rests(experiment.model.plan(progress.seed) if self.held.rest_in_s else ())
-        self._reboots = Reboots(experiment, progress, notify, patience)
+        self.held = HeldOrder.of_facts(model.design_facts)
+        self._rests = self.held.rests(model.plan(ongoing.progress.seed) if self.held.rest_in_s else ())
+        self._reboots = _Reboots(ongoing)
 
     def prepare(
         self, run: PendingRun, finished: PendingRun | None, place: Place, name: str, *, is_cleared: bool = False
@@ -84,7 +87,7 @@ class BetweenRuns:
         """
         yield from self._pause_where_requested(run)
         if finished is not None and self._is_semi:
-            is_cleared = self._events.user_has_continued(
+            is_cleared = self._ongoing.events.user_has_continued(
                 finished,
                 run,
                 lambda factor, owner: self._operator.note_read(run.run_id, factor, owner),
@@ -92,32 +95,187 @@ class BetweenRuns:
                 place.experiment,
             )
         has_asked = yield from self._operator.prepare(run)
-        if self._is_semi and not (is_cleared or has_asked or self._patience.interruption.is_requested):
+        if self._is_semi and not (is_cleared or has_asked or self._ongoing.is_interrupted):
             yield from self._operator.ask_to_start(run)
         rest = self._parameters.time_between_runs_in_ms / 1000 if finished is not None else 0.0
         # What one treatment left is to be gone: it is not known when the unit's last run ended, of another session too.
         rest = max(rest, self._rests.get(run.run_id, 0.0))
-        if rest and not self._patience.interruption.is_requested:
+        if rest and not self._ongoing.is_interrupted:
             yield Pause(rest)
         if rest or finished is not None:
             yield from self._pause_where_requested(run)  # it may have been asked for meanwhile
         yield from self._reboots.before(run, finished)
 
     def _pause_where_requested(self, run: PendingRun) -> Steps[None]:
-        while self._is_paused and not self._patience.interruption.is_requested:  # told of before another run
-            yield Pause(_LOOK)
+        while self._is_paused and not self._ongoing.is_interrupted:  # told of before another run
+            yield Pause(_LISTEN)
         self._is_paused = True
         try:
-            user_input = self._observer.user_input
-            pause = pause_where_requested(self._folder, run, self._progress, self._notify, self._patience, user_input)
-            yield from pause
+            yield from self._paused_where_requested(run)
         finally:
             self._is_paused = False
 
-    def prepare_again(self, run: PendingRun) -> Steps[None]:
-        """Do what comes before another attempt at a run that failed: the steps that each attempt needs."""
-        yield from self._operator.prepare(run, is_retry=True)
+    def _paused_where_requested(self, run: PendingRun) -> Steps[None]:
+        """Wait, where `robot-runner pause` asked for it, until the request is taken back or the user interrupts."""
+        progress, folder = self._ongoing.progress, self._ongoing.experiment.folder
+        if not is_requested(folder.pause):
+            return
+        started, user_input = time.monotonic(), self._ongoing.observer.user_input
+        progress.note("paused", flush=True, next_run=run.run_id)
+        progress.bring_table_up_to_date()
+        self._ongoing.notify(Paused(folder.root, run.number, progress.run_count))
+        while is_requested(folder.pause) and not self._ongoing.is_interrupted:
+            pause = Pause(_LISTEN, user_input)
+            yield pause
+            if pause.typed == b"":  # the end of the input
+                user_input = None
+            elif pause.typed is not None:
+                forget_requests(folder.pause)
+        progress.note("continued", after="pause", seconds=round(time.monotonic() - started, 3))
 
     @property
     def _is_semi(self) -> bool:
         return self._parameters.operation_type is OperationType.SEMI
+
+
+class _Reboots:
+    """Starts hosts anew before the runs that their policies name.
+
+    It is done in a process under a keeper, as a run is: what a condition opens there is gone with it.
+    """
+
+    def __init__(self, ongoing: OngoingExperiment) -> None:
+        self._ongoing = ongoing
+        self._experiment = ongoing.experiment
+        self._progress = ongoing.progress
+
+    def before(self, run: PendingRun, finished: PendingRun | None) -> Steps[None]:
+        """Start those hosts anew that are to be before this run.
+
+        Raises:
+            ExecutionError: a host refused, or did not come back.
+        """
+        for name, host in self._experiment.parameters.hosts.items():
+            if not self._ongoing.is_interrupted and self._is_due(host, run, finished):
+                yield from self._restart(name, host, self._progress.task_of(run))
+
+    def _is_due(self, host: Host, run: PendingRun, finished: PendingRun | None) -> bool:
+        match host.reboot:
+            case Reboot.NEVER:
+                return False
+            case Reboot.PER_RUN:
+                return True
+            case Reboot.ONCE:
+                return finished is None
+            case Reboot.PER_BLOCK:
+                return finished is None or self._block(run) != self._block(finished)
+
+    def _block(self, run: PendingRun) -> str | None:
+        task, blocks = self._progress.task_of(run), self._experiment.model.blocks
+        if blocks is None:
+            return None
+        return str(task.repetition if blocks == REPETITION else task.combination.get(blocks))
+
+    def _restart(self, name: str, host: Host, task: RunTask) -> Steps[None]:
+        self._ongoing.notify(HostRestarts(name, task.run_id))
+        facts: dict[str, Any] = {}
+
+        def report(kind: str, fields: dict[str, Any]) -> None:
+            if kind == "host_restarted":
+                facts.update({key: value for key, value in fields.items() if key != "owner"})
+            elif kind == "waited":
+                self._progress.note(kind, host=name, next_run=task.run_id, **fields)
+
+        def launch_mission(context: RobotRunnerContext) -> None:
+            context.broker.note(CONFIG_OWNER, "host_restarted", _restarted(name, host, context))
+
+        started = time.monotonic()
+        robot = self._experiment.parameters.robot
+        outcome = yield from executed_aside(
+            self._experiment,
+            replace(task, run_id=_RUN),
+            launch_mission,
+            Watch(self._ongoing.patience.interruption, report),
+            deadline_s=2 * host.back_within_s + _PATIENCE,
+            robot=None if is_simulated(robot) else robot,  # hosts live by this machine's clock
+        )
+        seconds = round(time.monotonic() - started, 3)
+        failure = "" if outcome.failure is None else outcome.failure.problem
+        if outcome.status is AttemptStatus.INTERRUPTED:
+            failure = "interrupted"
+        self._progress.note(
+            "host_restarted", host=name, next_run=task.run_id, seconds=seconds, failure=failure, **facts
+        )
+        if facts.get("is_new_kernel") is False:
+            problem = "the host went away and answers again, and its kernel was not started anew"
+            finding = Finding.warning(f"hosts[{name!r}]", problem, f"Look at reboot_command: {host.reboot_command!r}.")
+            self._ongoing.notify(FindingsNoticed((finding,)))
+        if outcome.status is AttemptStatus.FAILED:
+            raise ExecutionError(
+                f"the host {name} was to be started anew before {task.run_id}: {failure}",
+                where=f"hosts[{name!r}]",
+                fix="Then start the experiment again: it resumes.",
+            )
+
+
+def _restarted(name: str, host: Host, context: RobotRunnerContext) -> dict[str, Any]:
+    """Start a host anew and wait until it answers again and its condition holds.
+
+    Returns:
+        how long it was away (s), and whether its kernel is another one; None where the host does not tell.
+
+    Raises:
+        LinkError: it refused, did not go away, or did not come back in time.
+        ConditionError: it was not ready in time.
+    """
+    access = DeclaredHosts({name: host}).open(name, context)
+    began = access.run(_BOOT, check=False, timeout_s=_ASKED).output.strip()
+    shell = access.shell
+    told = time.monotonic()
+    try:
+        access.run(host.reboot_command, timeout_s=min(_ASKED, host.back_within_s))
+    except CommandError as error:
+        if shell.is_connected():  # else the connection went before the command could say that it had succeeded
+            raise LinkError(
+                f"it cannot be started anew: {error.problem}",
+                where=name,
+                fix="Let this user do that without a password, or give another reboot_command.",
+            ) from error
+    except LinkError:
+        _log.debug("%s went away at once", name)
+    _await_end(name, host, shell, told)
+    gone = time.monotonic()
+    now = _await_answer(name, host, access, told)
+    away = time.monotonic() - gone
+    if host.ready is not None:
+        host.ready.wait(context, timeout_s=max(1.0, host.back_within_s - (time.monotonic() - told)))
+    return {"away_s": round(away, 3), "is_new_kernel": now != began if now and began else None}
+
+
+def _await_end(name: str, host: Host, shell: Shell, told: float) -> None:
+    """Wait until the host is gone."""
+    while shell.is_connected():
+        if time.monotonic() - told > host.back_within_s:
+            raise LinkError(
+                f"it was told to start anew ({host.reboot_command!r}), and was still there after "
+                f"{host.back_within_s:g} s",
+                where=name,
+                fix="Look at reboot_command, or allow it more time (back_within_s).",
+            )
+        time.sleep(_EVERY / 10)
+
+
+def _await_answer(name: str, host: Host, access: HostCommands, told: float) -> str:
+    """Return which kernel runs on the host that answers again."""
+    problem = ""
+    while (left := host.back_within_s - (time.monotonic() - told)) > 0:
+        try:
+            return access.run(_BOOT, check=False, timeout_s=min(_ASKED, left)).output.strip()
+        except LinkError as error:
+            problem = error.problem
+        time.sleep(_EVERY)
+    raise LinkError(
+        f"it did not come back within {host.back_within_s:g} s{f': {problem}' if problem else ''}",
+        where=name,
+        fix="Look at the host, or allow it more time (back_within_s).",
+    )

@@ -1,4 +1,4 @@
-"""What the manifest says of the clocks of other computers: for each one, over all runs."""
+"""The circumstances of an experiment, written down so that others can judge and repeat it: manifest, config, clocks."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from robot_runner.core.plugin import described_circumstances, installed_plugins
 from robot_runner.core.secret_names import hidden_settings
 from robot_runner.core.storage.git_repository import LARGEST_DIFF, repository_state, uncommitted_changes
 from robot_runner.core.storage.guarded_files import MissingFileError, make_folder, read_bytes, replace
+from robot_runner.core.storage.input_files import kept_contents
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.system_refusals import storage_error
@@ -27,19 +28,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.plugin import Plugin
-
-__all__ = [
-    "RestoredManifest",
-    "keep_config",
-    "keep_config_files",
-    "manifest_of",
-    "note_clock",
-    "restored_manifest",
-    "resumed_manifest",
-]
-
-
-# What is written down beside the results, so that others can judge and repeat them.
 
 
 def manifest_of(experiment: Experiment) -> dict[str, Any]:
@@ -178,9 +166,9 @@ def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
 
 
 def keep_config_files(experiment: Experiment) -> None:
-    """Copy the config file and the local modules that it imported; changed ones replace earlier copies.
+    """Copy the config file, the local modules that it imported and the files that its plugins read.
 
-    Earlier copies are kept beside, numbered in the order in which they were executed.
+    Changed ones replace earlier copies, which are kept beside, numbered in the order in which they were executed.
 
     Raises:
         StorageError: the copy cannot be written.
@@ -189,6 +177,7 @@ def keep_config_files(experiment: Experiment) -> None:
     root = experiment.folder.root
     contents = {target: source.read_bytes() for source, target in config_files(experiment).items()}
     try:
+        contents = kept_contents(experiment.inputs, experiment.config_path.parent, kept) | contents
         if not kept.exists() or not all(_holds(target, content, root) for target, content in contents.items()):
             if kept.exists():
                 kept.rename(_free(experiment.folder.earlier_configs, root))
@@ -263,44 +252,4 @@ def _described(plugin: Plugin) -> dict[str, Any]:
         "measures": [measure.name for measure in plugin.measures],
         # The factor of each: the journal has the value of each run.
         "bound_parameters": dict(factors_of(plugin)),
-    }
-
-
-def note_clock(manifest: dict[str, Any], facts: Mapping[str, Any]) -> None:
-    """Bring the manifest's `clocks` up to date with how a computer's clock stood to ours before and after one run.
-
-    The manifest sums up, so that it does not grow with the number of runs; the journal keeps each run's facts.
-
-    Args:
-        manifest: what is changed.
-        facts: as a run reports them: `host`; `before` and `after`, each with `wall_offset` and `round_trip` in s;
-            `uncertainty` in s; `drift` in parts of one.
-
-    Example:
-        >>> manifest = {}
-        >>> before = {"wall_offset": 1.5, "round_trip": 0.002}
-        >>> note_clock(manifest, {"host": "pi", "before": before, "after": None, "uncertainty": 0.001, "drift": None})
-        >>> manifest["clocks"]["pi"]["runs"], manifest["clocks"]["pi"]["largest_offset_s"]
-        (1, 1.5)
-    """
-    offsets = [each for each in (facts["before"], facts["after"]) if each is not None]
-    ahead = [each["wall_offset"] for each in offsets]
-    known = manifest.setdefault("clocks", {}).get(facts["host"])
-    so_far = known or {
-        "runs": 0,
-        "first_offset_s": ahead[0],
-        "smallest_offset_s": ahead[0],
-        "largest_offset_s": ahead[0],
-        "largest_round_trip_s": 0.0,
-        "largest_uncertainty_s": 0.0,
-        "last_drift": None,
-    }
-    manifest["clocks"][facts["host"]] = so_far | {
-        "runs": so_far["runs"] + 1,
-        "smallest_offset_s": min(so_far["smallest_offset_s"], *ahead),
-        "largest_offset_s": max(so_far["largest_offset_s"], *ahead),
-        "last_offset_s": ahead[-1],
-        "largest_round_trip_s": max(so_far["largest_round_trip_s"], *(each["round_trip"] for each in offsets)),
-        "largest_uncertainty_s": max(so_far["largest_uncertainty_s"], facts["uncertainty"]),
-        "last_drift": so_far["last_drift"] if facts["drift"] is None else facts["drift"],
     }

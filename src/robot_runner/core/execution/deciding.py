@@ -45,8 +45,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["Bookkeeper", "Deciding", "Growth", "asking_of", "what_follows"]
-
 
 @dataclass(frozen=True, slots=True)
 class Growth:
@@ -98,12 +96,7 @@ def what_follows(asking: Asking | None, runs: Sequence[PlannedRun]) -> str:
 
 
 class Deciding:
-    """Decides, whenever all planned runs are done, whether and which runs follow.
-
-    Args:
-        experiment: what is executed.
-        manifest: tells the seed, and whether the run table was written by hand: then it is executed as it is.
-    """
+    """Decides, whenever all planned runs are done, whether and which runs follow."""
 
     def __init__(self, experiment: Experiment, manifest: Mapping[str, Any]) -> None:
         model = experiment.model
@@ -125,10 +118,6 @@ class Deciding:
 
     def decide(self, progress: Bookkeeper, table: RecoveredTable) -> PrecisionJudged | NextDecided | None:
         """Have runs added where some follow, and else take down why not.
-
-        Args:
-            progress: takes it down.
-            table: a run table of which no run is to do.
 
         Returns:
             what was decided and why; None where nothing is to be decided.

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import EventManager
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["Durations", "Estimate", "TimeLeft", "durations_of"]
 
 #: A pause that is longer says nothing of the others, s: nobody was there, for a meal or a night.
 _LEFT_ALONE = 3600.0
@@ -347,14 +346,6 @@ def durations_of(
     journal: Path,
 ) -> Durations:
     """Return what is known of the durations of an experiment, and what was learnt from its runs so far.
-
-    Args:
-        config: the config object; it may have a method `duration_s`, as plugins have.
-        plugins: the plugins of the experiment.
-        events: who hears the mission's beginning.
-        parameters: the static parameters.
-        combinations: of all runs.
-        journal: of the experiment; it need not be there.
 
     Raises:
         StorageError: the journal cannot be read.

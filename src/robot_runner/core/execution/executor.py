@@ -1,100 +1,163 @@
-"""Carries out a run on this machine: in a process of its own, supervised, or in the orchestrator itself."""
+"""The slots of this machine, and how a run begins at one: in a process of its own, supervised, or in this one."""
 
 from __future__ import annotations
 
 import time
 from contextlib import ExitStack, closing, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.parameters import RunProcess
+from robot_runner.core.config.claims import worker_count
+from robot_runner.core.config.parameters import Parameters, RunProcess
+from robot_runner.core.entry_points import named_entry_point
+from robot_runner.core.errors import PluginError
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.standby import standby_of
 from robot_runner.core.execution.task import FINISHED, RecordReader
 from robot_runner.core.execution.worker import be_run, become_interpreter
-from robot_runner.core.links.connect import preload_simulation
+from robot_runner.core.links.connect import is_simulated, preload_simulation
 from robot_runner.core.storage.layout import LazyLog
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 
+    from robot_runner.core.config.claims import Claims
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.execution.places import RunInFlight, Watch
+    from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
     from robot_runner.core.execution.standby import Standby
     from robot_runner.core.execution.systems_state import SystemsState
     from robot_runner.core.execution.task import OutcomeBuilder, RecordWriter, RunOutcome, RunTask
-
-__all__ = ["EndedRun", "Executor", "executor_for"]
 
 #: How long after the grace a keeper that should have ended its run is waited for, s.
 _KEEPER_MARGIN = 10.0
 
 
-class Executor(Protocol):
-    """Executes runs; as many at a time as there are slots, each with files of its own."""
+class LocalPlace:
+    """A slot of this machine, with a log and marks of its own for the run that it executes; it may have its own robot.
+
+    Args:
+        experiment: what is executed.
+        slot: its number, from 1.
+        robot: the name of its robot, of those that take turns, and how it is reached; None where none does.
+    """
+
+    def __init__(self, experiment: Experiment, slot: int, robot: tuple[str, str] | None = None) -> None:
+        self.name = f"slot {slot}" if robot is None else robot[0]
+        self.slot = slot
+        self.is_aside = False
+        own = (
+            experiment.parameters if robot is None else Parameters(**{**vars(experiment.parameters), "robot": robot[1]})
+        )
+        self._own = frozenset() if robot is None or is_simulated(robot[1]) else frozenset((f"robot:{robot[1]}",))
+        self.experiment = replace(experiment, folder=experiment.folder.at_slot(slot), parameters=own)
+        load_before_forks(self.experiment)
+
+    def claimed(self, claims: Collection[str], combination: Mapping[str, object]) -> frozenset[str] | None:
+        """Return the claims: they are about this machine and what is connected to it; its own robot is one of them."""
+        del combination
+        return self._own.union(claims)
 
     def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
-        """Begin one attempt.
-
-        Args:
-            task: what is executed.
-            builder: holds what was known of the attempt before.
-            watch: what else goes on meanwhile.
-        """
-        ...
+        """Begin an attempt in a process of its own, or execute it in this one (`IN_PROCESS`)."""
+        return begin_run(self.experiment, task, builder, watch)
 
 
-def executor_for(experiment: Experiment) -> Executor:
-    """Return the executor that the config's `run_process` asks for."""
+class LocalPlaces:
+    """The slots of this machine."""
+
+    descriptors: Collection[int] = ()
+    due: float | None = None
+
+    def __init__(self, places: Iterable[Place]) -> None:
+        self.all: Sequence[Place] = tuple(places)
+
+    def advance(self) -> Sequence[str]:
+        """Say nothing: slots neither come nor go."""
+        return ()
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to let go of."""
+
+
+def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Mapping[str, Any]]) -> Places:
+    """Return the places of an experiment: its robots, or slots; one slot where all runs claim the same.
+
+    Those of a cluster are brought by the room that speaks to it, in the group `robot_runner.places`.
+
+    Raises:
+        PluginError: nothing brings places of a cluster.
+        ExecutionError: the experiment cannot be executed there.
+    """
+    if (address := experiment.parameters.cluster) is not None:
+        point = named_entry_point("places", "cluster")
+        if point is None:
+            fix = "Install Robot Runner anew: pip install 'robot-runner[cluster]'."
+            raise PluginError("nothing that is installed speaks to a cluster", where=f"cluster {address}", fix=fix)
+        places: Places = point.load()(experiment, address)
+        return places
+    if experiment.parameters.robots:
+        robots = experiment.parameters.robots.items()
+        return LocalPlaces(LocalPlace(experiment, slot, robot) for slot, robot in enumerate(robots, 1))
+    count = worker_count(experiment.parameters)
+    count = 1 if count > 1 and claims.common(combinations) else count
+    return LocalPlaces(LocalPlace(experiment, slot) for slot in range(1, count + 1))
+
+
+def load_before_forks(experiment: Experiment) -> None:
+    """Import the simulator of a robot into this process, so that no run that is forked from it has to."""
+    if experiment.parameters.run_process is RunProcess.FORK:
+        preload_simulation(experiment.parameters.robot)
+
+
+def begin_run(experiment: Experiment, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
+    """Begin one attempt at a run on this machine, in the way that the config's `run_process` asks for.
+
+    Args:
+        experiment: with the files of the slot that executes it.
+        task: what is executed.
+        builder: holds what was known of the attempt before.
+        watch: what else goes on meanwhile.
+    """
     match experiment.parameters.run_process:
         case RunProcess.FORK:
-            preload_simulation(experiment.parameters.robot)
-            return _ProcessExecutor(experiment, be_run)
+            return _begun_in_process(be_run, experiment, task, builder, watch)
         case RunProcess.SPAWN:
-            return _ProcessExecutor(experiment, become_interpreter)
+            return _begun_in_process(become_interpreter, experiment, task, builder, watch)
         case RunProcess.IN_PROCESS:
-            return _InProcessExecutor(experiment)
+            return _executed_here(experiment, task, builder, watch)
 
 
-class _ProcessExecutor:
-    def __init__(
-        self, experiment: Experiment, start: Callable[[Experiment, RunTask, SystemsState | None, RecordWriter], None]
-    ) -> None:
-        self._experiment = experiment
-        self._start = start
-
-    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
-        parameters = self._experiment.parameters
-        limits = _Limits(parameters.run_deadline_in_s, parameters.event_deadline_in_s, parameters.grace_in_s)
-        with ExitStack() as opened:
-            standby = standby_of(self._experiment, task)
-            state = None if standby is None else opened.enter_context(closing(standby.state))
-            start = partial(self._start, self._experiment, task, state)
-            keeper = opened.enter_context(Keeper(start, limits.grace, self._experiment.folder, standby))
-            return _Supervision(keeper, builder, limits, watch, standby, opened.pop_all())
+def _begun_in_process(
+    start: Callable[[Experiment, RunTask, SystemsState | None, RecordWriter], None],
+    experiment: Experiment,
+    task: RunTask,
+    builder: OutcomeBuilder,
+    watch: Watch,
+) -> RunInFlight:
+    parameters = experiment.parameters
+    with ExitStack() as opened:
+        standby = standby_of(experiment, task)
+        state = None if standby is None else opened.enter_context(closing(standby.state))
+        run = partial(start, experiment, task, state)
+        keeper = opened.enter_context(Keeper(run, parameters.grace_in_s, experiment.folder, standby))
+        return _Supervision(keeper, builder, parameters, watch, standby, opened.pop_all())
 
 
-class _InProcessExecutor:
-    def __init__(self, experiment: Experiment) -> None:
-        self._experiment = experiment
+def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
+    def report(kind: str, fields: dict[str, object]) -> None:
+        builder.take(kind, fields)
+        watch.report(kind, fields)
+        watch.refresh()
 
-    def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
-        def report(kind: str, fields: dict[str, object]) -> None:
-            builder.take(kind, fields)
-            watch.report(kind, fields)
-            if watch.refresh_interval is not None:
-                watch.refresh()
-            watch.tend()
-
-        with LazyLog(self._experiment.folder) as log, redirect_stdout(log), redirect_stderr(log):
-            gate = InterruptGate()
-            with watch.interruption.passed_on(gate):
-                execute_run(self._experiment, task, report, gate)
-        report(FINISHED, {})
-        return EndedRun(builder.outcome(interrupted=watch.interruption.is_requested))
+    with LazyLog(experiment.folder) as log, redirect_stdout(log), redirect_stderr(log):
+        gate = InterruptGate()
+        with watch.interruption.passed_on(gate):
+            execute_run(experiment, task, report, gate)
+    report(FINISHED, {})
+    return EndedRun(builder.outcome(interrupted=watch.interruption.is_requested))
 
 
 class EndedRun:
@@ -128,15 +191,6 @@ class EndedRun:
         """Do nothing: there is nothing left of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Limits:
-    """How long things may take, in seconds of real time; None for no limit."""
-
-    run: float | None
-    event: float | None
-    grace: float
-
-
 class _Supervision:
     """Watches over the process of a run: its records, its deadlines, its end.
 
@@ -148,7 +202,7 @@ class _Supervision:
         self,
         keeper: Keeper,
         builder: OutcomeBuilder,
-        limits: _Limits,
+        parameters: Parameters,
         watch: Watch,
         standby: Standby | None,
         opened: ExitStack,
@@ -156,7 +210,8 @@ class _Supervision:
         self._keeper = keeper
         self._standby = standby
         self._builder = builder
-        self._limits = limits
+        self._parameters = parameters
+        self._grace = parameters.grace_in_s
         self._watch = watch
         self._opened = opened
         self._reader = RecordReader(keeper.records)
@@ -219,7 +274,7 @@ class _Supervision:
             self._is_interrupted = True
             self._watch.noticed_interruption()
         self._because = because
-        self._give_up_at = time.monotonic() + self._limits.grace + _KEEPER_MARGIN
+        self._give_up_at = time.monotonic() + self._grace + _KEEPER_MARGIN
         self._keeper.stop()
 
     def kill(self) -> None:
@@ -231,7 +286,7 @@ class _Supervision:
     def _ending(self) -> Iterator[float]:
         """See to what is left to do once the keeper has told, or was killed; yield how long to wait each time, s."""
         if self._keeper.was_killed:
-            yield from self._keeper.abandoned_run_ended(self._limits.grace)
+            yield from self._keeper.abandoned_run_ended(self._grace)
         self._take_records()  # the last ones before it ended
         if self._standby is not None and self._keeper.run is not None:
             yield from self._standby.looked_after(self._keeper.run)
@@ -247,7 +302,7 @@ class _Supervision:
                 self._leave_by = None
             elif kind == "mission_stopped" or fields.get("ends_event"):
                 reason = fields.get("reason") or fields["problem"]
-                self._leave_by = self._leave_by or (time.monotonic() + self._limits.grace, reason)
+                self._leave_by = self._leave_by or (time.monotonic() + self._grace, reason)
             self._take(kind, fields)
 
     def _take(self, kind: str, fields: dict[str, Any]) -> None:
@@ -258,7 +313,7 @@ class _Supervision:
         """Return the moments at which the run, and its present event, have taken too long."""
         if self._because:  # it was asked to stop
             return None, None
-        run, event = self._limits.run, self._limits.event
+        run, event = self._parameters.run_deadline_in_s, self._parameters.event_deadline_in_s
         return (
             None if run is None else self._started + run,
             None if event is None else self._event_started + event,
@@ -268,13 +323,11 @@ class _Supervision:
         now = time.monotonic()
         run_deadline, event_deadline = self._deadlines()
         if run_deadline is not None and now >= run_deadline:
-            self.stop(f"the run took longer than run_deadline_in_s = {self._limits.run:g} s")
+            self.stop(f"the run took longer than run_deadline_in_s = {self._parameters.run_deadline_in_s:g} s")
         elif event_deadline is not None and now >= event_deadline:
-            self.stop(f"the event took longer than event_deadline_in_s = {self._limits.event:g} s")
+            self.stop(f"the event took longer than event_deadline_in_s = {self._parameters.event_deadline_in_s:g} s")
         elif self._leave_by is not None and now >= self._leave_by[0] and not self._because:
-            self.stop(
-                f"{self._leave_by[1]}; {self._builder.event} had not ended grace_in_s = {self._limits.grace:g} s later"
-            )
+            self.stop(f"{self._leave_by[1]}; {self._builder.event} had not ended grace_in_s = {self._grace:g} s later")
         if self._give_up_at is not None and now >= self._give_up_at:
             self._give_up_at = None
             self._keeper.give_up()

@@ -14,7 +14,7 @@ from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.places import InFlight
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.excluded_runs import ExcludedRuns
+from robot_runner.core.storage.executed_runs import ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
-
-__all__ = ["ExperimentHistory", "Session"]
 
 
 @dataclass(frozen=True, slots=True)

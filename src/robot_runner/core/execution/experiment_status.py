@@ -1,18 +1,21 @@
-"""How far an experiment has come, from its folder alone, also while it is executed."""
+"""How far an experiment has come, from its folder alone, and what a person asks of one that is being executed."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.operator_steps import Question
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
+from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import Holder, holder_of, pause_is_requested
+from robot_runner.core.storage.lock import Command, Holder, holder_of, is_requested, send_command
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -24,8 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
     from robot_runner.core.execution.experiment_history import Session
     from robot_runner.core.execution.places import InFlight
-
-__all__ = ["ExperimentStatus", "read_status", "status_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +154,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         sessions=tuple(history.sessions),
         excluded=out,
         is_paused=holder is not None and history.is_paused,
-        pause_is_requested=holder is not None and pause_is_requested(files.pause),
+        pause_is_requested=holder is not None and is_requested(files.pause),
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
         repeated=rule_in_words(*rules_of_mapping(manifest.get("repeat_until"))),
         precision=history.precision,
@@ -205,3 +206,63 @@ def _time_left(files: ExperimentFolder, history: ExperimentHistory, *, is_execut
     durations.learn_from(files.journal)
     durations.plan(history.combinations[run] for run in unfinished if run in history.combinations)
     return durations.left()
+
+
+#: How long the experiment may take the request, in seconds; it looks several times a second.
+_PATIENCE = 5.0
+_LOOK = 0.05
+
+
+def questions_of(status: ExperimentStatus) -> list[Question]:
+    """Return what an experiment asks at this moment."""
+    asked = status.waiting_for["questions"] if status.waiting_for else ()
+    return [Question.from_mapping(facts) for facts in asked]
+
+
+def require_executed(status: ExperimentStatus, where: str, what: str) -> None:
+    """Let only an experiment pass that somebody executes.
+
+    Raises:
+        ExecutionError: nobody does.
+    """
+    if status.holder is None:
+        fix = f"{what}; `robot-runner run` with its config goes on."
+        raise ExecutionError("nobody executes this experiment", where=where, fix=fix)
+
+
+def require_waiting(status: ExperimentStatus, where: str) -> None:
+    """Let only an experiment pass that waits for a person.
+
+    Raises:
+        ExecutionError: it does not; says what it does.
+    """
+    if status.holder is None:
+        left = status.todo + status.failed
+        fix = "Start it with `robot-runner run` and its config: it resumes." if left else "All its runs are done."
+        raise ExecutionError("nobody executes this experiment", where=where, fix=fix)
+    if not status.is_waiting_for_user:
+        doing = f"executes {status.current_run}" if status.current_run else "is between two runs"
+        raise ExecutionError(
+            f"the experiment does not wait: process {status.holder.pid} on {status.holder.host} {doing}",
+            where=where,
+            fix="Wait until it asks; without steps for the operator, and in AUTO mode, it never does.",
+        )
+
+
+def continue_and_see(files: ExperimentFolder, answers: Mapping[str, str], where: str) -> None:
+    """Tell an experiment that waits to go on, and see that it has taken the request.
+
+    Raises:
+        StorageError: the folder cannot be written.
+        ExecutionError: the request was not taken within five seconds.
+    """
+    send_command(files.control, Command.CONTINUE, answers)
+    end = time.monotonic() + _PATIENCE
+    while files.control.exists():
+        if time.monotonic() > end:
+            raise ExecutionError(
+                f"the experiment has not taken the request after {_PATIENCE:g} s",
+                where=where,
+                fix="Press ENTER in its own terminal; the request is taken once the experiment looks again.",
+            )
+        time.sleep(_LOOK)

@@ -20,17 +20,15 @@ from robot_runner.core.execution.places import Watch
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.gate_parameters import Gate
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.execution.notices import Notice
-    from robot_runner.core.execution.patience import Patience, Steps
-    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
+    from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.task import PendingRun, Report, RunOutcome, RunTask
 
-__all__ = ["Gates", "Passage"]
 
 #: How long the process may take beyond the gate's own time, s: to connect, or to begin a simulation.
 _MARGIN = 60.0
@@ -65,45 +63,24 @@ class Passage:
 
 
 class Gates:
-    """Awaits the gates of an experiment.
+    """Awaits the gates of an experiment."""
 
-    Args:
-        experiment: whose gates they are.
-        progress: takes down how long was waited, and what was seen.
-        notify: tells the screen.
-        patience: whose interruption ends a wait.
-    """
-
-    def __init__(
-        self,
-        experiment: Experiment,
-        progress: ProgressManager,
-        notify: Callable[[Notice], None],
-        patience: Patience,
-    ) -> None:
-        self._gates: tuple[Gate, ...] = tuple(experiment.parameters.gates)
-        self._progress = progress
-        self._notify = notify
-        self._patience = patience
+    def __init__(self, ongoing: OngoingExperiment) -> None:
+        self._gates: tuple[Gate, ...] = tuple(ongoing.experiment.parameters.gates)
+        self._ongoing = ongoing
 
     def pass_before(self, run: PendingRun, experiment: Experiment) -> Steps[Passage]:
-        """Await all gates, one after another, before the next attempt at a run; an interruption ends the wait.
-
-        Args:
-            run: the run that waits.
-            experiment: as its place has it.
-        """
+        """Await all gates, one after another, before the next attempt at a run; an interruption ends the wait."""
         if not self._gates:
             return Passage()
-        begun = self._progress.task_of(run)
+        begun = self._ongoing.progress.task_of(run)
         task = replace(begun, attempt=begun.attempt + 1)
-        wait = _Wait(self._gates, task, self._progress, self._notify)
+        wait = _Wait(self._gates, task, self._ongoing)
         outcome = yield from self._awaited(task, experiment, wait.take)
-        interruption = self._patience.interruption
-        while not interruption.is_requested and _robot_is_away(outcome) and wait.goes_on_without(outcome):
+        while not self._ongoing.is_interrupted and _robot_is_away(outcome) and wait.goes_on_without(outcome):
             yield Pause(_AGAIN)
             outcome = yield from self._awaited(task, experiment, wait.take)
-        if interruption.is_requested:
+        if self._ongoing.is_interrupted:
             wait.end("the experiment was interrupted", state="interrupted")
             return Passage()
         if outcome.failure is not None and not wait.is_over:
@@ -111,13 +88,13 @@ class Gates:
         return wait.passage()
 
     def _awaited(self, task: RunTask, experiment: Experiment, take: Report) -> Steps[RunOutcome]:
-        gates, patience = self._gates, self._patience
+        gates = self._gates
         seconds = sum(gate.patience_s for gate in gates) + _MARGIN
         return executed_aside(
             experiment,
             task,
             lambda context: _await_gates(gates, context),
-            Watch(patience.interruption, take),
+            Watch(self._ongoing.patience.interruption, take),
             deadline_s=seconds if math.isfinite(seconds) else None,
             robot=experiment.parameters.robot if any(map(_asks_robot, gates)) else None,
         )
@@ -126,13 +103,11 @@ class Gates:
 class _Wait:
     """One wait at the gates, as its process tells of it."""
 
-    def __init__(
-        self, gates: Sequence[Gate], task: RunTask, progress: ProgressManager, notify: Callable[[Notice], None]
-    ) -> None:
+    def __init__(self, gates: Sequence[Gate], task: RunTask, ongoing: OngoingExperiment) -> None:
         self._gates = gates
         self._task = task
-        self._progress = progress
-        self._notify = notify
+        self._progress = ongoing.progress
+        self._notify = ongoing.notify
         self._number = 0
         self._began = time.monotonic()
         self._seen, self._seconds = "", 0.0

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.declared_host import Host
     from robot_runner.core.plugin import Circumstances, Plugin
 
-__all__ = ["HostFiles", "bring_host_files"]
 
 _NAME = "host_files"
 #: The share of the grace that fetching may take after a failure: the rest is for the robot and the other plugins.

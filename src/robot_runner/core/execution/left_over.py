@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["RunMark", "await_left_over", "end_left_over", "has_locked", "left_over", "left_over_ended"]
 
 _VARIABLE = "ROBOT_RUNNER_RUN_OF"
 #: How often we look whether a process has ended, and how long those that were killed may take, s.
@@ -41,9 +40,6 @@ _DIGITS = 20
 
 class RunMark:
     """The marks of one run: made before its keeper is forked, so that keeper and run inherit them.
-
-    Args:
-        folder: the experiment's.
 
     Attributes:
         descriptor: of the file that is locked; a process that replaces itself hands it on.

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import EventManager
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["CombinationKey", "MissionKnowledge", "SeenRuns", "combination_key", "said_of_all", "told_apart"]
 
 #: A combination as the journal keeps it: each factor with the text of its treatment.
 CombinationKey = frozenset[tuple[str, str]]

@@ -17,31 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.durations import TimeLeft
     from robot_runner.core.execution.task import RunOutcome, RunTask
 
-__all__ = [
-    "AnswersRefused",
-    "AttemptFinished",
-    "AttemptStarted",
-    "ExperimentFinished",
-    "ExperimentStarted",
-    "FindingsNoticed",
-    "GatePassed",
-    "GateWaiting",
-    "HostRestarts",
-    "InterruptionNoticed",
-    "NextDecided",
-    "Notice",
-    "Observer",
-    "Paused",
-    "PrecisionJudged",
-    "PreparationStarted",
-    "ProbeStarted",
-    "QuestionAsked",
-    "RunRecord",
-    "SilentObserver",
-    "UserHasContinued",
-    "WaitingForUser",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class PreparationStarted:

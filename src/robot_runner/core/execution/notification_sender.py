@@ -12,8 +12,6 @@ import os
 import signal
 import sys
 
-__all__ = ["send"]
-
 
 def send(address: str, title: str, body: str, kind: str) -> bool:
     """Send a notification; returns whether the service has taken it."""

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.notices import Notice
 
-__all__ = ["Notifications"]
 
 _MODULE = "robot_runner.core.execution.notification_sender"
 #: How long the sending of one notification may take, s: mail servers think for a while.
@@ -60,12 +59,7 @@ class _Message:
 
 
 class Notifications:
-    """Tells somebody elsewhere what the config asks for, and never holds the experiment up.
-
-    Args:
-        experiment: what is executed.
-        note: takes a record for the journal.
-    """
+    """Tells somebody elsewhere what the config asks for, and never holds the experiment up."""
 
     def __init__(self, experiment: Experiment, note: Callable[..., None]) -> None:
         self._notify = experiment.parameters.notify

@@ -20,18 +20,15 @@ from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import Command, forget_command, take_request
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.events.measure import MeasureValue
-    from robot_runner.core.execution.notices import Notice
-    from robot_runner.core.execution.patience import Patience, Steps
-    from robot_runner.core.execution.progress_manager import ProgressManager
+    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
+    from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.task import PendingRun, Report, RunTask
 
-__all__ = ["Operator"]
 
 #: How often a second terminal is listened to, in seconds.
 _LISTEN = 0.2
@@ -89,31 +86,16 @@ class _History:
 
 
 class Operator:
-    """Asks the person who takes part, and keeps what they did and answered.
+    """Asks the person who takes part, and keeps what they did and answered."""
 
-    Args:
-        experiment: whose steps they are.
-        progress: takes down what happens.
-        user_input: the descriptor on which somebody may type, or None where nobody sits there.
-        notify: takes what a screen is to show.
-        patience: what goes on meanwhile.
-    """
-
-    def __init__(
-        self,
-        experiment: Experiment,
-        progress: ProgressManager,
-        user_input: int | None,
-        notify: Callable[[Notice], None],
-        patience: Patience,
-    ) -> None:
-        self._experiment = experiment
-        self._steps = experiment.parameters.operator_steps
-        self._progress = progress
-        self._keyboard = _Keyboard(user_input)
+    def __init__(self, ongoing: OngoingExperiment) -> None:
+        self._ongoing = ongoing
+        self._experiment = ongoing.experiment
+        self._steps = ongoing.experiment.parameters.operator_steps
+        self._progress = ongoing.progress
+        self._keyboard = _Keyboard(ongoing.observer.user_input)
         self._is_asking = False
-        self._notify = notify
-        self._interruption = patience.interruption
+        self._notify = ongoing.notify
         self._history: _History | None = None
         self._reads: dict[str, dict[tuple[str, str], None]] = {}
 
@@ -127,7 +109,7 @@ class Operator:
         for step in self._steps:
             if is_retry and not step.is_for_each_attempt:
                 continue
-            if not self._interruption.is_requested and self._is_due(step, run):
+            if not self._ongoing.is_interrupted and self._is_due(step, run):
                 yield from self._have_done(step, run)
                 has_asked = True
         return has_asked
@@ -203,7 +185,7 @@ class Operator:
             self._is_asking = False
 
     def _asked(self, run: PendingRun, step: OperatorStep | None) -> Steps[dict[str, MeasureValue] | None]:
-        if self._interruption.is_requested:
+        if self._ongoing.is_interrupted:
             return None
         name, questions = (step.name, tuple(step.ask)) if step else ("", ())
         asked = [question.as_mapping() for question in questions]
@@ -235,7 +217,7 @@ class Operator:
         given: dict[str, MeasureValue] = {}
         left = deque(questions)
         self._put_question(left)
-        while not self._interruption.is_requested:
+        while not self._ongoing.is_interrupted:
             line = yield from self._keyboard.line()
             if line is not None:
                 if left:

@@ -14,28 +14,26 @@ from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, 
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import OPERATOR_OWNER
 from robot_runner.core.events.outlook import ExperimentEnd
-from robot_runner.core.execution.attempts import Attempts, Stop
+from robot_runner.core.execution.begun_experiment import prepared_treatments
+from robot_runner.core.execution.executor import places_of
 from robot_runner.core.execution.interruption import Interruption
-from robot_runner.core.execution.local_places import places_of
 from robot_runner.core.execution.notices import (
     ExperimentFinished,
     ExperimentStarted,
-    FindingsNoticed,
     Notice,
     Observer,
     PreparationStarted,
     ProbeStarted,
 )
 from robot_runner.core.execution.notifications import Notifications
-from robot_runner.core.execution.orchestrator_events import OrchestratorEvents
+from robot_runner.core.execution.orchestrator_events import OngoingExperiment, OrchestratorEvents
 from robot_runner.core.execution.patience import Patience
-from robot_runner.core.execution.prepared_treatments import prepared_treatments
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
 from robot_runner.core.execution.progress_manager import ProgressManager
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.execution.side_by_side import SideBySide
 from robot_runner.core.storage.claim_locks import HeldClaims
-from robot_runner.core.storage.lock import forget_stop, stop_is_requested
+from robot_runner.core.storage.lock import forget_requests, is_requested
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -44,7 +42,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.task import RunTask
 
-__all__ = ["execute_experiment"]
 
 _log = logging.getLogger(__name__)
 #: How often a request to stop is looked for, in seconds: it is a file, which wakes nobody.
@@ -145,33 +142,20 @@ class _Orchestrator:
         self._interruption = interruption
         self._observer = observer
         patience = Patience(interruption, self._refresh, observer.refresh_interval, self._tend)
-        self._events = OrchestratorEvents(experiment, progress, patience)
         self._notifications = Notifications(experiment, progress.note)
         self._started = time.monotonic()
-        self._stop = Stop()
         self._places = places_of(experiment, claims, progress.combinations_left)
         has_one_place = len(self._places.all) == 1
         is_alone = has_one_place and self._parameters.cluster is None  # nothing to keep apart, and here is everything
         progress.expect_places(max(1, len(self._places.all)))
-        attempts = Attempts(
-            experiment,
-            progress,
-            self._events,
-            observer,
-            self._notice,
-            patience,
-            self._stop,
-            has_one_place=has_one_place,
+        events = OrchestratorEvents(experiment, progress, patience)
+        self._ongoing = OngoingExperiment(
+            experiment, progress, events, observer, self._notice, patience, has_one_place=has_one_place
         )
         self._side_by_side = SideBySide(
-            progress,
+            self._ongoing,
             self._places,
             lambda task: frozenset(() if is_alone else claims.of(task.combination)),
-            attempts,
-            patience,
-            self._stop,
-            progress.turns if self._parameters.robots else None,
-            self._find,
         )
 
     def execute(self, findings: Sequence[Finding]) -> ExperimentFinished:
@@ -194,7 +178,7 @@ class _Orchestrator:
     def _execute_between_events(self, findings: Sequence[Finding]) -> None:
         try:
             with closing(self._places):
-                returned = self._events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
+                returned = self._ongoing.events.emit_to_experiment(RobotRunnerEvents.BEFORE_EXPERIMENT)
                 self._execute_runs(is_cleared=any(value is True for value in returned))
         except BaseException as error:
             self._end_after(error, findings)
@@ -227,7 +211,7 @@ class _Orchestrator:
             failures=finished.failures,
             findings=finished.findings,
         )
-        self._events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT, ended)
+        self._ongoing.events.emit_to_experiment(RobotRunnerEvents.AFTER_EXPERIMENT, ended)
 
     def _execute_runs(self, *, is_cleared: bool) -> None:
         """Execute the runs that are left, then those that follow from the results, until nothing follows."""
@@ -269,8 +253,8 @@ class _Orchestrator:
             failed=progress.failed,
             failures=progress.failures,
             interrupted=self._interruption.is_requested,
-            stopped_by_policy=bool(self._stop.reason),
-            stopped_by=self._stop.reason,
+            stopped_by_policy=bool(self._ongoing.stopped_by),
+            stopped_by=self._ongoing.stopped_by,
             findings=(*findings, *progress.findings),
             seconds=time.monotonic() - self._started,
             excluded=progress.excluded,
@@ -279,16 +263,12 @@ class _Orchestrator:
     def _tend(self) -> float:
         """Do what is due while something is awaited; returns in how many seconds it is again."""
         stop = self._experiment.folder.stop
-        if stop_is_requested(stop) and not self._interruption.is_requested:
+        if is_requested(stop) and not self._interruption.is_requested:
             self._interruption.request()  # first: whatever becomes of the record, the robot is to stop
             self._progress.note("stop_requested", flush=True)
-            forget_stop(stop)
+            forget_requests(stop)
         due = self._progress.tend_table()
         return _LISTEN if due is None else min(due, _LISTEN)
-
-    def _find(self, finding: Finding) -> None:
-        self._progress.find(finding)
-        self._notice(FindingsNoticed((finding,)))
 
     def _notice(self, notice: Notice) -> None:
         _tell(self._observer, notice)

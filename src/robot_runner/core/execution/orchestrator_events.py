@@ -1,11 +1,14 @@
-"""The events whose callbacks the orchestrating process executes itself: of the experiment, and around each run."""
+"""The events whose callbacks the orchestrating process executes itself, and what the parts of that process share."""
 
 from __future__ import annotations
 
+import os
+import select
+import signal
 import time
-from contextlib import ExitStack
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import ExecutionError
@@ -14,22 +17,117 @@ from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.events.manager import CallbackFailure, Emission, RobotRunnerEvents
 from robot_runner.core.events.outlook import ExperimentEnd, NextRun
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution.event_deadline import DeadlinePassed, EventDeadline
-from robot_runner.core.execution.interruption import InterruptGate
-from robot_runner.core.execution.run_ending import failure_fields
+from robot_runner.core.execution.interruption import InterruptGate, failure_fields
+from robot_runner.core.execution.notices import FindingsNoticed
+from robot_runner.core.execution.processes import forked
 from robot_runner.core.execution.run_events import run_contexts
 from robot_runner.core.execution.task import OutcomeBuilder
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from types import FrameType
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.execution.notices import Notice, Observer
     from robot_runner.core.execution.patience import Patience
     from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.task import PendingRun, Report, RunTask
 
-__all__ = ["OrchestratorEvents"]
+
+#: How many times over `grace_in_s` a callback may take to end once its deadline has passed.
+_PATIENCE = 3
+#: Of a terminal; the live screen hides it.
+_SHOW_CURSOR = "\x1b[?25h"
+
+
+class DeadlinePassed(BaseException):
+    """Raised in a callback that takes too long. A BaseException, so that callbacks do not swallow it."""
+
+
+class EventDeadline:
+    """Has `DeadlinePassed` raised in what is executed while it lasts, once that takes too long. A context manager.
+
+    A timer signal ends the callback, as a thread would have to be left behind. Python handles a signal between two of
+    its own instructions: it interrupts sleeping, waiting and I/O, but code in C that computes or that waits again after
+    each signal goes on. Nothing in this process can end that, so a watcher, a process of its own, ends the orchestrator
+    then: the experiment stops instead of hanging, and resumes where it was.
+
+    Where callbacks swallow the exception, it is raised again each `grace` seconds. Use it in the main thread.
+
+    Args:
+        what: the event that is guarded, in words.
+        seconds: how long it may take.
+        grace: how long what it ends may take to clean up, s.
+    """
+
+    def __init__(self, what: str, seconds: float, grace: float) -> None:
+        self._what = what
+        self._seconds = seconds
+        self._grace = grace
+        self._is_armed = False
+        self._watcher = (0, -1)
+
+    def __str__(self) -> str:
+        return f"the event took longer than event_deadline_in_s = {self._seconds:g} s"
+
+    def __enter__(self) -> Self:
+        self._watcher = self._watch()
+        self._earlier = signal.signal(signal.SIGALRM, self._take_signal)
+        self._is_armed = True
+        signal.setitimer(signal.ITIMER_REAL, self._seconds, self._grace)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        try:
+            self._is_armed = False
+        finally:  # also where the signal came right before this
+            self._is_armed = False
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, self._earlier)
+            self._dismiss_watcher()
+
+    def _take_signal(self, number: int, frame: FrameType | None) -> None:
+        del number, frame
+        if self._is_armed:
+            raise DeadlinePassed(str(self))
+
+    def _watch(self) -> tuple[int, int]:
+        """Start the watcher; returns its process id, and the descriptor on which it is told that all is over."""
+        reader, writer = os.pipe()
+        watcher = forked()
+        if watcher == 0:
+            os.close(writer)
+            self._end_orchestrator_unless_told(reader)
+        os.close(reader)
+        return watcher, writer
+
+    def _dismiss_watcher(self) -> None:
+        watcher, line = self._watcher
+        with suppress(BrokenPipeError):  # somebody killed it
+            os.write(line, b".")  # closing is not enough: a callback may have left a process that holds the line open
+        os.close(line)
+        with suppress(ChildProcessError):  # a callback waited for all children
+            os.waitpid(watcher, 0)
+
+    def _end_orchestrator_unless_told(self, reader: int) -> None:
+        orchestrator = os.getppid()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)  # the orchestrator decides
+        told, _, _ = select.select([reader], [], [], self._seconds + _PATIENCE * self._grace)
+        if not told and os.getppid() == orchestrator:
+            with suppress(OSError):  # nobody reads it
+                os.write(2, self._last_words().encode())
+            os.kill(orchestrator, signal.SIGKILL)
+        os._exit(0)
+
+    def _last_words(self) -> str:
+        cursor = _SHOW_CURSOR if os.isatty(2) else ""
+        return (
+            f"{cursor}\nerror: {self._what}: {self}, and code that is not Python's keeps it from being ended: the "
+            "experiment is killed\n  fix: Mend this callback and start the experiment again: it resumes.\n"
+        )
 
 
 #: How often the run table is looked after while a callback of this process sleeps, s.
@@ -50,13 +148,7 @@ class _AttentiveClock(SystemClock):
 
 
 class OrchestratorEvents:
-    """Emits `before_experiment`, `before_run`, `continue` and `after_experiment`, within `event_deadline_in_s`.
-
-    Args:
-        experiment: whose callbacks are called.
-        progress: takes down what happens.
-        patience: the user's interruption, which ends the callback that is being executed, and the screen.
-    """
+    """Emits `before_experiment`, `before_run`, `continue` and `after_experiment`, within `event_deadline_in_s`."""
 
     def __init__(self, experiment: Experiment, progress: ProgressManager, patience: Patience) -> None:
         self._experiment = experiment
@@ -69,17 +161,17 @@ class OrchestratorEvents:
         event: RobotRunnerEvents,
         task: RunTask,
         report: Report,
-        experiment: Experiment | None = None,
+        experiment: Experiment,
         adapt: Callable[[RobotRunnerContext], RobotRunnerContext] = lambda context: context,
     ) -> list[object]:
         """Emit an event of a run in this process; a callback that raises is reported as a failure of the run.
 
         Args:
-            event: the event.
+            event: which.
             task: the run.
             report: takes what happens.
-            experiment: as the run's place has it, where that differs.
-            adapt: makes what a callback is given of the run's context.
+            experiment: as the place of the run has it.
+            adapt: changes the context of each callback.
 
         Returns:
             what each callback returned.
@@ -94,8 +186,7 @@ class OrchestratorEvents:
             return []
         resources = Resources()
         clock = _AttentiveClock(self._patience)
-        of_place = experiment or self._experiment
-        context_for = run_contexts(of_place, task, clock=clock, resources=resources, report=told)
+        context_for = run_contexts(experiment, task, clock=clock, resources=resources, report=told)
         try:
             emission = self._emit(event, lambda owner: adapt(context_for(owner)))
             for failure in emission.failures:
@@ -136,8 +227,8 @@ class OrchestratorEvents:
         finished: PendingRun,
         following: PendingRun,
         read: Callable[[str, str], None],
-        place: str = "",
-        experiment: Experiment | None = None,
+        place: str,
+        experiment: Experiment,
     ) -> bool:
         """Emit `continue`; a callback that returns True has asked the user itself.
 
@@ -148,7 +239,7 @@ class OrchestratorEvents:
             following: the run that comes next.
             read: called with a factor and an owner when the owner reads its treatment in the run that comes next.
             place: where both are executed; empty where there is one place only.
-            experiment: as that place has it, where that differs.
+            experiment: as that place has it.
 
         Raises:
             ExecutionError: a callback raised, or took too long.
@@ -192,6 +283,47 @@ class OrchestratorEvents:
                 return self._experiment.events.emit(event, context_for)
         except (RunInterrupted, DeadlinePassed) as error:  # between two callbacks
             return Emission((), (), (CallbackFailure(event, "", error),))
+
+
+@dataclass(slots=True)
+class OngoingExperiment:
+    """An experiment that is being executed: what the parts of the orchestrator share.
+
+    Attributes:
+        experiment: what is executed.
+        progress: takes down what happens.
+        events: emits the events of the orchestrator.
+        observer: the screen, and where somebody may type.
+        notify: tells the screens.
+        patience: what goes on while something is awaited.
+        has_one_place: whether no run ever goes on beside another one.
+        stopped_by: why no more runs begin, `on_failure`, `a gate` or `a guard`; those in flight come to their end.
+            Empty while it goes on.
+    """
+
+    experiment: Experiment
+    progress: ProgressManager
+    events: OrchestratorEvents
+    observer: Observer
+    notify: Callable[[Notice], None]
+    patience: Patience
+    has_one_place: bool
+    stopped_by: str = ""
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether the user asked for the end."""
+        return self.patience.interruption.is_requested
+
+    @property
+    def is_ending(self) -> bool:
+        """Whether nothing is to begin any more."""
+        return self.is_interrupted or bool(self.stopped_by)
+
+    def find(self, finding: Finding) -> None:
+        """Tell what looks odd, now and at the end."""
+        self.progress.find(finding)
+        self.notify(FindingsNoticed((finding,)))
 
 
 def _place(failure: CallbackFailure) -> str:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.places import Places
 
-__all__ = ["Patience", "Pause", "Steps"]
 
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _Result = TypeVar("_Result")
@@ -116,10 +115,6 @@ class Patience:
         """Wait until there is something to do, do it, and return what is over.
 
         The user's interruption has all of them end soon, and a second one at once.
-
-        Args:
-            awaited: what is in flight.
-            places: also waited for: one may come.
         """
         self._pass_interruption_on(awaited)
         self._wait(awaited, places)

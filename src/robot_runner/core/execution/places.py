@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.task import OutcomeBuilder, Report, RunOutcome, RunTask
 
-__all__ = ["INTERRUPTED", "Awaited", "InFlight", "Place", "Places", "RunInFlight", "Watch"]
 
 #: Why a run is ended that the user's interruption ends.
 INTERRUPTED = "the user interrupted the experiment"
@@ -89,18 +88,14 @@ class Watch:
     Attributes:
         interruption: the user's, for a run that the orchestrating process executes itself.
         report: takes each record as it arrives.
-        refresh: called every `refresh_interval` seconds; never where that is None.
-        tend: called after each record, and when the time is over that it returned last, in seconds; None where nothing
-            is due.
+        refresh: called after each record of a run that the orchestrating process executes itself.
         noticed_interruption: called once the run has been asked to stop because the user interrupted.
     """
 
     interruption: Interruption
     report: Report = lambda _kind, _fields: None
     refresh: Callable[[], None] = lambda: None
-    refresh_interval: float | None = None
     noticed_interruption: Callable[[], None] = lambda: None
-    tend: Callable[[], float | None] = lambda: None
 
 
 class Place(Protocol):

@@ -28,16 +28,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.task import RunOutcome
     from robot_runner.core.plugin import Plugin
 
-__all__ = [
-    "Probe",
-    "Probed",
-    "probe_experiment",
-    "probe_profilers",
-    "probe_window_of",
-    "probed_plugins",
-    "probed_profilers",
-    "without_values",
-]
 
 #: The id of the run that a probe is, in its findings and in the contexts of its callbacks.
 _RUN = "probe"
@@ -183,11 +173,6 @@ def probe_profilers(experiment: Experiment, task: RunTask, interruption: Interru
 
     A profiler that raises ends such a run, so that another one follows without it: all findings come at once. Where
     several robots take turns, it is done beside each of them.
-
-    Args:
-        experiment: whose profilers they are.
-        task: the run whose treatments they see.
-        interruption: the user's; it ends the probe.
     """
     started = time.monotonic()
     seen: list[Probed] = []

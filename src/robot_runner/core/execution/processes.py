@@ -14,7 +14,7 @@ from io import TextIOWrapper
 from typing import TYPE_CHECKING, NoReturn, TextIO
 
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.run_ending import failure_fields
+from robot_runner.core.execution.interruption import failure_fields
 from robot_runner.core.execution.task import FINISHED
 from robot_runner.core.storage.masked_log import MaskedText
 from robot_runner.core.storage.outliving import is_spared, process_stat, processes
@@ -24,20 +24,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.execution.task import Report
 
-__all__ = [
-    "adopt_orphans",
-    "children",
-    "forked",
-    "group_ended",
-    "has_children",
-    "is_killed",
-    "kill_group",
-    "leave_after",
-    "no_process",
-    "settle_streams",
-    "stop_with_parent",
-    "use_no_streams",
-]
 
 #: Where nothing wakes us, we look this often, in seconds.
 _LOOK = 0.02
@@ -92,12 +78,7 @@ def no_process(error: OSError) -> ExecutionError:
 
 
 def leave_after(work: Callable[[], None], report: Report) -> NoReturn:
-    """Do the work of a forked process and leave it: nothing of the orchestrator's may be executed or cleaned up here.
-
-    Args:
-        work: what the process is for; an exception is reported as a failure.
-        report: takes that failure.
-    """
+    """Do the work of a forked process and leave it; nothing of the orchestrator's is executed or cleaned up here."""
     code = 1
     try:
         work()
@@ -172,7 +153,7 @@ def group_ended(leader: int, grace: float, spared: frozenset[int]) -> Iterator[f
     kill_group(leader, spared)
 
 
-def kill_group(leader: int, spared: frozenset[int] = frozenset()) -> None:
+def kill_group(leader: int, spared: frozenset[int]) -> None:
     """Kill what is left of a process group, but for `spared`, and what those have started."""
     if spared:
         for pid in processes():

@@ -11,18 +11,16 @@ from typing import TYPE_CHECKING, Any, Self
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
 from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
-from robot_runner.core.execution.called_programs import CALLED, ReportedFacts
 from robot_runner.core.execution.circumstances import keep_config
 from robot_runner.core.execution.deciding import Deciding
 from robot_runner.core.execution.durations import durations_of
 from robot_runner.core.execution.left_over import await_left_over
+from robot_runner.core.execution.recovered_table import TableOnDisk, texts_of
 from robot_runner.core.execution.recovery import selected_places, with_session_warm_ups
-from robot_runner.core.execution.run_findings import UnreadFactors, missing_measures
+from robot_runner.core.execution.run_facts import CALLED, ReportedFacts, UnreadFactors, missing_measures
 from robot_runner.core.execution.standby import await_standby
-from robot_runner.core.execution.table_on_disk import TableOnDisk
-from robot_runner.core.execution.table_recovery import recover_table, texts_of
+from robot_runner.core.execution.table_recovery import recover_table
 from robot_runner.core.execution.task import AttemptStatus, PendingRun, RunOutcome, RunTask, seed_of_run
-from robot_runner.core.execution.turns import Turns, turns_of
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.layout import drop_empty_log, keep_log, put_earlier_attempt_away
@@ -40,8 +38,8 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.probe import Probe
     from robot_runner.core.execution.recovered_table import RecoveredTable
     from robot_runner.core.execution.recovery import Resumption
+    from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["ProgressManager"]
 
 #: What a run reports that is kept in the journal; measures are kept with the end of the attempt.
 _OF_RUN = ("event", "window", "phase", "shared", "finding", "refused", "failure", "clock", "bound", CALLED)
@@ -118,7 +116,7 @@ class ProgressManager:
             keep_config(self._experiment, self._manifest)
             write_manifest(self._folder.manifest, self._manifest)
             self._reported = ReportedFacts(self._folder, self._manifest)
-            self._file = TableOnDisk(self._folder.run_table, self._rows, self._journal, reading)
+            self._file = TableOnDisk(self._folder.run_table, self._table, self._journal, reading)
             if not recovered.is_on_disk:
                 recovered.write_schema(self._folder.schema)
                 self._file.write()
@@ -187,7 +185,7 @@ class ProgressManager:
         """Why each failed run failed, one line each."""
         return tuple(f"{run_id}: {reason}" for run_id, reason in self._failed.items())
 
-    def last_outcome(self, place: str = "") -> RunOutcome:
+    def last_outcome(self, place: str) -> RunOutcome:
         """Return how the attempt went that was recorded last at a place."""
         return self._last_outcomes[place]
 
@@ -206,9 +204,10 @@ class ProgressManager:
         """The treatments of each run that is to be executed in this session."""
         return map(self._rows.combination, self._selected)
 
-    def turns(self) -> Turns:
-        """Return which robots have executed what, where several take turns."""
-        return turns_of(self._rows)
+    @property
+    def rows(self) -> RunTableRows:
+        """The run table as it stands."""
+        return self._rows
 
     def expect_places(self, count: int) -> None:
         """Take into account that so many runs are executed at the same time, where they may."""
@@ -236,7 +235,7 @@ class ProgressManager:
         self._selected += places
         self._rows = self._table.rows = growth.rows
         self._table.write_schema(self._folder.schema)  # there may be new columns
-        self._file.take(growth.rows)
+        self._file.refresh()
         self._durations.plan(map(growth.rows.combination, places), follows=self._deciding.follows(self._rows))
         self._manifest["design"] |= described_design(growth.model)
         write_manifest(self._folder.manifest, self._manifest)
@@ -313,12 +312,7 @@ class ProgressManager:
         return self._unread.take(task, outcome)
 
     def amend_outcome(self, task: RunTask, later: RunOutcome) -> None:
-        """Keep what was published and found after the last attempt had been recorded, if anything was.
-
-        Args:
-            task: that attempt.
-            later: what it has yielded by now, with what it had yielded before.
-        """
+        """Keep what was published and found after the last attempt had been recorded, if anything was."""
         before = self._last_outcomes[task.place]
         found = later.findings[len(before.findings) :]
         if later.measures == before.measures and not found:

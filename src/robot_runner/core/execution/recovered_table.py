@@ -1,19 +1,24 @@
-"""The run table in memory while an experiment is executed: its rows, and what is known of its measures."""
+"""The run table of an experiment that goes on: what the journal tells of it, its rows, their doubts, and its file."""
 
 from __future__ import annotations
 
+import re
+import time
 from collections import Counter, defaultdict
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import chain
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.journal import utc_now
-from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
+from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.storage.journal import journal_lines, parsed_record, utc_now
+from robot_runner.core.storage.run_table_rows import write_run_table
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
+from robot_runner.core.storage.table_schema import describe_columns, write_schema
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
@@ -25,7 +30,85 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.journal import Journal
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["ENDS", "Deviation", "RecoveredTable", "lacks_runs", "with_later_batches"]
+
+# As `Journal.append` writes them: run and status are read from the line, as parsing takes twenty times as long.
+_RUN = re.compile(rb'\{"kind":"[^"]*","at":"[^"\\]*","run":"([^"\\]*)"')
+_SESSION = b'{"kind":"experiment_started"'
+_STARTED = b'{"kind":"attempt_started"'
+#: How the line begins that tells of an attempt's end.
+FINISHED = b'{"kind":"attempt_finished"'
+_TABLE_WRITTEN = b'{"kind":"table_written"'
+_EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
+_KINDS = EXCLUSION_KINDS | {"experiment_started", "attempt_started", "attempt_finished", "table_written"}
+_IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand nowhere else
+
+
+@dataclass(slots=True)
+class TableHistory:
+    """What the journal tells, in its order, of runs and of the file of the run table.
+
+    Attributes:
+        attempted: the run of each attempt.
+        open: the beginnings of the last session's attempts that did not come to a recorded end, by their runs.
+        newer: the ends of attempts since the table was written last.
+        failed: the ends of attempts that did not end well.
+        written: the digest of the table as it was written last; empty where that is not known.
+        has_ends: whether any attempt has ended.
+        excluded: the runs that are left out.
+    """
+
+    attempted: list[str] = field(default_factory=list)
+    open: dict[str, bytes] = field(default_factory=dict)
+    newer: list[bytes] = field(default_factory=list)
+    failed: list[bytes] = field(default_factory=list)
+    written: str = ""
+    has_ends: bool = False
+    excluded: ExcludedRuns = field(default_factory=ExcludedRuns)
+
+    @classmethod
+    def of(cls, journal: Path) -> TableHistory:
+        """Read a journal; one that does not exist tells nothing.
+
+        Raises:
+            StorageError: it cannot be read, or a line is no record.
+        """
+        history = cls()
+        for line in journal_lines(journal, kinds=_KINDS):
+            history.take(journal, line)
+        return history
+
+    def take(self, journal: Path, line: bytes) -> None:
+        """Take a line of the journal into account, the oldest first."""
+        if line.startswith(_STARTED):
+            run_id = run_of(journal, line)
+            self.attempted.append(run_id)
+            self.open[run_id] = line
+        elif line.startswith(_SESSION):
+            self.open.clear()  # what they had printed was kept when that session began
+        elif line.startswith(_TABLE_WRITTEN):
+            # Parsed, as what comes before is left out from here on: a damaged line must not do that.
+            self.written = str(parsed_record(journal, line).get("sha256", ""))
+            self.newer.clear()
+        elif line.startswith(_EXCLUSION):
+            self.excluded.take(parsed_record(journal, line))
+        else:
+            self.open.pop(run_of(journal, line), None)
+            self.has_ends = True
+            self.newer.append(line)
+            if _IS_DONE not in line:
+                self.failed.append(line)
+
+
+def run_of(journal: Path, line: bytes) -> str:
+    """Return the run that a line of the journal is about."""
+    found = _RUN.match(line)
+    return found[1].decode() if found else str(parsed_record(journal, line)["run"])
+
+
+def texts_of(combination: Mapping[str, Any]) -> dict[str, str]:
+    """Return the treatments of a run as the journal keeps them."""
+    return {name: str(treatment) for name, treatment in combination.items()}
+
 
 #: The status in the run table of a run whose attempt ended in this way.
 ENDS = {AttemptStatus.DONE.value: RunStatus.DONE, AttemptStatus.FAILED.value: RunStatus.FAILED}
@@ -49,13 +132,7 @@ class Deviation:
 
 
 def with_later_batches(path: Path, plan: RunTable, rows: RunTableRows) -> tuple[RunTableRows, tuple[Finding, ...]]:
-    """Return rows with the batches and repetitions of which the file has no run, as it is older, and a finding.
-
-    Args:
-        path: the file that the rows were read from.
-        plan: the runs by the journal.
-        rows: as the file has them.
-    """
+    """Return rows with the batches and repetitions of which the file has no run, as it is older, and a finding."""
     added = dict(_added(plan))
     there = {run.run_id for run in rows.planned} if added else set()
     names = [name for name, ids in added.items() if not there.intersection(ids)]
@@ -185,3 +262,73 @@ class RecoveredTable:
             )
             for column in self.experiment.columns.in_table
         }
+
+
+#: The run table is brought up to date at most so often that this share of the time goes into writing it, so that
+#: the cost of recording a run does not grow with the number of runs. The journal has every run at once.
+_SHARE = 1 / 50
+#: While a run or a wait lasts, it is written at most so often, in seconds.
+_INTERVAL = 1.0
+#: A table that takes the processor longer than this, in seconds, is not written while a run is executed: that would
+#: disturb what is measured on this machine. A hundred thousand rows take so long.
+_MOST_WORK_IN_RUN = 0.25
+
+
+class TableOnDisk:
+    """The file of the run table, and how far it is behind the rows in memory.
+
+    Args:
+        path: the file.
+        table: what it is to hold.
+        journal: takes down each writing.
+        cost: how long writing takes at most, waiting for the disk and working, as far as that is known, in seconds.
+    """
+
+    def __init__(self, path: Path, table: RecoveredTable, journal: Journal, cost: float) -> None:
+        self._path = path
+        self._table = table
+        self._journal = journal
+        self._cost = self._work = cost
+        self._written = time.monotonic()
+        self._is_stale = False
+
+    def refresh(self) -> None:
+        """Write it unless that was done a moment ago: the rows have changed."""
+        self._is_stale = True
+        if time.monotonic() - self._written > self._cost / _SHARE:
+            self.write()
+
+    def tend(self) -> float | None:
+        """Write it where it is stale and the time has come, while a run or a wait lasts.
+
+        Returns:
+            in how many seconds the time comes; None where there is nothing to write.
+        """
+        if not self._is_stale or self._work > _MOST_WORK_IN_RUN:
+            return None
+        # Nothing else waits for the disk meanwhile, so that only the work counts.
+        due = self._written + max(_INTERVAL, self._work / _SHARE) - time.monotonic()
+        if due > 0:
+            return due
+        with suppress(StorageError):  # said when the run has ended: it is not to fail for this
+            self.write()
+        return None
+
+    def bring_up_to_date(self) -> None:
+        """Write it if it is stale."""
+        if self._is_stale:
+            self.write()
+
+    def write(self) -> None:
+        """Write it.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
+        started, worked = time.monotonic(), time.process_time()
+        digest = write_run_table(self._path, self._table.rows)
+        # After the rename: a run that is in the table and not yet known to be is taken from the journal once more.
+        self._journal.append("table_written", sha256=digest)
+        self._written = time.monotonic()
+        self._cost, self._work = self._written - started, time.process_time() - worked
+        self._is_stale = False

@@ -17,6 +17,7 @@ from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import read_text
+from robot_runner.core.storage.input_files import input_changes
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
 
 if TYPE_CHECKING:
@@ -28,19 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.run_table_model import RunTable
     from robot_runner.core.design.warm_up import WarmUp
     from robot_runner.core.storage.run_table_rows import RunTableRows
-
-__all__ = [
-    "ACCEPT",
-    "Resumption",
-    "TableChoice",
-    "TableDisagreementError",
-    "config_changes",
-    "config_files",
-    "refuse_differences",
-    "selected_places",
-    "table_differences",
-    "with_session_warm_ups",
-]
 
 
 # How an experiment is to go on: what is executed again, and what may differ from before.
@@ -100,11 +88,6 @@ class Resumption:
 
 def selected_places(rows: RunTableRows, resumption: Resumption, warm_up: WarmUp | None = None) -> list[int]:
     """Return the places of the runs that are to be executed, in the order in which they are.
-
-    Args:
-        rows: the run table.
-        resumption: what was chosen.
-        warm_up: how the experiment warms up, which may have runs executed again.
 
     Raises:
         ExecutionError: what was named is not in the table, or cannot be executed; everything is listed.
@@ -199,6 +182,7 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
         for finding in _changed_lines(source, read_text(kept, folder.root), source.read_text("utf-8"), ignored)
     ]
     if of_settings:
+        findings += input_changes(experiment.inputs, folder.config)
         findings += _changed_settings(_last_settings(manifest), experiment.overrides)
     return findings
 

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, defaultdict, deque
 from dataclasses import dataclass
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.events.measure import ROBOT
+from robot_runner.core.execution.attempts import Attempts
+from robot_runner.core.execution.mission_knowledge import combination_key
+from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.storage.cells import RunStatus
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from robot_runner.core.errors import Finding
-    from robot_runner.core.execution.attempts import Attempts, Stop
-    from robot_runner.core.execution.patience import Patience, Steps
+    from robot_runner.core.execution.orchestrator_events import OngoingExperiment
+    from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.places import Awaited, Place, Places
-    from robot_runner.core.execution.progress_manager import ProgressManager
     from robot_runner.core.execution.task import PendingRun, RunOutcome, RunTask
-    from robot_runner.core.execution.turns import Turns
+    from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["SideBySide"]
 
 #: As many runs that cannot begin yet are passed over to find one that can.
 _AHEAD = 64
+#: A robot on which as many runs in a row have failed takes no more, while another one is left.
+_MOST_FAILURES = 3
 
 
 @dataclass(slots=True)
@@ -49,36 +53,18 @@ class SideBySide:
     """Keeps as many runs in flight as there are free places whose claims suit.
 
     Args:
-        progress: which runs are to be executed.
-        places: where.
+        ongoing: the experiment whose runs they are.
+        places: where they can be executed.
         claims: returns what a run claims.
-        attempts: executes a run at a place.
-        patience: the poll loop.
-        stop: no more runs begin where it has a reason.
-        turns: which robot takes a run, where several do; None where the first free place does.
-        find: takes a finding for the end.
     """
 
-    def __init__(
-        self,
-        progress: ProgressManager,
-        places: Places,
-        claims: Callable[[RunTask], frozenset[str]],
-        attempts: Attempts,
-        patience: Patience,
-        stop: Stop,
-        turns: Callable[[], Turns] | None = None,
-        find: Callable[[Finding], None] = lambda _finding: None,
-    ) -> None:
-        self._progress = progress
+    def __init__(self, ongoing: OngoingExperiment, places: Places, claims: Callable[[RunTask], frozenset[str]]) -> None:
+        self._ongoing = ongoing
+        self._progress = ongoing.progress
         self._places = places
         self._claims = claims
-        self._attempts = attempts
-        self._patience = patience
-        self._stop = stop
-        self._make_turns = turns
-        self._turns: Turns | None = None
-        self._find = find
+        self._attempts = Attempts(ongoing)
+        self._turns: _Turns | None = None
         self._busy: list[_Busy] = []
         self._finished: dict[str, PendingRun] = {}
         self._passed_over: deque[PendingRun] = deque()
@@ -95,24 +81,21 @@ class SideBySide:
         """
         self._left = self._progress.pending(self._begun)
         self._may_begin = True
-        self._turns = None if self._make_turns is None else self._make_turns()
+        if self._ongoing.experiment.parameters.robots:
+            self._turns = _turns_of(self._progress.rows)
         try:
             while True:
-                while self._may_begin and not self._is_ending and (chosen := self._choose()) is not None:
+                while self._may_begin and not self._ongoing.is_ending and (chosen := self._choose()) is not None:
                     self._begin(*chosen, is_cleared=is_cleared)
                 self._may_begin = False
                 if self._busy:
                     self._await()
-                elif self._is_ending or not self._passed_over:
-                    return not self._is_ending
+                elif self._ongoing.is_ending or not self._passed_over:
+                    return not self._ongoing.is_ending
                 else:
                     self._await_place()
         finally:
             self._let_go()
-
-    @property
-    def _is_ending(self) -> bool:
-        return self._patience.interruption.is_requested or bool(self._stop.reason)
 
     def _choose(self) -> tuple[PendingRun, RunTask, Place, frozenset[str]] | None:
         """Return the first run that can begin now, where, and what it claims; None where none can."""
@@ -192,11 +175,11 @@ class SideBySide:
             place.is_aside = True
             self._passed_over.extendleft(reversed(again))
             self._progress.note("set_aside", flush=True, place=place.name, problem=finding.problem)
-            self._find(finding)
+            self._ongoing.find(finding)
 
     def _await(self) -> None:
         """Wait until something that a run waits for is over, and go on with that run."""
-        over = self._patience.turn([each.awaited for each in self._busy], self._places)
+        over = self._ongoing.patience.turn([each.awaited for each in self._busy], self._places)
         self._take_note_of_places()
         for each in [each for each in self._busy if each.awaited in over]:
             try:
@@ -219,7 +202,7 @@ class SideBySide:
                 where=self._passed_over[0].run_id,
                 fix="See to the robots or workers that were set aside, and start the experiment again: it resumes.",
             )
-        self._patience.turn([], self._places)
+        self._ongoing.patience.turn([], self._places)
         self._take_note_of_places()
 
     def _take_note_of_places(self) -> None:
@@ -239,3 +222,74 @@ class SideBySide:
         for each in self._busy:
             each.steps.close()
         self._busy.clear()
+
+
+class _Turns:
+    """Has each combination executed equally often on each robot, where that is possible.
+
+    Args:
+        planned: the combination and the repetition of each run of the experiment.
+        done: the combination and the repetition of each run that is done, and the robot that executed it.
+    """
+
+    def __init__(
+        self,
+        planned: Iterable[tuple[Mapping[str, Any], int]],
+        done: Iterable[tuple[Mapping[str, Any], int, str]],
+    ) -> None:
+        self._planned = Counter(_group(*each) for each in planned)
+        self._taken: Counter[tuple[object, str]] = Counter()
+        self._all: Counter[str] = Counter()
+        self._failed: defaultdict[str, list[PendingRun]] = defaultdict(list)
+        for combination, repetition, robot in done:
+            self._count(_group(combination, repetition), robot, 1)
+
+    def choose(self, task: RunTask, free: Sequence[Place], count: int) -> Place | None:
+        """Return the robot that takes a run; None where it is to wait for one that is busy."""
+        group = _group(task.combination, task.repetition)
+        share = -(-self._planned[group] // max(1, count))
+        fair = [place for place in free if self._taken[group, place.name] < share]
+        return min(fair, key=lambda place: (self._taken[group, place.name], self._all[place.name]), default=None)
+
+    def begin(self, task: RunTask, place: Place) -> None:
+        """Take down that a robot takes a run."""
+        self._count(_group(task.combination, task.repetition), place.name, 1)
+
+    def end(
+        self, run: PendingRun, task: RunTask, place: Place, outcome: RunOutcome | None, count: int
+    ) -> tuple[list[PendingRun], Finding | None]:
+        """Take down how a run went.
+
+        Returns:
+            the runs that others are to execute again, as this robot is to be set aside, and why; none where it is not.
+        """
+        if outcome is not None and outcome.status is AttemptStatus.DONE:
+            self._failed[place.name].clear()
+            return [], None
+        self._count(_group(task.combination, task.repetition), place.name, -1)
+        if outcome is None or outcome.status is AttemptStatus.INTERRUPTED:
+            return [], None
+        failed = self._failed[place.name]
+        failed.append(run)
+        if len(failed) < _MOST_FAILURES or count < 2:  # noqa: PLR2004 - the last robot is never set aside
+            return [], None
+        problem = f"{len(failed)} runs in a row failed on it, so that it takes no more; others execute these again"
+        fix = f"Look at the robot, the last failure was: {outcome.failure}. It takes part again in the next session."
+        return failed, Finding.warning(f"robot {place.name}", problem, fix)
+
+    def _count(self, group: object, robot: str, more: int) -> None:
+        self._taken[group, robot] += more
+        self._all[robot] += more
+
+
+def _turns_of(rows: RunTableRows) -> _Turns:
+    """Return which robots have executed what, as the run table has it."""
+    places = [place for place in range(len(rows)) if rows.excluded(place) is None]
+    runs = {place: (rows.combination(place), rows.repetition(place)) for place in places}
+    done = [(*runs[place], str(rows.row(place)[ROBOT])) for place in places if rows.status(place) is RunStatus.DONE]
+    return _Turns(runs.values(), done)
+
+
+def _group(combination: Mapping[str, Any], repetition: int) -> object:
+    """Return what is to be executed equally often on each robot: a combination, and what warms up."""
+    return "warm-up" if repetition == 0 else combination_key(combination)

@@ -1,8 +1,9 @@
 """The standby of a run: a process that makes the systems safe where the run died before it had done so itself.
 
 A run that is killed, crashes in C or is out of memory closes nothing: a robot without a watchdog would carry out its
-last command for ever. The standby is forked by the run's keeper, has imported what reaches the robot, and waits for
-the run's death. It needs nobody for that: it acts as well where keeper and orchestrator have been killed, too.
+last command for ever. The standby is forked by the run's keeper, has imported what reaches the robot, has joined its
+graph where that takes long, and waits for the run's death. It needs nobody for that: it acts as well where keeper and
+orchestrator have been killed, too.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ import sys
 import time
 from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
-from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
 from robot_runner.core.execution.run_events import run_contexts
 from robot_runner.core.execution.systems_state import Care, SystemsState
-from robot_runner.core.links.connect import is_simulated, preload_robot
+from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
 from robot_runner.core.storage.layout import print_to_log
@@ -34,18 +35,19 @@ from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from typing import Any
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.task import RunTask
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["Standby", "await_standby", "standby_of"]
-
-#: How long the standby may take from the run's death on, s: to find a robot's nodes takes tenths, and 5 s where one is
-#: switched off.
-_LONGEST = 15.0
+#: How long the standby may take from the run's death on, s. Finding a robot's nodes takes tenths, or up to 8 s where
+#: one is switched off; telling the robot to stand still takes 4 s; and where something fails, all of it is done twice.
+_LONGEST = 30.0
+#: For how long and how often a robot is told to stand still, s: it may be discovered only now, on Fast DDS up to 3.2 s
+#: after this process has joined, and one message may be lost.
+_TELLING, _PERIOD = 4.0, 0.1
 #: How long it may take to die once it was killed, s.
 _DYING = 5.0
 #: Enough for any process's id.
@@ -58,26 +60,19 @@ class Standby:
     """Makes the systems of a run safe where the run has died and has not.
 
     Args:
-        prepare: imports what reaches them; what it raises is passed over.
-        make_safe: makes them safe, in a process that was not connected to them before.
-        names: of the systems, for findings.
-        folder: the experiment's; who executes it next waits for this process.
+        systems: of the run; they have a `make_safe` of their own.
+        experiment: of the run; who executes it next waits for this process.
+        task: the run.
 
     Attributes:
         state: what its processes tell each other.
     """
 
-    def __init__(
-        self,
-        prepare: Callable[[], object],
-        make_safe: Callable[[], object],
-        names: Sequence[str],
-        folder: ExperimentFolder,
-    ) -> None:
-        self._prepare = prepare
-        self._make_safe = make_safe
-        self._names = names
-        self._folder = folder
+    def __init__(self, systems: Sequence[System], experiment: Experiment, task: RunTask) -> None:
+        # One with bound parameters is built again, in its place, for a run that begins beside this one.
+        self._systems = [shallow_copy(each) if factors_of(each) else each for each in systems]
+        self._experiment = experiment
+        self._task = task
         self._pid = 0
         self.state = SystemsState()
 
@@ -116,7 +111,7 @@ class Standby:
 
     def finding(self) -> dict[str, Any] | None:
         """Return the fields of a finding on what became of the systems; None where the run made them safe itself."""
-        care, names = self.state.care, enumerated(self._names)
+        care, names = self.state.care, enumerated([each.name for each in self._systems]) or "the robot"
         if care in {Care.NOBODY_YET, Care.SAFE}:
             return None
         if care is Care.MADE_SAFE:
@@ -132,23 +127,75 @@ class Standby:
     def _stand_by(self, run: int) -> NoReturn:
         try:
             with suppress(OSError):  # a folder that was removed
-                _lock(self._folder)
-            with suppress(Exception):  # the run fails for the same reason, and says so
-                self._prepare()
-            _ends(run)
-            if self.state.care is Care.RUN:
-                self._act()
+                _lock(self._experiment.folder)
+            with closing(_Connection(self._experiment, self._task)) as connection:
+                with suppress(Exception):  # the run fails for the same reason, and says so
+                    preload_robot(self._experiment.parameters.robot)
+                    join_beforehand(connection.contexts(CONFIG_OWNER))
+                for system in self._systems:
+                    with suppress(Exception):
+                        system.stand_by(connection.contexts(system.name))
+                _ends(run)
+                if self.state.care is Care.RUN:
+                    self._act(connection)
         finally:
             os._exit(0)
 
-    def _act(self) -> None:
+    def _act(self, connection: _Connection) -> None:
         self.state.set(Care.STANDBY)
         try:
-            self._make_safe()
+            with suppress(Exception):  # no log is worth a robot that drives on
+                print_to_log(self._experiment.folder)
+                settle_streams()
+            try:
+                self._make_safe(connection)
+            except Exception:  # noqa: BLE001 - the connection may have been lost since: what fails again is told
+                with closing(_Connection(self._experiment, self._task)) as another:
+                    self._make_safe(another)
         except BaseException as error:  # noqa: BLE001 - whatever it is, a person has to know that nobody stopped the robot
             self.state.set(Care.OUT_OF_REACH, f"{type(error).__name__}: {error}")
         else:
             self.state.set(Care.MADE_SAFE)
+
+    def _make_safe(self, connection: _Connection) -> None:
+        """Stop the robot where it was commanded, make each system safe, and stop it again, whatever fails of that."""
+        commanded = self.state.commanded
+        with ExitStack() as each_of_them:  # the last one first, as the run does it
+            each_of_them.callback(connection.stop_again, commanded)
+            for system in self._systems:
+                each_of_them.callback(system.make_safe, connection.contexts(system.name))
+            for topic, message_type in commanded:  # also for who has no `make_safe`, such as a config
+                each_of_them.callback(connection.stop, topic, message_type)
+
+
+class _Connection:
+    """What is opened to reach the systems of a run.
+
+    Attributes:
+        contexts: makes the context of each owner.
+    """
+
+    def __init__(self, experiment: Experiment, task: RunTask) -> None:
+        self._resources = Resources()
+        self.contexts = run_contexts(
+            experiment, task, clock=SystemClock(), resources=self._resources, report=lambda _kind, _fields: None
+        )
+
+    def stop(self, topic: str, message_type: str) -> None:
+        """Command a robot to stand still."""
+        connect_robot(self.contexts(CONFIG_OWNER)).publish(topic, message_type, {})
+
+    def stop_again(self, commanded: Sequence[tuple[str, str]]) -> None:
+        """Command the same for some seconds, by topic and type: the robot may not have been discovered before."""
+        deadline = time.monotonic() + _TELLING
+        while commanded and time.monotonic() < deadline:
+            time.sleep(_PERIOD)
+            for topic, message_type in commanded:
+                self.stop(topic, message_type)
+
+    def close(self) -> None:
+        """Close it."""
+        self._resources.close()
 
 
 def await_standby(folder: ExperimentFolder) -> Finding | None:
@@ -228,26 +275,9 @@ def standby_of(experiment: Experiment, task: RunTask) -> Standby | None:
     """
     robot = experiment.parameters.robot
     systems = [each for each in experiment.systems if type(each).make_safe is not System.make_safe]
-    if not systems or is_simulated(robot):
+    if is_simulated(robot) or (robot is None and not systems):
         return None
-    names = [system.name for system in systems]
-    # One with bound parameters is built again, in its place, for a run that begins beside this one.
-    systems = [shallow_copy(each) if factors_of(each) else each for each in systems]
-    return Standby(
-        partial(preload_robot, robot), partial(_make_safe, experiment, systems, task), names, experiment.folder
-    )
-
-
-def _make_safe(experiment: Experiment, systems: Sequence[System], task: RunTask) -> None:
-    """Make the systems safe, each of them whatever fails with another; what they print goes to the run's log."""
-    print_to_log(experiment.folder)
-    settle_streams()
-    with closing(Resources()) as resources, ExitStack() as each_of_them:
-        contexts = run_contexts(
-            experiment, task, clock=SystemClock(), resources=resources, report=lambda _kind, _fields: None
-        )
-        for system in systems:  # the last one first, as the run does it
-            each_of_them.callback(system.make_safe, contexts(system.name))
+    return Standby(systems, experiment, task)
 
 
 def _ends(pid: int, seconds: float | None = None) -> bool:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
 from enum import IntEnum
-
-__all__ = ["Care", "SystemsState"]
 
 #: The longest reason that is kept of why a system could not be made safe, bytes.
 _REASON = 2000
+#: Behind it stand the commanded topics, a line each.
+_TOPICS = 1 + _REASON
+#: The longest list of them, bytes; a robot has one or two.
+_LONGEST_LIST = 100_000
 
 
 class Care(IntEnum):
@@ -35,6 +38,7 @@ class SystemsState:
             with tempfile.TemporaryFile() as file:
                 descriptor = os.dup(file.fileno())
         self.descriptor = descriptor
+        self._lock = threading.Lock()
 
     @property
     def care(self) -> Care:
@@ -44,7 +48,19 @@ class SystemsState:
     @property
     def reason(self) -> str:
         """Why they could not be made safe."""
-        return os.pread(self.descriptor, _REASON, 1).decode("utf-8", "replace")
+        return os.pread(self.descriptor, _REASON, 1).rstrip(b"\0").decode("utf-8", "replace")
+
+    @property
+    def commanded(self) -> list[tuple[str, str]]:
+        """The full name and the type of each topic on which the run commands a velocity."""
+        lines = os.pread(self.descriptor, _LONGEST_LIST, _TOPICS).decode().splitlines()
+        return [(topic, message_type) for topic, _, message_type in (line.partition(" ") for line in lines)]
+
+    def add_commanded(self, topic: str, message_type: str) -> None:
+        """Say, in the run, that velocities will be commanded on a topic."""
+        with self._lock:
+            end = max(_TOPICS, os.fstat(self.descriptor).st_size)
+            os.pwrite(self.descriptor, f"{topic} {message_type}\n".encode(), end)
 
     def set(self, care: Care, reason: str = "") -> None:
         """Say who has it from now on."""

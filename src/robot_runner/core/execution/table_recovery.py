@@ -15,14 +15,23 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.errors import Finding, StorageError
-from robot_runner.core.execution.recovered_table import ENDS, Deviation, RecoveredTable, lacks_runs, with_later_batches
+from robot_runner.core.execution.recovered_table import (
+    ENDS,
+    FINISHED,
+    Deviation,
+    RecoveredTable,
+    TableHistory,
+    lacks_runs,
+    run_of,
+    texts_of,
+    with_later_batches,
+)
 from robot_runner.core.execution.recovery import (
     TableChoice,
     TableDisagreementError,
     refuse_differences,
     table_differences,
 )
-from robot_runner.core.execution.table_history import FINISHED, TableHistory, run_of
 from robot_runner.core.storage.cells import RunStatus, measure_text
 from robot_runner.core.storage.guarded_files import (
     MissingFileError,
@@ -44,11 +53,9 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTable
     from robot_runner.core.execution.recovery import Resumption
-    from robot_runner.core.storage.excluded_runs import ExcludedRuns
-    from robot_runner.core.storage.table_columns import TableLayout
-    from robot_runner.core.storage.table_schema import ColumnDescription
+    from robot_runner.core.storage.executed_runs import ExcludedRuns
+    from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 
-__all__ = ["digest_of", "is_reordered", "recover_table", "texts_of"]
 
 _CHOOSE = (
     "Let what was executed count (--table journal), or let the file count (--table file): each change is recorded."
@@ -60,11 +67,6 @@ _ROW, _ORDER = "row", "order"
 
 def recover_table(experiment: Experiment, manifest: Mapping[str, Any], resumption: Resumption) -> RecoveredTable:
     """Return the run table: planned anew, or as it stands in the folder with what the journal knows better.
-
-    Args:
-        experiment: what is to be executed.
-        manifest: as written when the experiment was first executed.
-        resumption: whether the file may differ from the plan, and what counts where it differs from the journal.
 
     Raises:
         StorageError: the table or the journal cannot be read; every problem is named.
@@ -302,11 +304,6 @@ def is_reordered(plan: RunTable, rows: RunTableRows) -> bool:
         return False
     both = set(planned) & set(there)
     return [each for each in planned if each in both] != [each for each in there if each in both]
-
-
-def texts_of(combination: Mapping[str, Any]) -> dict[str, str]:
-    """Return the treatments of a run as the journal keeps them."""
-    return {name: str(treatment) for name, treatment in combination.items()}
 
 
 def _deviations(

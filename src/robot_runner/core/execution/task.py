@@ -23,20 +23,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.measure import MeasureColumns, MeasureValue
 
-__all__ = [
-    "FINISHED",
-    "AttemptStatus",
-    "OutcomeBuilder",
-    "RecordReader",
-    "RecordWriter",
-    "Report",
-    "RunFailure",
-    "RunOutcome",
-    "RunTask",
-    "seed_of_run",
-]
-
-
 #: Takes what happens in a run as it happens: the kind of the record and its plain fields.
 Report = Callable[[str, dict[str, Any]], None]
 

@@ -15,23 +15,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.dialects import prepare_or_refuse
-from robot_runner.core.execution.called_programs import notice_programs
+from robot_runner.core.design.revision import Revision
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
-from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
+from robot_runner.core.execution.run_facts import notice_programs
 from robot_runner.core.execution.systems_state import SystemsState
 from robot_runner.core.execution.task import FINISHED, RecordWriter, RunTask
 from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from robot_runner.core.config.experiment import Experiment
-
-__all__ = ["be_run", "become_interpreter", "described_task", "task_of"]
+    from robot_runner.core.design.factor import Factor
 
 _MODULE = "robot_runner.core.execution.worker"
 
@@ -118,6 +117,23 @@ def task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
         for name, (place, value) in described["combination"].items()
     }
     return RunTask(**{**described, "combination": combination})
+
+
+def describe_revisions(factors: Sequence[Factor]) -> list[list[Any]]:
+    """Return commit and path of each revision that was made, with its factor and its place there, as plain data."""
+    return [
+        [factor.name, place, each.commit, each.path]
+        for factor in factors
+        for place, each in enumerate(factor.treatments)
+        if isinstance(each, Revision) and each.is_prepared
+    ]
+
+
+def restore_revisions(factors: Sequence[Factor], described: Sequence[Sequence[Any]]) -> None:
+    """Tell revisions what `describe_revisions` returned of them."""
+    by_name = {factor.name: factor for factor in factors}
+    for name, place, commit, path in described:
+        by_name[name].treatments[place].prepare(commit=commit, path=path)
 
 
 if __name__ == "__main__":

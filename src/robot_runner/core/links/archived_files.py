@@ -15,7 +15,6 @@ from robot_runner.core.words import one_line
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["TAR_MARGIN", "Unpacked", "pack", "unpack"]
 
 #: What an archive may have beyond the bytes of its files: headers, and the blocks that it is filled up with.
 TAR_MARGIN = 10_000_000

@@ -2,68 +2,42 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, nearest
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
-from robot_runner.core.links.host import LOCAL
 from robot_runner.core.links.kinds import (
-    BringsDevices,
     FindsRobot,
+    JoinsGraph,
     LooksAtGraph,
     Preloads,
+    ReadsFiles,
     RobotLinkKind,
     installed_links,
     link_key,
     link_kind,
 )
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.links.host import HostLink
     from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink
-    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.core.storage.input_files import InputFile
 
-__all__ = [
-    "SIMULATED",
-    "SIMULATION_TOPIC",
-    "begin_graph_look",
-    "connect_host",
-    "connect_robot",
-    "found_robot",
-    "is_simulated",
-    "is_simulation",
-    "link_findings",
-    "lives_by_simulation",
-    "looks_for_robot",
-    "meant_robot",
-    "open_clock",
-    "open_serial_line",
-    "preload_robot",
-    "preload_simulation",
-    "resolved_robot",
-    "robot_namespace",
-]
 
 #: The name of the embedded robot, which messages offer as a way out; nothing here depends on it.
 SIMULATED = "simulated"
 
 _SIMULATE = f"Execute it on the embedded robot: --set robot={SIMULATED}."
-_NAME_IT = (
-    "Name the port or the host in the plugin, as in Ina219(port='/dev/ttyUSB0') or PsUtil(host='pi@robot'). "
-    f"Or: --set robot={SIMULATED}."
-)
 
 
 def link_findings(robot: str | None) -> list[Finding]:
@@ -100,6 +74,16 @@ def begin_graph_look(robot: str, needs: Mapping[str, Sequence[GraphNeed]]) -> Ca
         for where, wanted in needs.items()
     }
     return kind.begin_look(name, full)
+
+
+def robot_input_files(robot: str) -> Iterable[InputFile]:
+    """Return the files that the options of a robot name.
+
+    Raises:
+        LinkError: there is no such robot.
+    """
+    kind, name = resolved_robot(robot)
+    return kind.input_files(name) if isinstance(kind, ReadsFiles) else ()
 
 
 def meant_robot(robot: str) -> str | None:
@@ -193,7 +177,7 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
     Raises:
         LinkError: the run has no robot, or it cannot be reached.
     """
-    kind, name = _robot_of(context)
+    kind, name = run_robot(context)
     opener = partial(
         kind.open_robot,
         name,
@@ -205,107 +189,23 @@ def connect_robot(context: RobotRunnerContext, *, namespace: str = "") -> RobotL
     return context.resources.open(link_key("robot", namespace), opener)
 
 
-def open_serial_line(
-    context: RobotRunnerContext, port: str | None, *, namespace: str = "", baud: int = 115200
-) -> SerialLine:
-    """Return the serial line at this port; it is opened once and closed with the run.
-
-    Args:
-        context: the run's.
-        port: a device file, or a URL of pyserial's; None is the power meter of a simulated robot, which has no other.
-        namespace: whose power meter it is, where no port is named.
-        baud: bits a second, where a port is named.
+def join_beforehand(context: RobotRunnerContext, *, namespace: str = "") -> None:
+    """Connect to the run's robot where a command would be heard late by way of a new connection; for `System.stand_by`.
 
     Raises:
-        LinkError: no port is named and the run has no simulated robot, one was named on a simulated robot, or it cannot
-            be opened.
+        LinkError: the run has no robot, or it cannot be reached.
     """
-    if port is not None and not is_simulated(context.robot):
-        return _port_line(context, port, baud)
-    devices, name = _own_devices(context)
-    if port is not None:
-        raise LinkError(
-            f"a simulated robot has no serial port {port!r}",
-            where=f"robot = {context.robot!r}",
-            fix="Leave the serial port out: it is the robot's own.",
-        )
-    opener = partial(
-        devices.open_serial_line,
-        name,
-        resources=context.resources,
-        seed=context.run_seed,
-        namespace=robot_namespace(context, namespace),
-    )
-    return context.resources.open(link_key("serial", namespace), opener)
+    kind, _ = run_robot(context)
+    if isinstance(kind, JoinsGraph) and kind.is_slow_to_join:
+        connect_robot(context, namespace=namespace)
 
 
-def _port_line(context: RobotRunnerContext, port: str, baud: int) -> SerialLine:
-    def opener() -> SerialLine:
-        from robot_runner.core.links.serial_line import SerialPort  # noqa: PLC0415  # only where it is asked for
-
-        return SerialPort(port, context.clock, baud=baud)
-
-    return context.resources.open(f"port {port}", opener)
-
-
-def connect_host(
-    context: RobotRunnerContext,
-    host: str | None,
-    *,
-    namespace: str = "",
-    ssh_config: Path | None = None,
-    form: str | None = None,
-) -> HostLink:
-    """Return the link to this host; it is opened once and closed with the run.
-
-    Args:
-        context: the run's.
-        host: a host's name: `localhost` is this machine, any other is reached by ssh (`pi@robot`); None is the on-board
-            computer of the run's simulated robot.
-        namespace: whose on-board computer it is, where no host is named.
-        ssh_config: a file to take the place of the user's ssh config.
-        form: how it is sampled over ssh: `python3`, `sh` or `ps`; left out, the best that it can do.
+def run_robot(context: RobotRunnerContext) -> tuple[RobotLinkKind, RobotName]:
+    """Return the kind of link of the run's robot, and its name.
 
     Raises:
-        LinkError: no host is named and the run has no simulated robot, or the name cannot be that of a host.
+        LinkError: the run has no robot, there is no such link, or no robot was found.
     """
-    if host is not None:
-        return _named_host(context, host, ssh_config, form)
-    devices, name = _own_devices(context)
-    within = robot_namespace(context, namespace)
-    opener = partial(devices.open_host, name, resources=context.resources, seed=context.run_seed, namespace=within)
-    return context.resources.open(link_key("host", namespace), opener)
-
-
-def _named_host(context: RobotRunnerContext, host: str, config: Path | None, form: str | None) -> HostLink:
-    # The clock of a simulation says nothing of a real computer.
-    clock = SystemClock() if lives_by_simulation(context) else context.clock
-
-    def opener() -> HostLink:
-        if host == LOCAL:
-            from robot_runner.core.links.local_host import LocalHost  # noqa: PLC0415  # only where it is asked for
-
-            return LocalHost(clock)
-        from robot_runner.core.links.ssh_host import SshHost  # noqa: PLC0415  # only where it is asked for
-
-        return SshHost(host, clock, config=config, form=form)
-
-    return context.resources.open(f"computer {host} {config} {form}", opener)
-
-
-def _own_devices(context: RobotRunnerContext) -> tuple[BringsDevices, RobotName]:
-    """Return what opens the devices that a simulated robot brings."""
-    kind, name = _robot_of(context)
-    if isinstance(kind, BringsDevices):
-        return kind, name
-    raise LinkError(
-        f"robot is {context.robot!r}, which is not simulated, and what measures it is not named",
-        where="robot",
-        fix=_NAME_IT,
-    )
-
-
-def _robot_of(context: RobotRunnerContext) -> tuple[RobotLinkKind, RobotName]:
     if context.robot is None:
         raise LinkError(
             "the experiment names no robot",
@@ -358,6 +258,35 @@ def robot_namespace(context: RobotRunnerContext, namespace: str = "") -> str:
     return f"{namespace_prefix(own)}{namespace_prefix(namespace)}" if own else namespace
 
 
+@contextmanager
+def open_robot(robot: str, *, namespace: str = "", seed: int = 1) -> Iterator[tuple[RobotLink, Clock]]:
+    """Reach a robot outside of a run, as a node of your own does, and leave it when the block ends.
+
+    Args:
+        robot: as `robot` in a config has it, such as `dds:domain=7,clock=graph`.
+        namespace: which robot, where there are several.
+        seed: of a simulated one.
+
+    Yields:
+        the link, and the clock that the robot lives by.
+
+    Raises:
+        LinkError: it cannot be reached.
+
+    Example:
+        >>> with open_robot("simulated") as (link, clock):
+        ...     link.wait_for("odom", "nav_msgs/Odometry")["child_frame_id"]
+        'base_footprint'
+    """
+    kind, name = resolved_robot(robot)
+    with closing(Resources()) as resources:
+        clock = kind.open_clock(name, resources=resources, seed=seed)
+        within = f"{namespace_prefix(name.namespace)}{namespace_prefix(namespace)}" if name.namespace else namespace
+        link = kind.open_robot(name, resources=resources, clock=clock, seed=seed, namespace=within)
+        resources.open("robot", lambda: link)
+        yield link, clock
+
+
 def _kind_or_none(robot: str) -> RobotLinkKind | FindsRobot | None:
     """Return the kind of link of a robot's name; one that cannot be imported is left to `link_findings`."""
     try:
@@ -374,7 +303,9 @@ _CLOCK = "/clock"
 def is_simulation(link: RobotLink, namespace: str = "") -> bool:
     """Whether there is a simulated robot behind a link: the embedded one, or one on a graph that shows a sign of it.
 
-    The signs are the mark of `robot-runner simulate`, and a `/clock`: a graph with real robots needs none.
+    The signs are the mark of `robot-runner simulate`, and a `/clock`: a graph with real robots needs none. They are
+    looked for after the mission: a graph may be known only seconds after it was joined, and to look takes time, which
+    is not to be measured.
 
     Raises:
         LinkError: the graph cannot be reached.

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ConfigError, Finding, LinkError
-from robot_runner.core.links.host import LOCAL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.core.events.condition import Condition
 
-__all__ = ["Host", "Reboot", "are_hosts", "host_findings", "named_hosts"]
 
+#: The name of this machine as a host.
+LOCAL = "localhost"
 #: A host's name names a folder in each run's folder.
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _LOCAL = frozenset({LOCAL, "local"})
@@ -115,7 +115,7 @@ def are_hosts(value: Any) -> bool:
 
 
 def _refused(address: Any) -> LinkError | None:
-    from robot_runner.core.links.ssh_host import checked_destination  # noqa: PLC0415 - slow, and seldom needed
+    from robot_runner.core.links.ssh_command import checked_destination  # noqa: PLC0415 - slow, and seldom needed
 
     try:
         checked_destination(address if isinstance(address, str) else "")
@@ -130,15 +130,8 @@ def named_hosts(value: Mapping[str, str | Host]) -> dict[str, Host]:
 
 
 def host_findings(where: str, name: str, host: Host, robot: str | None) -> list[Finding]:
-    """Return what stands in the way of a host: it is tried, and changes nothing there.
-
-    Args:
-        where: of the config.
-        name: the host's.
-        host: what is declared of it.
-        robot: how the robot is to be reached, for the condition that it is to be ready.
-    """
-    from robot_runner.core.links.ssh_host import ssh_findings  # noqa: PLC0415 - slow, and seldom needed
+    """Return what stands in the way of a host: it is tried, and changes nothing there."""
+    from robot_runner.core.links.ssh_command import ssh_findings  # noqa: PLC0415 - slow, and seldom needed
 
     place = f"{where}.hosts[{name!r}]"
     found = [] if host.is_local else ssh_findings(place, host.address, config=host.ssh_config)

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["ActionAborted", "ActionCanceled", "ActionResult", "GoalStatus"]
-
 
 class GoalStatus(StrEnum):
     """The states of a goal, by the names of ROS 2's `action_msgs/GoalStatus`; those of ROS 1 are mapped to them.

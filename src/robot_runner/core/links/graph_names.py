@@ -10,7 +10,6 @@ from robot_runner.core.errors import LinkError, nearest
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["full_name", "missing", "namespace_prefix"]
 
 #: A name that ROS 1 and ROS 2 both take (ROS 1: wiki.ros.org/Names; ROS 2: design.ros2.org, topic and service names).
 _LEGAL = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -49,13 +48,6 @@ def full_name(namespace: str, name: str) -> str:
 
 def missing(kind: str, name: str, known: Iterable[str], *, where: str, fix: str) -> LinkError:
     """Return the error that there is no topic or service of this name; it names the nearest that there is.
-
-    Args:
-        kind: what is missing: `topic`, `service`.
-        name: its full name.
-        known: the full names that there are.
-        where: the link.
-        fix: what to do where none comes near.
 
     Example:
         >>> missing("service", "/task/stpo", ["/task/stop"], where="ros1", fix="Start its node.").fix

@@ -13,7 +13,7 @@ from robot_runner.core.errors import CommandError, LinkError, did_you_mean
 from robot_runner.core.events.host_access import CommandResult
 from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, unpack
 from robot_runner.core.links.host_program import Program, last_lines, shell_path, shortened
-from robot_runner.core.links.kept_connection import KeptConnection
+from robot_runner.core.links.ssh_command import KeptConnection
 from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.guarded_files import make_folder, open_to_append
 from robot_runner.core.words import shown_duration
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.declared_host import Host
     from robot_runner.core.links.host_program import Ended
 
-__all__ = ["DeclaredHosts", "HostCommands", "Shell", "open_shell"]
 
 _LAST_LINES = 5
 #: What ssh itself ends with where the connection fails; a command may do so, too.
@@ -61,9 +60,8 @@ cd / && exec tar -cf - "$@"
 class Shell(Protocol):
     """What starts a shell on a host."""
 
-    @property
-    def is_alive(self) -> bool:
-        """Whether the host answers, as far as is known here."""
+    def is_connected(self) -> bool:
+        """Return whether the connection to the host still stands; a failing command asks."""
         ...
 
     def command(self, remote: str, *, within_s: float) -> list[str]:
@@ -76,7 +74,8 @@ class Shell(Protocol):
 
 
 class _LocalShell:
-    is_alive = True
+    def is_connected(self) -> bool:
+        return True
 
     def command(self, remote: str, *, within_s: float) -> list[str]:
         del within_s
@@ -92,14 +91,7 @@ def open_shell(host: Host) -> Shell:
 
 
 class HostCommands:
-    """A host in a run; see `HostAccess`.
-
-    Args:
-        name: as the config has it.
-        host: what is declared of it.
-        shell: shared by all who ask for it in the run.
-        context: of the run that asks.
-    """
+    """A host in a run; see `HostAccess`."""
 
     def __init__(self, name: str, host: Host, shell: Shell, context: RobotRunnerContext) -> None:
         self.shell = shell
@@ -205,7 +197,7 @@ class HostCommands:
             file.write(said.encode("utf-8", "backslashreplace"))
 
     def _refuse_lost(self, ended: Ended, meanwhile: str) -> None:
-        if ended.exit_status == _SSH_FAILED and not self.shell.is_alive:
+        if ended.exit_status == _SSH_FAILED and not self.shell.is_connected():
             said = last_lines(ended.errors, 1)
             raise LinkError(
                 f"the connection was lost {meanwhile}{f': {said}' if said else ''}",

@@ -17,7 +17,6 @@ from robot_runner.core.words import one_line
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Ended", "Program", "last_lines", "shell_path", "shortened"]
 
 #: As much is kept in memory of what a program writes, each to its output and its errors.
 _KEPT = 16_000_000

@@ -8,27 +8,16 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from robot_runner.core.entry_points import entry_points, named_entry_point
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import Clock
     from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.graph_needs import GraphNeed
-    from robot_runner.core.links.host import HostLink
-    from robot_runner.core.links.robot import RobotLink, RobotName
-    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.links.robot_name import RobotName
+    from robot_runner.core.storage.input_files import InputFile
 
-__all__ = [
-    "BringsDevices",
-    "FindsRobot",
-    "FoundRobot",
-    "LooksAtGraph",
-    "Preloads",
-    "RobotLinkKind",
-    "installed_links",
-    "link_key",
-    "link_kind",
-]
 
 _GROUP = "links"
 
@@ -90,24 +79,21 @@ class RobotLinkKind(Protocol):
 
 
 @runtime_checkable
-class BringsDevices(Protocol):
-    """A kind of link whose robots have a power meter and an on-board computer of their own, as a simulated one."""
-
-    def open_serial_line(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> SerialLine:
-        """Open the serial line of the robot's power meter."""
-        ...
-
-    def open_host(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> HostLink:
-        """Open a link to the robot's on-board computer."""
-        ...
-
-
-@runtime_checkable
 class Preloads(Protocol):
     """A kind of link whose client library takes long to import."""
 
     def preload(self, name: RobotName) -> None:
         """Import it; nothing is opened."""
+        ...
+
+
+@runtime_checkable
+class JoinsGraph(Protocol):
+    """A kind of link that joins a graph."""
+
+    @property
+    def is_slow_to_join(self) -> bool:
+        """Whether who has just joined is not heard at once: who may have to stop a robot joins beforehand."""
         ...
 
 
@@ -124,6 +110,15 @@ class LooksAtGraph(Protocol):
             name: of the robot.
             needs: what is needed, with full names, by the place that findings are to name (`plugin Arm`).
         """
+        ...
+
+
+@runtime_checkable
+class ReadsFiles(Protocol):
+    """A kind of link whose options name files, such as definitions of messages."""
+
+    def input_files(self, name: RobotName) -> Iterable[InputFile]:
+        """Return those that a robot of this name reads."""
         ...
 
 

@@ -11,8 +11,6 @@ from robot_runner.core.errors import LinkError, did_you_mean
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message
 
-__all__ = ["field_of", "is_time"]
-
 
 def field_of(message: Message, field: str, *, where: str) -> Any:
     """Return the field of a message, whatever it is.

@@ -7,36 +7,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from robot_runner.core.links.goals import ActionAborted, ActionCanceled, ActionResult, GoalStatus
-from robot_runner.core.links.robot_name import RobotName
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = [
-    "ActionAborted",
-    "ActionCaller",
-    "ActionCanceled",
-    "ActionOfferer",
-    "ActionResult",
-    "Advertiser",
-    "Caller",
-    "Encoding",
-    "Goal",
-    "GoalExecution",
-    "GoalStatus",
-    "GraphEndpoint",
-    "GraphListing",
-    "Message",
-    "Offerer",
-    "Publisher",
-    "Qos",
-    "RawMessage",
-    "RobotLink",
-    "RobotName",
-    "Subscriber",
-    "Subscription",
-]
+    from robot_runner.core.links.goals import ActionResult, GoalStatus
 
 
 #: A ROS message as a plain mapping that follows its definition: `{"linear": {"x": 0.2, ...}, "angular": {...}}`.

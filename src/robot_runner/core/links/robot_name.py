@@ -1,16 +1,17 @@
-"""The name of a robot as a config gives it: a link with its options, or an address."""
+"""How robots are named: one by its link and its options, or several that take turns."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import LinkError
+from robot_runner.core.errors import ConfigError, Finding, LinkError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["RobotName"]
 
 _WHERE = "robot"
 
@@ -67,3 +68,70 @@ class RobotName:
             options[name] = value
         namespace = options.pop("namespace", "")
         return cls(link.strip(), options, namespace=namespace)
+
+
+#: What the name of a robot keeps of a text: it becomes a cell of the run table, and stands on screens.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+class Robots:
+    """Robots of one kind, of which each run takes a free one: `robot = Robots("ros2://alice", "ros2://bob")`.
+
+    Each combination is executed equally often on each robot, where that is possible.
+
+    Args:
+        robots: how each is reached, as `robot` says it of one. The host of an address, or the namespace, is its name.
+        named: the same, by the robot's name.
+
+    Attributes:
+        links: how each is reached, by its name.
+
+    Raises:
+        ConfigError: there are fewer than two, or two of one name; all findings are told.
+
+    Example:
+        >>> Robots("ros2://alice", bob="rosbridge://10.0.0.7:9090").links["alice"]
+        'ros2://alice'
+    """
+
+    def __init__(self, *robots: str, **named: str) -> None:
+        given = [*((_name_of(link), link) for link in robots), *named.items()]
+        findings = [*_name_findings(given), *_link_findings(given)]
+        if findings:
+            raise ConfigError.of_findings(findings)
+        self.links: Mapping[str, str] = MappingProxyType(dict(given))
+
+    def __repr__(self) -> str:
+        links = ", ".join(f"{name}={link!r}" for name, link in self.links.items())
+        return f"Robots({links})"
+
+
+def _name_of(link: object) -> str:
+    text = str(link)
+    namespace = re.search(r"[:,]\s*namespace\s*=\s*/?([^,/]+)", text)
+    return namespace[1].strip() if namespace else re.split(r"[/:]", text.partition("://")[2] or text)[0]
+
+
+def _name_findings(given: list[tuple[str, str]]) -> list[Finding]:
+    names = [name for name, _ in given]
+    findings = [] if len(given) > 1 else [_finding("it names fewer than two robots", "Write robot = '...' for one.")]
+    for name in dict.fromkeys(names):
+        if not _NAME.fullmatch(name):
+            problem = f"{name!r} cannot be the name of a robot"
+            findings.append(_finding(problem, "Use letters, digits, '.', '_' and '-': Robots(alice='...')."))
+        elif names.count(name) > 1:
+            problem = f"{names.count(name)} robots would be called {name!r}"
+            findings.append(_finding(problem, "Name them: Robots(alice='...', bob='...')."))
+    return findings
+
+
+def _link_findings(given: list[tuple[str, str]]) -> list[Finding]:
+    links = [link for _, link in given]
+    if not all(isinstance(link, str) and link for link in links):
+        return [_finding("a robot is no text", "Give the name of a link, such as 'ros2://alice'.")]
+    twice = [link for link in dict.fromkeys(links) if links.count(link) > 1 and not link.startswith("simulated")]
+    return [_finding(f"{link!r} is named twice", "Two runs would drive one robot: name each once.") for link in twice]
+
+
+def _finding(problem: str, fix: str) -> Finding:
+    return Finding.error("Robots", problem, fix)

@@ -16,22 +16,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.factor import Factor
 
-__all__ = [
-    "CellValue",
-    "RunStatus",
-    "are_stamps",
-    "checked_measure",
-    "csv_text",
-    "measure_text",
-    "number_of",
-    "plain_value",
-    "quoted",
-    "status_of_word",
-    "treatment_position",
-    "typed_value",
-    "typed_values",
-]
-
 
 # How far a run has come, and the word for it in the run table (paper, Fig. 3).
 

@@ -27,7 +27,6 @@ from robot_runner.core.storage.journal import utc_now
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
-__all__ = ["ClaimHolder", "HeldClaims", "claim_holders", "state_folder"]
 
 #: Nobody signs with more.
 _MOST_BYTES = 4096

@@ -27,8 +27,6 @@ from typing import (
 
 from robot_runner.core.errors import Finding
 
-__all__ = ["Moment", "Scalar", "faults_of", "parsed_json", "shape_findings"]
-
 #: A moment in UTC or with its offset, as ISO 8601 has it.
 Moment = NewType("Moment", str)
 #: One value of a run: a measure, a treatment, an answer.
@@ -112,15 +110,7 @@ def faults_of(value: Any, shape: Any) -> list[str]:
 
 
 def shape_findings(where: str, what: str, value: Any, shape: Any, fix: str) -> list[Finding]:
-    """Return an error finding for each fault of a value that was read.
-
-    Args:
-        where: the file.
-        what: what it should be, as in `manifest`.
-        value: as `json` read it.
-        shape: as `faults_of` takes it.
-        fix: what to do about it.
-    """
+    """Return an error finding for each fault of a value that was read."""
     return [Finding.error(where, f"the file is no {what}: {fault}", fix) for fault in faults_of(value, shape)]
 
 

@@ -8,18 +8,6 @@ from typing import Any, NotRequired, TypedDict
 
 from robot_runner.core.storage.declared_shapes import Moment, Scalar
 
-__all__ = [
-    "ClaimFile",
-    "HolderFile",
-    "Manifest",
-    "QueuedFile",
-    "RegistrationFile",
-    "Repository",
-    "RequestFile",
-    "Schema",
-]
-
-
 # manifest.json
 
 

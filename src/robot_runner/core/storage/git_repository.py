@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-__all__ = ["LARGEST_DIFF", "RepositoryState", "git", "repository_state", "uncommitted_changes", "without_login"]
 
 #: How long git may take to answer, s: on a cold disk and a large repository it has to look at every file.
 _PATIENCE = 30.0

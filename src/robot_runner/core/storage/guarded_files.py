@@ -150,12 +150,6 @@ def read_bytes(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT)
 def read_text(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT, errors: str = "strict") -> str:
     """Return the text that a file holds (UTF-8, with or without a byte order mark).
 
-    Args:
-        path: the file.
-        root: the experiment's folder.
-        limit: the most bytes that it may have.
-        errors: what to do about bytes that are no UTF-8, as `bytes.decode` takes it.
-
     Raises:
         StorageError: as `open_to_read` says; or it is no UTF-8.
     """
@@ -167,12 +161,6 @@ def read_text(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT, 
 
 def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, depth: int = JSON_DEPTH) -> Any:
     """Return the value that a JSON file holds.
-
-    Args:
-        path: the file.
-        root: the experiment's folder.
-        limit: the most bytes that it may have.
-        depth: the most levels of brackets.
 
     Raises:
         StorageError: as `open_to_read` says; or it is no JSON, or nested too deeply.

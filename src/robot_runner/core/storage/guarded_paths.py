@@ -19,19 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-__all__ = [
-    "ONLY_FILES",
-    "MissingFileError",
-    "folder_inside",
-    "kind_of",
-    "make_experiment_folder",
-    "make_folder",
-    "open_folder",
-    "parts_below",
-    "refusal_of",
-    "refusals",
-    "rights_of",
-]
 
 #: A folder that is only passed through need not be readable.
 _FOLDER = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-__all__ = ["Journal", "journal_lines", "last_records", "parsed_record", "read_journal", "utc_now"]
-
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
 _BEGINNING = '{"kind":"'
 _RECORD, _END = _BEGINNING.encode(), b"}\n"

@@ -20,16 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-__all__ = [
-    "ExperimentFolder",
-    "LazyLog",
-    "drop_empty_log",
-    "keep_log",
-    "keep_refused",
-    "print_to_log",
-    "put_earlier_attempt_away",
-]
-
 
 # The names of an experiment's files and folders: the only place that knows them.
 

@@ -21,25 +21,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-__all__ = [
-    "Command",
-    "ExperimentLock",
-    "Holder",
-    "Request",
-    "forget_command",
-    "forget_pause",
-    "forget_requests",
-    "forget_stop",
-    "holder_of",
-    "pause_is_requested",
-    "request_pause",
-    "request_stop",
-    "send_command",
-    "stop_is_requested",
-    "take_command",
-    "take_request",
-]
-
 
 # Who executes an experiment: one process at a time, known to the others.
 
@@ -171,33 +152,11 @@ def forget_command(control: Path) -> None:
     remove(control)
 
 
-# The request to pause: a file of its own, so that it lasts until it is taken back and no other command is lost.
+# Requests to pause and to stop: each a file of its own, so that it lasts until it is taken back and no command is lost.
 
 
-def request_pause(path: Path) -> None:
-    """Ask the orchestrator to pause before the next run.
-
-    Raises:
-        StorageError: the experiment's folder cannot be written.
-    """
-    replace(path, f"{utc_now()}\n")
-
-
-def pause_is_requested(path: Path) -> bool:
-    """Return whether a pause is asked for, or lasts."""
-    return path.is_file()
-
-
-def forget_pause(path: Path) -> None:
-    """Take the request back: an experiment that is paused goes on."""
-    remove(path)
-
-
-# The request to stop: seen at any moment, and so a file of its own, too.
-
-
-def request_stop(path: Path) -> None:
-    """Ask the orchestrator to stop as by Ctrl-C: the run that is being executed is closed and to be done again.
+def leave_request(path: Path) -> None:
+    """Ask the orchestrator to pause before the next run, or to stop as by Ctrl-C: which one, the file says.
 
     Raises:
         StorageError: the experiment's folder cannot be written.
@@ -205,17 +164,12 @@ def request_stop(path: Path) -> None:
     replace(path, f"{utc_now()}\n")
 
 
-def stop_is_requested(path: Path) -> bool:
-    """Return whether the orchestrator is asked to stop."""
+def is_requested(path: Path) -> bool:
+    """Return whether a pause is asked for, or lasts; or whether the orchestrator is asked to stop."""
     return path.is_file()
-
-
-def forget_stop(path: Path) -> None:
-    """Remove a request to stop: it was seen, or came from before the experiment began."""
-    remove(path)
 
 
 def forget_requests(*paths: Path) -> None:
-    """Remove requests to pause or to stop that are of no use any longer."""
+    """Take requests back: a paused experiment goes on, and what was seen or is of no use any longer is removed."""
     for path in paths:
         remove(path)

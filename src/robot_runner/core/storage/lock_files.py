@@ -21,7 +21,6 @@ from robot_runner.core.storage.guarded_paths import rights_of
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["is_held_exclusively", "lock_exclusively", "open_to_lock", "was_open_to_strangers"]
 
 _OWNER, _GROUP = 0o600, 0o060
 #: How often a lock is tried that somebody else replaces at the same moment, and how long to wait between, s.

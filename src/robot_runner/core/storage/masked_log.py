@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO
 
-__all__ = ["MaskedText", "mask_log"]
 
 _BLOCK = 1 << 20
 
@@ -43,10 +42,6 @@ class MaskedText(io.TextIOWrapper):
 
 def mask_log(path: Path, root: Path) -> None:
     """Replace in a file what the environment keeps secret; a file without any stays as it is.
-
-    Args:
-        path: the file.
-        root: the experiment's folder.
 
     Raises:
         StorageError: it cannot be read or written.

@@ -13,7 +13,6 @@ from robot_runner.core.storage.guarded_files import MissingFileError, make_exper
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["ancestors", "is_spared", "outliving", "process_stat", "processes", "program_name", "spare"]
 
 # The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
 _PARENT, _GROUP, _SESSION, _STARTED = 1, 2, 3, 19

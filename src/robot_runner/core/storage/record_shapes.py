@@ -9,8 +9,6 @@ from typing import Any, NotRequired, TypedDict
 from robot_runner.core.storage.declared_shapes import Moment, Scalar
 from robot_runner.core.storage.file_shapes import Repository
 
-__all__ = ["RECORDS", "Record"]
-
 
 class Record(TypedDict):
     """A record of the journal, whatever its kind."""

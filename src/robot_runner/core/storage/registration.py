@@ -19,15 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-__all__ = [
-    "FORMAT",
-    "Registration",
-    "checksum_of",
-    "differences",
-    "read_registration",
-    "repeated_in_words",
-    "write_registration",
-]
 
 #: Version of the file's format; readers refuse a newer one.
 FORMAT = 1

@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.table_columns import TableLayout
     from robot_runner.core.storage.table_decoders import CellDecoder
 
-__all__ = ["Headings", "delimiter_of", "match_headings", "read_run_table"]
-
 
 # The first line of a run table's file: which heading belongs to which column, in any order.
 
@@ -88,14 +86,7 @@ def delimiter_of(first_line: str, layout: TableLayout) -> str:
 
 
 def match_headings(cells: Sequence[str], layout: TableLayout, findings: TableFindings, *, line: int) -> Headings:
-    """Match the first line of a file with the columns of a layout.
-
-    Args:
-        cells: the first line that is not blank.
-        layout: the columns that the table is to have.
-        findings: takes headings that are missing, empty, or there twice.
-        line: the number of the line.
-    """
+    """Match the first line of a file with the columns of a layout."""
     trimmed = [cell.strip() for cell in cells]
     while trimmed and not trimmed[-1]:
         trimmed.pop()  # what a spreadsheet leaves behind a deleted column

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.cells import CellValue
     from robot_runner.core.storage.table_columns import FactorColumn, TableLayout
 
-__all__ = ["RunRow", "RunTableRows", "table_text", "write_run_table"]
 
 _ROWS_AT_ONCE = 500  # what fits into a processor's cache
 #: Where a row has what the columns of `MARKS` hold.
@@ -116,12 +115,7 @@ class RunTableRows:
             return cls(layout, map(RunRow, plan, *map(repeat, (RunStatus.TODO, *_nothing(layout)))))
 
     def with_plan(self, plan: Iterable[PlannedRun], layout: TableLayout) -> RunTableRows:
-        """Return the rows of a plan that has grown: what is known of runs is kept, new ones are still to be executed.
-
-        Args:
-            plan: all runs, in the order of execution.
-            layout: which columns there are then; stamps and measures are those of this table.
-        """
+        """Return the rows of a plan that has grown: what is known of runs is kept, new ones are still to do."""
         known = {row.run.run_id: row for row in self._rows}
         rows = []
         for run in plan:

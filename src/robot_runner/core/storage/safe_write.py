@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import TextIO
 
-__all__ = ["write_beside_and_rename"]
 
 #: The permissions of a file that belongs to no experiment: what the user's umask leaves of them.
 _RIGHTS = 0o666

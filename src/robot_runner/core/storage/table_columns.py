@@ -18,18 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = [
-    "EARLIER_SPELLING",
-    "MARKS",
-    "OWN_SPELLING",
-    "ColumnDescription",
-    "ColumnRole",
-    "FactorColumn",
-    "TableLayout",
-    "TableSpelling",
-    "spelling_of_headings",
-]
-
 
 # How the file of a run table spells what it holds: the headings, and the words for how far a run has come.
 
@@ -237,12 +225,6 @@ class TableLayout:
         spelling: TableSpelling = OWN_SPELLING,
     ) -> TableLayout:
         """Return the layout of a design's run table.
-
-        Args:
-            model: the design.
-            measures: the names of the measures' columns, in order.
-            types: the types in the run table's schema, where there is one already.
-            spelling: how the file spells headings and statuses.
 
         Raises:
             DesignError: a measure is called like a factor.

@@ -26,19 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.cells import CellValue
     from robot_runner.core.storage.table_columns import ColumnDescription, FactorColumn
 
-__all__ = [
-    "CellDecoder",
-    "FactorDecoder",
-    "MarkDecoder",
-    "MeasureDecoder",
-    "RepetitionDecoder",
-    "RowChunk",
-    "RunIdDecoder",
-    "StatusDecoder",
-    "TableFindings",
-    "TextDecoder",
-]
-
 
 # What is wrong with a run table's file: every problem, with its line and column, up to a sensible number.
 

@@ -29,18 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import FactorColumn
 
-__all__ = [
-    "EXCLUSION",
-    "ColumnDescription",
-    "data_package",
-    "describe_columns",
-    "file_resource",
-    "read_schema",
-    "table_resource",
-    "type_of_values",
-    "write_schema",
-]
-
 
 # `run_table.schema.json`: type, unit, meaning and owner of each column of the run table.
 
@@ -52,10 +40,6 @@ _STAMP_FORMAT = "%Y-%m-%dT%H:%M:%S.%fZ"
 
 def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
     """Write the schema beside `path` and rename it.
-
-    Args:
-        path: the file.
-        fields: the run table's columns, in order.
 
     Raises:
         StorageError: it cannot be written.

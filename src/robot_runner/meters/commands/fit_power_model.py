@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = ["add_arguments", "execute"]
-
 _NONE = "none"
 #: What further plugins may have sampled, by the option that names the plugin.
 _COMPONENTS = {

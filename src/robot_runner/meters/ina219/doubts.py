@@ -13,19 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.window import Window
-    from robot_runner.core.sampling.series import Series
+    from robot_runner.measuring.series import Series
     from robot_runner.meters.ina219.sample_stream import SampleStream
-
-__all__ = [
-    "POWER_ON_CONFIGURATION",
-    "power_doubts",
-    "settings_doubts",
-    "silence",
-    "stream_doubts",
-    "stuck_doubts",
-    "voltage_doubts",
-    "within",
-]
 
 #: The configuration of a sensor that was without power: 32 V, ±320 mV, single 12-bit conversions.
 POWER_ON_CONFIGURATION = 0x399F

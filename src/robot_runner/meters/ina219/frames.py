@@ -7,9 +7,6 @@ from binascii import crc_hqx
 from dataclasses import dataclass
 from typing import NamedTuple
 
-__all__ = ["FIRST_SENSOR", "DecoderCounts", "Frame", "FrameDecoder", "Hello", "Mark", "SampleFrame", "Sensing"]
-
-
 _SYNC = b"\xa5\x5a"
 _VERSION = 1
 _HEADER_SIZE = 6

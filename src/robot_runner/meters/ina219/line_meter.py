@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.window import Window
@@ -15,10 +15,8 @@ from robot_runner.meters.ina219.sample_stream import SampleStream
 
 if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.serial_line import Chunk, SerialLine
+    from robot_runner.measuring.serial_line import Chunk, SerialLine
     from robot_runner.meters.ina219.registers import Evaluation
-
-__all__ = ["LineMeter", "Meter", "SharedLine"]
 
 
 class Meter(Protocol):
@@ -55,6 +53,19 @@ class Meter(Protocol):
 
         Raises:
             LinkError: there are no samples to be had.
+        """
+        ...
+
+
+@runtime_checkable
+class PromptMeter(Protocol):
+    """A meter that tells its last sample while it goes on, for who watches."""
+
+    def latest_power(self) -> float | None:
+        """Return the power of the last sample, W, from any thread; None where there is none yet.
+
+        Raises:
+            LinkError: the sensor was lost.
         """
         ...
 

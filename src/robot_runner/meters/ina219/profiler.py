@@ -10,18 +10,20 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Measure, Origin, Over
-from robot_runner.core.links.connect import SIMULATED, connect_host, is_simulated, open_serial_line
-from robot_runner.core.links.host import LOCAL, FileHost
-from robot_runner.core.links.serial_line import found_ports, port_problem
-from robot_runner.core.links.ssh_host import ssh_findings
+from robot_runner.core.links.connect import SIMULATED, is_simulated
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.ssh_command import ssh_findings
 from robot_runner.core.plugin import Profiler, probe_window
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.live_samples import LiveSamples
-from robot_runner.core.sampling.periodic import PeriodicSampler, TickingClock
-from robot_runner.core.sampling.quality import Column
+from robot_runner.measuring.devices import connect_host, open_serial_line
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.host import FileHost
+from robot_runner.measuring.live_samples import LiveSamples
+from robot_runner.measuring.periodic import PeriodicSampler
+from robot_runner.measuring.quality import Column
+from robot_runner.measuring.serial_line import found_ports, port_problem
 from robot_runner.meters.ina219.card import CardMeter
 from robot_runner.meters.ina219.frames import FIRST_SENSOR
-from robot_runner.meters.ina219.line_meter import LineMeter, SharedLine
+from robot_runner.meters.ina219.line_meter import LineMeter, PromptMeter, SharedLine
 from robot_runner.meters.ina219.registers import DEFAULT_RATE
 from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, find_sensor
 
@@ -33,8 +35,6 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.meters.ina219.line_meter import Meter
     from robot_runner.meters.ina219.registers import Evaluation
-
-__all__ = ["Ina219", "Way", "way_findings"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +138,7 @@ def _card_findings(where: str, card: Path) -> list[Finding]:
 
 
 def _sysfs_findings(where: str, folder: str) -> list[Finding]:
-    from robot_runner.core.links.local_host import LocalHost  # noqa: PLC0415  # only where it is asked for
+    from robot_runner.measuring.local_host import LocalHost  # noqa: PLC0415  # only where it is asked for
 
     host = LocalHost(SystemClock())
     try:
@@ -265,7 +265,7 @@ class Ina219(Profiler):
         self.bytes_per_run = round(rate * _USUAL_SECONDS * _BYTES_PER_ROW)
         self._meter: Meter | None = None
         self._evaluation: Evaluation | None = None
-        self._watcher: PeriodicSampler[float | None] | None = None
+        self._watcher: PeriodicSampler[None] | None = None
         self._live: LiveSamples | None = None
 
     def claims(self, robot: str | None) -> Iterable[str]:
@@ -312,16 +312,16 @@ class Ina219(Profiler):
 
     def _show_live(self, meter: Meter, context: RobotRunnerContext) -> None:
         """Show a power now and then to who watches; the samples themselves wait on the line until the end."""
-        clock = context.clock
-        if not isinstance(meter, LineMeter) or isinstance(clock, TickingClock):
-            return  # a simulated mission is over in a moment, and a card or a driver tells at its end
+        if not isinstance(meter, PromptMeter):
+            return  # a card tells at its end
+        clock, latest_power = context.clock, meter.latest_power
         live = self._live = LiveSamples(context.raw_data_folder / "samples.csv")
 
-        def show(time: float, power: float | None) -> None:
-            live.show(lambda: [Column("time_s", [time]), Column("power_W", [power])])
+        def show() -> None:
+            # Decoded only where one is due: a simulated mission passes many of these moments a second.
+            live.show(lambda: [Column("time_s", [clock.now()]), Column("power_W", [latest_power()])])
 
-        self._watcher = PeriodicSampler(meter.latest_power, rate=_SHOWN_HZ, clock=clock)
-        self._watcher.on_reading = show
+        self._watcher = PeriodicSampler(show, rate=_SHOWN_HZ, clock=clock)
         self._watcher.start()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:

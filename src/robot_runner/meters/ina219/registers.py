@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass
 from operator import mul
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.sampling.quality import Column, quality_of, write_quality, write_samples
-from robot_runner.core.sampling.series import Series, energy, energy_from_mean_power
+from robot_runner.measuring.quality import Column, quality_of, write_quality, write_samples
+from robot_runner.measuring.series import Series, energy, energy_from_mean_power
 from robot_runner.meters.ina219.doubts import power_doubts, settings_doubts, stream_doubts, within
 from robot_runner.meters.ina219.sample_stream import Trouble
 
@@ -17,20 +17,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.events.window import Window
-    from robot_runner.core.sampling.quality import SampleQuality
+    from robot_runner.measuring.quality import SampleQuality
     from robot_runner.meters.ina219.sample_stream import SampleStream
-
-__all__ = [
-    "BUS_VOLT_PER_STEP",
-    "DEFAULT_RATE",
-    "DEFAULT_SHUNT",
-    "SHUNT_VOLT_PER_STEP",
-    "Calibration",
-    "Evaluation",
-    "Ranges",
-    "evaluate_registers",
-]
-
 
 # Registers become volts, amperes and watts here, on the host, so that raw data stay raw.
 

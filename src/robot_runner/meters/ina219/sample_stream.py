@@ -10,18 +10,15 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from robot_runner.core.sampling.device_clock import fit_clock
+from robot_runner.measuring.device_clock import fit_clock
 from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, Hello, Mark, SampleFrame, Sensing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.core.events.window import Window
-    from robot_runner.core.links.serial_line import Chunk
+    from robot_runner.measuring.serial_line import Chunk
     from robot_runner.meters.ina219.frames import DecoderCounts, Frame
-
-__all__ = ["SampleStream", "StampedMark", "Trouble"]
-
 
 _SEQUENCES = 1 << 16
 _STAMPS = 1 << 32

@@ -8,20 +8,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.host import ReportingSampler
-from robot_runner.core.sampling.quality import Column, quality_of
-from robot_runner.core.sampling.series import Series
+from robot_runner.measuring.host import ReportingSampler, TellingSampler
+from robot_runner.measuring.quality import Column, quality_of
+from robot_runner.measuring.series import Series
 from robot_runner.meters.ina219.doubts import stuck_doubts, voltage_doubts
 from robot_runner.meters.ina219.registers import Evaluation
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.host import FileHost, FileSampler, SamplingReport
-
-__all__ = ["AUTO", "DEFAULT_SYSFS_RATE", "Reading", "SysfsMeter", "SysfsSensor", "find_sensor"]
-
+    from robot_runner.measuring.host import FileHost, FileSample, FileSampler, SamplingReport
 
 #: The name under which the one sensor of a computer is taken, wherever its driver put it.
 AUTO = "auto"
@@ -185,13 +182,26 @@ class SysfsMeter:
         self._sensor = find_sensor(host, folder, where=where)
         self._shunt_ohm = shunt_ohm or self._sensor.shunt_ohm
         self._sampler: FileSampler | None = None
+        self._latest: Callable[[], FileSample] | None = None
         self._start = clock.now()
         self._window: Window | None = None
 
     def begin(self) -> None:
         """Begin to sample."""
-        self._sampler = self._host.sample_files(self._rate, self._sensor.paths)
+        sampler = self._sampler = self._host.sample_files(self._rate, self._sensor.paths)
+        if isinstance(sampler, TellingSampler):
+            sampler.tell(self._take_latest)
         self._start = self._clock.now()
+
+    def _take_latest(self, sample: Callable[[], FileSample]) -> None:
+        self._latest = sample
+
+    def latest_power(self) -> float | None:
+        """Return the power of the last sample, W; None where there is none: another computer tells at its end."""
+        if self._latest is None:
+            return None
+        reading = self._sensor.read(self._latest().lines, shunt_ohm=self._shunt_ohm)
+        return None if reading is None else reading.power
 
     def end(self) -> None:
         """End sampling; a second call does nothing."""

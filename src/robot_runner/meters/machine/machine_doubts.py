@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from robot_runner.meters.machine.machine_state import Conditions, MachineState
     from robot_runner.meters.machine.others_load import Load
 
-__all__ = ["MachineReport", "Thresholds"]
-
 _PERCENT, _MEGA = 100.0, 1e6
 _PAGE = 4096  # bytes, on the processors of robots and of the computers beside them
 _NAMED = 3

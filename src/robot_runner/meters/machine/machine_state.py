@@ -17,8 +17,6 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["Conditions", "Files", "MachineFiles", "MachineState", "ProcessTimes", "SystemFiles"]
-
 #: Ticks a second in which /proc counts: USER_HZ, 100 wherever Linux runs on a robot or beside it.
 _TICKS = 100.0
 _KILO, _MILLI, _MICRO = 1e3, 1e-3, 1e-6

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.connect import connect_host
-from robot_runner.core.links.host import LOCAL, FileHost, RemoteHost
-from robot_runner.core.links.measured_machine import Computer, MeasuresComputer
+from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.periodic import PeriodicSampler
+from robot_runner.measuring.devices import connect_host
+from robot_runner.measuring.host import FileHost, RemoteHost
+from robot_runner.measuring.measured_machine import Computer, MeasuresComputer
+from robot_runner.measuring.periodic import PeriodicSampler
 from robot_runner.meters.machine.machine_doubts import MachineReport, Thresholds
 from robot_runner.meters.machine.machine_state import MachineFiles, SystemFiles
 from robot_runner.meters.machine.others_load import load_between
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Plugin
     from robot_runner.meters.machine.machine_state import Conditions, MachineState
     from robot_runner.meters.machine.others_load import Load
-
-__all__ = ["MachineWatch", "watch_machines"]
 
 _USUAL = Thresholds()
 #: How often frequency and temperature of this machine are looked at, s: heat takes longer than that to build up, and a

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from robot_runner.core.links.local_host import matches
+from robot_runner.measuring.local_host import matches
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.meters.machine.machine_state import MachineState, ProcessTimes
-
-__all__ = ["Load", "Share", "is_expected", "load_between"]
 
 _PERCENT = 100.0
 #: How many of the busiest processes are looked at: more would be read by nobody.
@@ -120,7 +118,7 @@ def is_expected(pid: int, name: str, words: Sequence[str], subjects: Sequence[st
 
 
 def _is_own_loop(words: Sequence[str]) -> bool:
-    """Whether it is a program of ours that samples on board of a computer (core/links/on_board)."""
+    """Whether it is a program of ours that samples on board of a computer (measuring/on_board)."""
     if len(words) < 2 or not PurePath(words[0]).name.startswith(("python", "sh", "dash", "bash")):  # noqa: PLR2004 - `sh -c`
         return False
     program = words[-1]

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances, Plugin
 
-__all__ = ["Tune", "check_left_behind"]
-
 _log = logging.getLogger(__name__)
 
 _SCOPES = ("experiment", "run")

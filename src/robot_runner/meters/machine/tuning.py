@@ -16,8 +16,6 @@ from robot_runner.meters.machine.tuning_state import Change, Kept, state_file
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["Machine", "Wishes"]
-
 _CPU = "sys/devices/system/cpu"
 _CACHES = "proc/sys/vm/drop_caches"
 #: Page cache, dentries and inodes (Linux, admin-guide/sysctl/vm, drop_caches).

@@ -14,8 +14,6 @@ from pathlib import Path
 from robot_runner.core.errors import PluginError
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 
-__all__ = ["Change", "Kept", "state_file"]
-
 
 def state_file() -> Path:
     """Return where it is kept what a machine was like before: in the user's folder of state (XDG_STATE_HOME)."""

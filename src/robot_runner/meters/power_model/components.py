@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["ComponentSources", "Components", "read_components"]
-
 _CORE = re.compile(r"cpu_core(\d+)_percent")
 _BYTES = re.compile(r".+_[rt]x_bytes")
 _GPU = re.compile(r"gpu\d+_gpu_percent")

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from robot_runner.meters.power_model.states import RobotState
 
-__all__ = ["FORMAT", "PLAIN_TERMS", "FitReport", "LinearModel", "check_terms", "read_model", "term_value"]
-
 FORMAT = "robot-runner power model 1"
 #: Terms that stand for themselves; the others are `motion:<phase>`, `task:<task>` and `frequency:<MHz>`.
 PLAIN_TERMS = ("constant", "cpu", "memory", "has_moved", "cycles", "network", "gpu")

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import AnalysisError, Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
 from robot_runner.meters.power_model.components import ComponentSources
-from robot_runner.meters.power_model.fitting import Sources, read_runs
 from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
+from robot_runner.meters.power_model.measured_runs import Sources, read_runs
 from robot_runner.meters.power_model.states import RobotState, read_states
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.window import Window
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["PowerFunction", "PowerModel"]
 
 #: From what the robot does to the power that it draws, W.
 PowerFunction = Callable[[RobotState], float | None]
@@ -121,7 +119,7 @@ class PowerModel(Profiler):
         super().__init__(name=name)
         given = [each for each in (model, coefficients, function) if each is not None]
         if len(given) != 1:
-            problem = f"the plugin got {len(given)} of model, coefficients and function"
+            problem = f"{len(given) or 'none'} of model, coefficients and function are given"
             raise PluginError(problem, where=self.name, fix="Give it one of them. " + _FIX)
         self.model = None if model is None else Path(model).expanduser()
         self.function = function

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-__all__ = ["heading_of", "number_of", "read_numbers", "rows_of"]
-
 
 def heading_of(path: Path) -> list[str]:
     """Return the names of a file's columns.

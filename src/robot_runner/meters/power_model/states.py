@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.window import Window
 
-__all__ = ["RobotState", "read_states"]
-
 #: Phases in which the robot stands still; every other one is a motion.
 _STILL = frozenset({"", "sleep", "task"})
 

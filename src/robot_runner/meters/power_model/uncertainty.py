@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-__all__ = ["PiecesOfRuns", "Uncertainty", "check_linearity", "uncertainty_of"]
-
 #: Columns count as one below this share of the largest singular value.
 _SINGULAR = 1e-6
 #: Residuals smaller than this, W, are rounding: nothing can be said of how they are correlated.

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from robot_runner.ros.ros_parameters import RosParameters as RosParameters
     from robot_runner.ros.simulators.simulation_system import Simulation as Simulation
     from robot_runner.ros.turtlebot3.basic_turtlebot3 import BasicTurtlebot3 as BasicTurtlebot3
+    from robot_runner.simulator.simulated_world import SimulatedWorld as SimulatedWorld
     from robot_runner.subjects.compose_project import ComposeProject as ComposeProject
     from robot_runner.subjects.program import Program as Program
     from robot_runner.subjects.ros_launch import RosLaunch as RosLaunch

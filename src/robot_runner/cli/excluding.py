@@ -1,0 +1,133 @@
+"""Leaving runs out of the analysis, and taking them in again: recorded with the reason, nothing is removed."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from robot_runner.core.design.columns import EXCLUDED
+from robot_runner.core.design.selection import RunChooser
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.storage.executed_runs import ExcludedRuns
+from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import write_run_table
+from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
+from robot_runner.core.storage.table_schema import EXCLUSION, read_schema, write_schema
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from robot_runner.core.storage.layout import ExperimentFolder
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+
+def _on_one_line(reason: str) -> str:
+    return " ".join(reason.split())
+
+
+def _reason_findings(reason: str) -> Iterator[Finding]:
+    text = _on_one_line(reason)
+    if not text:
+        fix = 'Say why, for the readers of the results: --reason "the door was open".'
+        yield Finding.error("--reason", "the reason is empty", fix)
+    elif not text.isprintable():
+        yield Finding.error("--reason", f"the reason holds control characters: {text!r}", "Leave them out.")
+
+
+def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str) -> tuple[str, ...]:
+    """Leave runs out of the analysis; those that are still to do are not executed either.
+
+    Returns:
+        The ids of the runs that were not left out before with the same reason.
+
+    Raises:
+        RobotRunnerError: there are no such runs, there is no reason, or somebody executes the experiment.
+    """
+    with _correcting(folder) as table:
+        chosen = table.chosen(expressions, _reason_findings(reason))
+        reason = _on_one_line(reason)
+        new = [run_id for run_id in chosen if table.excluded.reason(run_id) != reason]
+        table.record("excluded", new, reason=reason)
+        for run_id in new:
+            table.rows.exclude(run_id, reason)
+    return tuple(new)
+
+
+def include_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str = "") -> tuple[str, ...]:
+    """Take runs in again that were left out.
+
+    Returns:
+        Their ids.
+
+    Raises:
+        RobotRunnerError: there are no such runs, none of them is left out, or somebody executes the experiment.
+    """
+    with _correcting(folder) as table:
+        chosen = table.chosen(expressions, _reason_findings(reason) if reason else ())
+        out = [run_id for run_id in chosen if table.excluded.reason(run_id) is not None]
+        if not out:
+            present = ", ".join(table.excluded.present) or "none is"
+            fix = f"Name runs that are excluded: {present}."
+            raise ExecutionError("none of these runs is excluded", where=str(folder.root), fix=fix)
+        table.record("included", out, **({"reason": _on_one_line(reason)} if reason else {}))
+        for run_id in out:
+            table.rows.exclude(run_id, None)
+    return tuple(out)
+
+
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """A run table that is being corrected."""
+
+    rows: RunTableRows
+    excluded: ExcludedRuns
+    journal: Journal
+
+    def chosen(self, expressions: Sequence[str], findings: Iterable[Finding]) -> list[str]:
+        chooser = RunChooser(self.rows.planned, has_repetition=self.rows.layout.has_repetition)
+        places = chooser.choose("RUNS", expressions).places
+        chooser.findings += findings
+        chooser.refuse()
+        return [self.rows.run_id(place) for place in places]
+
+    def record(self, kind: str, runs: Sequence[str], **fields: str) -> None:
+        for number, run_id in enumerate(runs, start=1):
+            self.journal.append(kind, flush=number == len(runs), run=run_id, **fields)
+
+
+@contextmanager
+def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
+    """Hold an experiment's folder, and write its table and schema afterwards.
+
+    The journal gets no `table_written` record: the next session compares the file with the journal, so that what was
+    edited by hand before is found as if nothing had been corrected.
+    """
+    read_manifest(folder.manifest)  # says where there is no experiment
+    with ExperimentLock(folder.lock):
+        schema = read_schema(folder.schema)
+        rows = _read_rows(folder, schema)
+        with Journal(folder.journal) as journal:
+            yield _Table(rows, ExcludedRuns.read(folder.journal), journal)
+        # The journal has it: should the table not be written now, it is made to agree when the experiment goes on.
+        write_run_table(folder.run_table, rows)
+        write_schema(folder.schema, _with_exclusion(schema))
+
+
+def _read_rows(folder: ExperimentFolder, schema: Sequence[ColumnDescription]) -> RunTableRows:
+    layout = TableLayout.of_schema(schema)
+    rows = read_run_table(folder.run_table, layout)
+    if EXCLUDED in rows.layout.extras:
+        where = f"{folder.run_table}, column {EXCLUDED!r}"
+        fix = "Rename your column: runs that are left out get one of that name."
+        raise StorageError.of_findings([Finding.error(where, "the run table has a column of your own there", fix)])
+    return rows if layout.has_exclusions else read_run_table(folder.run_table, replace(layout, has_exclusions=True))
+
+
+def _with_exclusion(schema: Sequence[ColumnDescription]) -> list[ColumnDescription]:
+    if any(column.name == EXCLUDED for column in schema):
+        return list(schema)
+    return [*schema[:2], EXCLUSION, *schema[2:]]

@@ -1,0 +1,311 @@
+"""Adding runs to an experiment that has begun: a batch with a seed of its own, in the journal and in the run table.
+
+What was executed is not touched. Once there is a batch, the plan of the experiment is what the journal lists, and no
+longer what the config makes.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from itertools import islice
+from secrets import randbits
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.plugin_checks import check_treatments
+from robot_runner.core.design.asking import AdaptiveDesign, decides_order
+from robot_runner.core.design.batches import (
+    EXTENDED,
+    GrownRunTableModel,
+    as_configured,
+    first_batch,
+    next_batch,
+    records_of,
+)
+from robot_runner.core.design.columns import WARM_UP
+from robot_runner.core.design.design import Design
+from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.growing import Additions, Begun, grown_design
+from robot_runner.core.design.planned_runs import RunOrder
+from robot_runner.core.errors import DesignError, ExecutionError, Finding
+from robot_runner.core.execution.begun_experiment import shown_config, unplanned_additions
+from robot_runner.core.execution.circumstances import keep_config_files, restored_manifest
+from robot_runner.core.execution.recovery import (
+    ACCEPT,
+    Resumption,
+    TableDisagreementError,
+    config_changes,
+)
+from robot_runner.core.execution.table_recovery import digest_of, recover_table
+from robot_runner.core.storage.journal import Journal, read_journal, utc_now
+from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.storage.manifest import read_manifest, write_manifest
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.run_table_rows import write_run_table
+from robot_runner.core.storage.table_columns import FactorColumn
+from robot_runner.core.words import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.batch import Batch
+    from robot_runner.core.design.factor import Combination
+    from robot_runner.core.design.growing import GrownDesign
+    from robot_runner.core.design.planned_runs import PlannedRun
+    from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.execution.recovered_table import RecoveredTable
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExtensionRequest:
+    """What the user asks for.
+
+    Attributes:
+        added: what there is to be more of, beyond what the config has.
+        seed: what the order of the new runs comes from; None draws one.
+        as_written: whether the new runs keep the order of the config, and are not randomised.
+        accept_changes: go on though the config differs in more than its design, or the run table from the plan.
+        dry_run: find out what would be added, and write nothing.
+    """
+
+    added: Additions
+    seed: int | None = None
+    as_written: bool = False
+    accept_changes: bool = False
+    dry_run: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Extension:
+    """What was added to an experiment, or would be.
+
+    Attributes:
+        batch: the new one.
+        model: the design with it.
+        runs: those of the new batch, in the order of execution.
+        findings: what looked odd, and refused nothing.
+    """
+
+    batch: Batch
+    model: GrownRunTableModel
+    runs: Sequence[PlannedRun]
+    findings: tuple[Finding, ...]
+
+
+def extend_experiment(experiment: Experiment, request: ExtensionRequest) -> Extension:
+    """Add runs to an experiment that has begun; they are executed when the experiment is executed next.
+
+    Raises:
+        ExecutionError: it has not begun, is being executed, has nothing to add, or its config or run table was changed.
+        DesignError: something cannot be added; `findings` lists everything that was found.
+        StorageError: something cannot be read or written.
+    """
+    if not _has_begun(experiment):
+        problem = "the experiment has not begun: there is nothing to add to"
+        fix = f"Change the config, and execute it: robot-runner {shown_config(experiment.config_path)}"
+        raise ExecutionError(problem, where=str(experiment.folder.root), fix=fix)
+    if isinstance(as_configured(experiment.model).design, AdaptiveDesign):
+        problem = "the design decides on the runs from their results: nothing is added by hand"
+        config = shown_config(experiment.config_path)
+        fix = f"Give it more runs in the config, and go on: robot-runner {config} {ACCEPT}"
+        raise ExecutionError(problem, where=str(experiment.folder.root), fix=fix)
+    with ExperimentLock(experiment.folder.lock):
+        return _Extending(experiment, request).extension()
+
+
+class _Extending:
+    """One extension; the experiment's folder is locked while it lasts."""
+
+    def __init__(self, experiment: Experiment, request: ExtensionRequest) -> None:
+        self._experiment = experiment
+        self._request = request
+        self._folder = experiment.folder
+        lost = restored_manifest(experiment)
+        self._manifest = lost.manifest if lost else read_manifest(self._folder.manifest)
+        self._findings = [lost.finding] if lost else []
+        self._design: Mapping[str, Any] = self._manifest["design"]
+        self._config = as_configured(experiment.model)
+
+    def extension(self) -> Extension:
+        self._refuse_other_changes()
+        recovered = self._recovered()
+        begun = self._begun(recovered.rows)
+        design = grown_design(begun, self._config, self._request.added)
+        batches = self._experiment.model.batches or (first_batch(begun, self._first_order()),)
+        seed = self._request.seed if self._request.seed is not None else randbits(32)
+        order = RunOrder(shuffle=not self._request.as_written, blocks=self._config.blocks, seed=seed)
+        wanted = None
+        if decides_order(self._config.design):
+            wanted = runs_of_grown_design(begun, self._config, design, batches[0].order)
+            order = RunOrder(seed=batches[0].order.seed)
+        number = len(batches) + 1
+        batch = next_batch(begun, design, self._config.warm_up, order=order, number=number, at=utc_now(), wanted=wanted)
+        if not batch.runs:
+            raise self._nothing_to_add(begun)
+        model = GrownRunTableModel(self._config, [*batches, batch])
+        grown = replace(self._experiment, model=model)
+        runs = [run for run in model.plan() if run.batch == batch.number]
+        was = recovered.rows.layout
+        layout = replace(grown.table_layout(was.types), extras=was.extras, has_exclusions=was.has_exclusions)
+        self._refuse_unfit(runs)
+        if not self._request.dry_run:
+            recovered.rows = recovered.rows.with_plan(model.plan(), layout)
+            self._write(recovered, model)
+        return Extension(batch, model, runs, (*self._findings, *recovered.findings))
+
+    def _refuse_other_changes(self) -> None:
+        changes = config_changes(self._experiment, of_design=False, of_settings=False)
+        if changes and not self._request.accept_changes:
+            raise ExecutionError.of_findings(changes)
+
+    def _recovered(self) -> RecoveredTable:
+        """Return the run table as it stands, compared with the journal, before anything is added."""
+        resumption = Resumption(accept_changes=self._request.accept_changes)
+        try:
+            recovered = recover_table(self._as_executed(), self._manifest, resumption)
+        except TableDisagreementError as error:
+            raise TableDisagreementError.of_findings([*error.findings, self._settle()]) from error
+        if recovered.deviations:
+            raise TableDisagreementError.of_findings([self._settle()])
+        return recovered
+
+    def _settle(self) -> Finding:
+        problem = "the run table and the journal disagree, and an extension changes nothing of that"
+        command = f"robot-runner {shown_config(self._experiment.config_path)} --table journal (or file)"
+        return Finding.error(str(self._folder.run_table), problem, f"Settle it before: {command}")
+
+    def _as_executed(self) -> Experiment:
+        """Return the experiment with the design that it was executed with, where the config has another one now.
+
+        Raises:
+            ExecutionError: nothing tells any more which runs were planned.
+        """
+        experiment = self._experiment
+        has_changed = unplanned_additions(experiment.config_path, experiment.model, self._manifest) or config_changes(
+            experiment, of_settings=False
+        )
+        if experiment.model.batches or self._is_by_hand or not has_changed:
+            return experiment
+        path = self._folder.run_table
+        written = [each.get("sha256") for each in read_journal(self._folder.journal, kinds={"table_written"})]
+        if not path.exists():
+            problem = "the run table is missing and the design has changed: nothing tells which runs were planned"
+            fix = "Restore the run table. Or undo the change, and execute the experiment: the table is made anew."
+            raise ExecutionError(problem, where=str(path), fix=fix)
+        if digest_of(path) != written[-1] and not self._request.accept_changes:
+            problem = "both the config's design and the run table were changed: nothing tells which runs were planned"
+            fix = f"Undo one of them, or let the table count ({ACCEPT})."
+            raise ExecutionError(problem, where=str(path), fix=fix)
+        own = {factor.name: factor for factor in self._config.factors}
+        columns = tuple(FactorColumn(name, own.get(name)) for name in self._design["factors"])
+        layout = replace(
+            experiment.table_layout(),
+            factors=columns,
+            has_repetition=int(self._design["repetitions"]) > 1,
+            marks=(WARM_UP,) if self._design.get("warm_up") else (),
+        )
+        begun = self._begun(read_run_table(path, layout))
+        return replace(experiment, model=GrownRunTableModel(self._config, [first_batch(begun, self._first_order())]))
+
+    @property
+    def _is_by_hand(self) -> bool:
+        return bool(self._design.get("source") != "config")
+
+    def _first_order(self) -> RunOrder:
+        seed, shuffle = int(self._manifest["seed"]), bool(self._design.get("shuffle"))
+        return RunOrder(shuffle=shuffle, blocks=self._design.get("blocks"), seed=seed, seed_is_given=True)
+
+    def _begun(self, rows: RunTableRows) -> Begun:
+        runs = list(rows.planned)
+        model = self._experiment.model
+        return Begun(
+            factors=tuple(self._factor_there(column, runs) for column in rows.layout.factors),
+            runs=runs,
+            chosen=model.chosen if isinstance(model, GrownRunTableModel) else MappingProxyType({}),
+            has_repetition=rows.layout.has_repetition,
+            is_by_hand=self._is_by_hand,
+        )
+
+    def _factor_there(self, column: FactorColumn, runs: Sequence[PlannedRun]) -> Factor:
+        """Return a factor with the treatments that it had so far, those of a changed table included."""
+        there = {str(run.combination[column.name]): run.combination[column.name] for run in runs}
+        own = dict(zip(column.factor.texts, column.factor.treatments, strict=True)) if column.factor else {}
+        recorded = {*self._design["factors"].get(column.name, ()), *there}
+        listed = {**{text: own[text] for text in own if text in recorded}, **there}.values()
+        return column.factor.with_treatments(listed) if column.factor else Factor(column.name, listed)
+
+    def _nothing_to_add(self, begun: Begun) -> ExecutionError:
+        there = counted(begun.repetitions, "repetition")
+        problem = f"there is nothing to add: the run table has {there} of each combination that the config plans"
+        fix = f"Ask for more, such as --repetitions {begun.repetitions + 1}, or change create_run_table."
+        return ExecutionError(problem, where=str(self._folder.run_table), fix=fix)
+
+    def _refuse_unfit(self, runs: Sequence[PlannedRun]) -> None:
+        experiment = self._experiment
+        combinations = [run.combination for run in runs]
+        found = check_treatments(experiment.plugins, self._config, experiment.parameters.robot, combinations)
+        self._findings += [finding for finding in found if not finding.is_error]
+        if refused := [finding for finding in found if finding.is_error]:
+            raise ExecutionError.of_findings(refused)
+
+    def _write(self, recovered: RecoveredTable, model: GrownRunTableModel) -> None:
+        """Write everything down; the journal's record is what counts, should this break off."""
+        *_, fields = records_of(model.batches)
+        keep_config_files(self._experiment)
+        with Journal(self._folder.journal) as journal:
+            journal.append(EXTENDED, flush=True, **fields)
+            journal.append("table_written", sha256=write_run_table(self._folder.run_table, recovered.rows))
+        recovered.write_schema(self._folder.schema)
+        self._manifest["design"] |= described_design(model)
+        write_manifest(self._folder.manifest, self._manifest)
+
+
+def _has_begun(experiment: Experiment) -> bool:
+    started = read_journal(experiment.folder.journal, kinds={"experiment_started"})
+    return any(True for _ in islice(started, 1))
+
+
+def runs_of_grown_design(
+    begun: Begun, config: RunTableModel, design: GrownDesign, order: RunOrder
+) -> list[tuple[Combination, int]]:
+    """Return the runs that the design plans beyond those that there are, in its order.
+
+    Args:
+        begun: as the run table has it.
+        config: the design as the config has it.
+        design: the factors and repetitions that there are to be.
+        order: the seed of the first plan, and whether it was randomised: the same, so that what there is stays.
+
+    Raises:
+        DesignError: it cannot be made for so many, or it would have planned other runs than there are.
+    """
+    if not isinstance(config.design, Design):
+        return []
+    allowed = config.allowed_of(design.factors)
+    planned = config.design.runs(design.factors, allowed, design.repetitions, order.seed, order.shuffle)
+    wanted: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
+    for run in planned.runs:
+        wanted[_texts_of(run.combination, design)].add(run.repetition)
+    there: defaultdict[tuple[str, ...], set[int]] = defaultdict(set)
+    for run in begun.counted_runs:
+        if not run.is_warm_up:
+            there[_texts_of({**design.defaults, **run.combination}, design)].add(run.repetition)
+    fits = all(numbers <= wanted[texts] for texts, numbers in there.items())
+    in_place = planned.facts.get("repetitions_in_place") and design.repetitions > begun.repetitions
+    if in_place or not fits:
+        grows = planned.facts.get("grows_by", "repetitions")
+        problem = "the runs that there are would not be part of the design with what is to be added"
+        raise DesignError(problem, where="design", fix=f"Add {grows}, or begin another experiment.")
+    return [
+        (run.combination, run.repetition)
+        for run in planned.runs
+        if run.repetition not in there[_texts_of(run.combination, design)]
+    ]
+
+
+def _texts_of(combination: Mapping[str, Any], design: GrownDesign) -> tuple[str, ...]:
+    return tuple(str(combination[factor.name]) for factor in design.factors)

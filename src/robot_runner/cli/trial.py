@@ -1,0 +1,248 @@
+"""One run of one plugin, without an experiment: what the framework sees of it, for its author."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, field
+from datetime import datetime
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.loader import LoadedConfig
+from robot_runner.core.config.parameters import ExperimentConfig
+from robot_runner.core.config.preparation import prepare
+from robot_runner.core.config.source import CONFIG_CLASS, ConfigSource
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.execution.notices import AttemptFinished, Notice, RunRecord
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.probe import without_values
+from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.plugin import Plugin
+from robot_runner.core.storage.guarded_files import open_to_read, read_json, read_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.execution.task import RunOutcome
+
+_NAME = "try"
+#: How long a callback may take beyond the time that is measured, s; a plugin that hangs is ended then.
+_PATIENCE = 30.0
+_GRACE = 5.0
+#: How alike a method's name is to that of an event before it looks like a slip of the pen.
+_LIKENESS = 0.8
+#: How much of a raw file is shown.
+_SHOWN_LINES = 2
+_SHOWN_BYTES = 400
+
+
+@dataclass(frozen=True, slots=True)
+class CalledEvent:
+    """One event of the run.
+
+    Attributes:
+        name: as the callback is named.
+        has_callback: whether the plugin has a callback for it.
+        was_emitted: whether the run came so far.
+        seconds: real time that went by until the next event; None for the last one.
+    """
+
+    name: str
+    has_callback: bool
+    was_emitted: bool
+    seconds: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class RawFile:
+    """A file that the plugin wrote: its path within the plugin's folder, its bytes, its first lines if it is text."""
+
+    name: str
+    size: int
+    head: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """The result of trying a plugin.
+
+    Attributes:
+        findings: of its check, and of the run, errors first.
+        outcome: how the run went; None where it was refused.
+        events: the six events of a run, in order.
+        refused: values that it published and that the run table could not take.
+        raw_files: what it wrote.
+        log: what it printed.
+        folder: of its raw data.
+        quality: what its `quality.json` says, if it keeps one.
+        missing: its measures, where the run is done and none of them has a value.
+    """
+
+    findings: tuple[Finding, ...]
+    outcome: RunOutcome | None = None
+    events: tuple[CalledEvent, ...] = ()
+    refused: tuple[Mapping[str, Any], ...] = ()
+    raw_files: tuple[RawFile, ...] = ()
+    log: str = ""
+    folder: Path | None = None
+    quality: Any = None
+    missing: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Witness:
+    """An observer that writes down everything and shows nothing."""
+
+    refresh_interval: float | None = None
+    user_input: int | None = None
+    records: list[RunRecord] = field(default_factory=list)
+    outcome: RunOutcome | None = None
+
+    def notice(self, notice: Notice) -> None:
+        """Take a notice."""
+        if isinstance(notice, RunRecord):
+            self.records.append(notice)
+        elif isinstance(notice, AttemptFinished):
+            self.outcome = notice.outcome
+
+    def refresh(self) -> None:
+        """Do nothing: there is no screen."""
+
+
+def has_mission(plugin: Plugin) -> bool:
+    """Whether a plugin has something to do between the start and the stop of the measurement."""
+    return hasattr(plugin, RobotRunnerEvents.LAUNCH_MISSION.callback_name)
+
+
+def try_plugin(
+    plugin: Plugin,
+    folder: Path,
+    *,
+    seconds: float,
+    robot: str | None = None,
+    treatments: Mapping[str, Any] = MappingProxyType({}),
+) -> Trial:
+    """Execute one run in a process of its own, in which this plugin is the only one.
+
+    The mission is the plugin's own, or else to wait.
+
+    Args:
+        plugin: the plugin that is tried.
+        folder: where the run's folder is made.
+        seconds: how long it measures, s on the run's clock; how long a mission of its own may take, s of real time.
+        robot: how a robot is reached, or None.
+        treatments: what the run has of each factor that the plugin reads.
+    """
+    config = folder / "trial.py"
+    config.write_text(f"# One run of {type(plugin).__name__}, {seconds:g} s long, robot={robot!r}.\n", encoding="utf-8")
+    preparation = prepare(config, load=lambda path, _: _loaded(path, plugin, seconds, robot, treatments))
+    own = tuple(_misspelt(plugin))
+    experiment = preparation.experiment
+    if experiment is None:
+        return Trial((*preparation.findings, *own))
+    witness = _Witness()
+    finished = execute_experiment(experiment, witness)
+    return _trial(experiment, plugin, witness, (*preparation.findings, *own, *finished.findings))
+
+
+def _loaded(
+    path: Path, plugin: Plugin, seconds: float, robot: str | None, treatments: Mapping[str, Any]
+) -> LoadedConfig:
+    class RobotRunnerConfig(ExperimentConfig):
+        """The experiment of a trial."""
+
+        experiment_name = _NAME
+        results_output_path = path.parent
+        probe = False  # the trial itself is more than a probe
+        event_deadline_in_s = seconds + _PATIENCE
+        grace_in_s = _GRACE
+
+        def launch_mission(self, context: RobotRunnerContext) -> None:
+            """Let time go by."""
+            if not has_mission(plugin):
+                context.clock.sleep(seconds)
+
+        def create_run_table(self) -> RunTableModel:
+            """Return one run."""
+            return RunTableModel([Factor(name, [value]) for name, value in (treatments or {"Trial": 1}).items()])
+
+    config: Any = RobotRunnerConfig()
+    config.robot, config.plugins = robot, [plugin]
+    source = ConfigSource(path, path.read_text(encoding="utf-8"), CONFIG_CLASS)
+    return LoadedConfig(source, config, (), (), {}, ())
+
+
+def _misspelt(plugin: Plugin) -> Iterator[Finding]:
+    """Yield a warning for each method that is no callback of an event, and is named nearly like one."""
+    known = set(dir(Plugin)) | set(EVENTS_BY_CALLBACK)
+    for name in dir(type(plugin)):
+        near = difflib.get_close_matches(name, EVENTS_BY_CALLBACK, n=1, cutoff=_LIKENESS)
+        if near and name not in known and not name.startswith("_") and not hasattr(plugin, near[0]):
+            place = f"{type(plugin).__name__}.{name}"
+            yield Finding.warning(place, "no event has a callback of this name", f"Did you mean {near[0]!r}?")
+
+
+def _trial(experiment: Experiment, plugin: Plugin, witness: _Witness, findings: Sequence[Finding]) -> Trial:
+    run = experiment.folder.run("r_1")
+    folder = run / plugin.name
+    log = experiment.folder.log("r_1")
+    outcome = witness.outcome
+    is_done = outcome is not None and outcome.status is AttemptStatus.DONE
+    return Trial(
+        findings=tuple(dict.fromkeys(findings)),
+        outcome=outcome,
+        events=tuple(_events(experiment, plugin, witness.records)),
+        refused=tuple(record.fields for record in witness.records if record.kind == "refused"),
+        raw_files=tuple(_raw_file(path, folder) for path in _files(folder)),
+        log=read_text(log, experiment.folder.root, errors="replace") if log.exists() else "",
+        folder=folder,
+        quality=_quality(folder / "quality.json"),
+        missing=without_values(experiment.columns.declared, outcome.measures) if outcome and is_done else (),
+    )
+
+
+def _quality(path: Path) -> Any:
+    try:
+        return read_json(path)
+    except StorageError:
+        return None
+
+
+def _events(experiment: Experiment, plugin: Plugin, records: Sequence[RunRecord]) -> Iterator[CalledEvent]:
+    emitted = [record.fields for record in records if record.kind == "event"]
+    at = {fields["event"]: place for place, fields in enumerate(emitted)}
+    for event in RUN_EVENTS:
+        place = at.get(event.value)
+        has_callback = any(subscriber.owner == plugin.name for subscriber in experiment.events.subscribers(event))
+        yield CalledEvent(event.callback_name, has_callback, place is not None, _seconds(emitted, place))
+
+
+def _seconds(emitted: Sequence[Mapping[str, Any]], place: int | None) -> float | None:
+    """Return the real time from one event to the next one."""
+    if place is None or place + 1 >= len(emitted):
+        return None
+    return _parsed(emitted[place + 1]["at"]) - _parsed(emitted[place]["at"])
+
+
+def _parsed(stamp: str) -> float:
+    return datetime.fromisoformat(stamp).timestamp()
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file()) if folder.exists() else []
+
+
+def _raw_file(path: Path, folder: Path) -> RawFile:
+    with open_to_read(path, folder) as file:
+        begin = file.read(_SHOWN_BYTES)
+    try:
+        lines = begin.decode("utf-8").splitlines()[:_SHOWN_LINES]
+    except UnicodeDecodeError:
+        lines = []
+    return RawFile(str(path.relative_to(folder)), path.stat().st_size, tuple(lines))

@@ -1,0 +1,206 @@
+"""What is noticed of runs beside their measures: programs that they call, values that are missing, factors not read."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.columns import REPETITION
+from robot_runner.core.design.watched_combination import unread
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.events.measure import CONFIG_OWNER, OPERATOR_OWNER
+from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.storage.layout import keep_refused
+from robot_runner.core.storage.manifest import described_programs
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import FrameType
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.task import Report, RunOutcome, RunTask
+    from robot_runner.core.storage.layout import ExperimentFolder
+
+
+#: The kind of the record that says that a program was called, and which other one names a program.
+CALLED, _SUBJECT = "program", "subject"
+#: The events of Python's own that start a program (PEP 578), with the place of the program among their arguments.
+_STARTS = {"subprocess.Popen": 0, "os.exec": 0, "os.posix_spawn": 0, "os.spawn": 1, "os.system": 0}
+_SHELLS = frozenset({"sh", "bash", "dash"})
+
+
+def notice_programs(experiment: Experiment, report: Report) -> None:
+    """Report each program that this process starts from now on, once, with whose callback it was.
+
+    It is for the process of a run, which ends with the run: Python cannot be told to stop it.
+    """
+    owners = {id(plugin): plugin.name for plugin in experiment.plugins} | {id(experiment.config): CONFIG_OWNER}
+    seen: set[str] = set()
+
+    def notice(event: str, arguments: tuple[Any, ...]) -> None:
+        if event not in _STARTS:
+            return
+        with suppress(Exception):  # whatever is wrong with what is noticed, the program is to start
+            for path in _programs(event, arguments):
+                if path not in seen and path != os.path.realpath(sys.executable):
+                    seen.add(path)
+                    report(CALLED, {"owner": _owner(owners, sys._getframe(1)), "path": path})  # noqa: SLF001
+
+    sys.addaudithook(notice)
+
+
+def _programs(event: str, arguments: tuple[Any, ...]) -> list[str]:
+    """Return the paths of the programs that are started: of a shell, the first program of its command, too."""
+    if event == "os.system":
+        words = ["/bin/sh", "-c", os.fsdecode(arguments[0])]
+    else:
+        given = next((each for each in arguments if isinstance(each, list | tuple)), ())
+        words = [os.fsdecode(arguments[_STARTS[event]]), *map(os.fsdecode, given[1:])]
+    found = [shutil.which(words[0])]
+    if os.path.basename(words[0]) in _SHELLS and words[1:2] == ["-c"]:  # noqa: PTH119 - no path is made of it
+        found += [shutil.which(word) for word in shlex.split(words[2])[:1]]
+    return [os.path.abspath(path) for path in found if path]  # noqa: PTH100 - links are kept: they were called
+
+
+def _owner(owners: Mapping[int, str], frame: FrameType | None) -> str:
+    """Return whose callback a frame belongs to; empty where that cannot be told, as in a thread of a library."""
+    while frame is not None:
+        who = owners.get(id(frame.f_locals.get("self")))
+        if who is not None:
+            return who
+        frame = frame.f_back
+    return ""
+
+
+class ReportedFacts:
+    """What runs report that is kept elsewhere than in the journal, too.
+
+    How clocks stood and which programs were called goes into the manifest, what was refused beside the run.
+    """
+
+    def __init__(self, folder: ExperimentFolder, manifest: dict[str, Any]) -> None:
+        self._folder = folder
+        self._manifest = manifest
+        self._callers: dict[str, set[str]] = {}
+
+    def take(self, run_id: str, kind: str, fields: Mapping[str, Any]) -> None:
+        """Take what a run reports; most of it is kept in the journal alone."""
+        if kind == "clock":
+            _note_clock(self._manifest, fields)
+        elif kind == "refused":
+            keep_refused(self._folder, run_id, fields)
+        elif kind == CALLED:
+            self._callers.setdefault(str(fields["path"]), set()).add(str(fields["owner"]))
+        elif kind == _SUBJECT and fields.get("command") and not fields.get("host"):
+            path = shutil.which(str(fields["command"][0]))
+            if path is not None and os.path.realpath(path) != os.path.realpath(sys.executable):
+                self._callers.setdefault(path, set()).add(str(fields.get("owner", "")))
+
+    def describe_programs(self) -> None:
+        """Bring the manifest's `programs` up to date: package, version and SHA-256 of each, and who called it."""
+        if not self._callers:
+            return
+        known = self._manifest.get("programs")
+        known = dict(known) if isinstance(known, dict) else {}
+        for path, described in described_programs(self._callers).items():
+            before = known[path].get("called_by") if isinstance(known.get(path), dict) else None
+            callers = {*map(str, before or ()), *filter(None, self._callers[path])}
+            known[path] = {**described, "called_by": sorted(callers)}
+        self._manifest["programs"] = known
+
+
+def _note_clock(manifest: dict[str, Any], facts: Mapping[str, Any]) -> None:
+    """Bring the manifest's `clocks` up to date with how a computer's clock stood to ours before and after one run.
+
+    The manifest sums up, so that it does not grow with the number of runs; the journal keeps each run's facts.
+
+    Args:
+        manifest: what is changed.
+        facts: as a run reports them: `host`; `before` and `after`, each with `wall_offset` and `round_trip` in s;
+            `uncertainty` in s; `drift` in parts of one.
+
+    Example:
+        >>> manifest = {}
+        >>> before = {"wall_offset": 1.5, "round_trip": 0.002}
+        >>> _note_clock(manifest, {"host": "pi", "before": before, "after": None, "uncertainty": 0.001, "drift": None})
+        >>> manifest["clocks"]["pi"]["runs"], manifest["clocks"]["pi"]["largest_offset_s"]
+        (1, 1.5)
+    """
+    offsets = [each for each in (facts["before"], facts["after"]) if each is not None]
+    ahead = [each["wall_offset"] for each in offsets]
+    known = manifest.setdefault("clocks", {}).get(facts["host"])
+    so_far = known or {
+        "runs": 0,
+        "first_offset_s": ahead[0],
+        "smallest_offset_s": ahead[0],
+        "largest_offset_s": ahead[0],
+        "largest_round_trip_s": 0.0,
+        "largest_uncertainty_s": 0.0,
+        "last_drift": None,
+    }
+    manifest["clocks"][facts["host"]] = so_far | {
+        "runs": so_far["runs"] + 1,
+        "smallest_offset_s": min(so_far["smallest_offset_s"], *ahead),
+        "largest_offset_s": max(so_far["largest_offset_s"], *ahead),
+        "last_offset_s": ahead[-1],
+        "largest_round_trip_s": max(so_far["largest_round_trip_s"], *(each["round_trip"] for each in offsets)),
+        "largest_uncertainty_s": max(so_far["largest_uncertainty_s"], facts["uncertainty"]),
+        "last_drift": so_far["last_drift"] if facts["drift"] is None else facts["drift"],
+    }
+
+
+class UnreadFactors:
+    """The factors that vary and that no run has read so far."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._experiment = experiment
+        self._unread: dict[str, Finding] | None = None
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """A warning for each of them, once a run is done."""
+        return tuple((self._unread or {}).values())
+
+    def take(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
+        """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
+        if outcome.status is not AttemptStatus.DONE or not self._has_callbacks():
+            return ()
+        if self._unread is None:
+            model = self._experiment.model
+            blocks = model.design_facts.get("block_columns", ())  # a day, a period: said of a run, and not applied
+            varied = [each.name for each in model.factors if len(each.treatments) > 1 and each.name not in blocks]
+            # A factor of that name counts repetitions, as in the paper's Listing 1.
+            self._unread = {
+                name: unread(task.run_id, name)
+                for name in varied
+                if name not in outcome.readers and name.casefold() != REPETITION.casefold()
+            }
+            return tuple(self._unread.values())
+        for name in outcome.readers:
+            self._unread.pop(name, None)
+        return ()
+
+    def _has_callbacks(self) -> bool:
+        """Return whether anything happens in a run: a plan that is still to be filled cannot be misread."""
+        return any(map(self._experiment.events.subscribers, (RobotRunnerEvents.BEFORE_RUN, *RUN_EVENTS)))
+
+
+def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome) -> list[Finding]:
+    """Return a warning for each measure of a run that is done and has no value of it."""
+    if outcome.status is not AttemptStatus.DONE:
+        return []
+    return [
+        Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _fix(column.owner))
+        for column in experiment.columns.in_table
+        if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
+        if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
+    ]
+
+
+def _fix(owner: str) -> str:
+    return "Return it from populate_run_data." if owner == "config" else "Look at the log of the run."

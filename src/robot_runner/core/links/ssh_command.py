@@ -1,0 +1,281 @@
+"""How another computer is reached by its name, with the system's own OpenSSH client: one command, or many."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+from robot_runner.core.errors import Finding, LinkError
+
+#: Never ask a person; notice within 15 s that the other end is gone; leave out what the user's config may forward.
+_OPTIONS = (
+    *("-T", "-x", "-a"),
+    *("-o", "BatchMode=yes"),
+    *("-o", "ConnectTimeout=10"),
+    *("-o", "ServerAliveInterval=5"),
+    *("-o", "ServerAliveCountMax=3"),
+    *("-o", "ClearAllForwardings=yes"),
+    *("-o", "RemoteCommand=none"),
+    *("-o", "LogLevel=ERROR"),
+)
+_CHECK_SECONDS = 15.0
+
+_INSTALL = "Install the OpenSSH client (Debian, Ubuntu: sudo apt install openssh-client)."
+#: What ssh says, above its last line, of a host whose key is another one than before.
+_CHANGED_KEY = "remote host identification has changed"
+_MAYBE_AN_ATTACK = (
+    "This may be an attack: somebody may stand between you and {host}. Find out why its key changed; only if that has "
+    "a good reason, such as a system that was installed anew, have ssh forget the old one: {forget}."
+)
+_REMEDIES = (
+    ("permission denied", "Give it this machine's key: ssh-copy-id {host}."),
+    (_CHANGED_KEY, _MAYBE_AN_ATTACK),
+    ("host key verification failed", "Connect once by hand, and say yes to its key: ssh {host}."),
+    ("could not resolve hostname", "Look at the name, and at the network."),
+    ("connection refused", "Start the SSH server there (Debian, Ubuntu: sudo apt install openssh-server)."),
+    ("timed out", "Look whether it is switched on, and at the network."),
+    ("no route to host", "Look whether it is switched on, and at the network."),
+)
+_REMEDY = "Try it by hand: ssh {host} true."
+
+
+def checked_destination(host: str) -> str:
+    """Return the host as ssh takes it: `robot`, `pi@robot` or `ssh://pi@robot:2222`.
+
+    Raises:
+        LinkError: it is empty, holds blanks, or would pass for an option of ssh.
+
+    Example:
+        >>> checked_destination("pi@robot")
+        'pi@robot'
+    """
+    if not host or host.startswith("-") or any(character.isspace() or character == "\0" for character in host):
+        raise LinkError(
+            f"{host!r} is no host that ssh could connect to",
+            where="host",
+            fix="Name it as for ssh: 'robot', 'pi@robot' or 'ssh://pi@robot:2222'; this machine is 'localhost'.",
+        )
+    return host
+
+
+def ssh_command(host: str, remote: str, *, config: Path | None = None) -> list[str]:
+    """Return the command line that executes `remote` on a host, with the user's ssh config or the one given.
+
+    Raises:
+        LinkError: the host's name cannot be.
+
+    Example:
+        >>> ssh_command("pi@robot", "true")[-3:]
+        ['--', 'pi@robot', 'true']
+    """
+    own = [] if config is None else ["-F", str(config)]
+    return ["ssh", *own, *_OPTIONS, "--", checked_destination(host), remote]
+
+
+def remedy(host: str, answer: str) -> str:
+    """Return what mends what ssh complains of.
+
+    Args:
+        host: as ssh takes it.
+        answer: the whole of what ssh wrote to its stderr: what matters may stand above the last line.
+
+    Example:
+        >>> remedy("pi@robot", "pi@robot: Permission denied (publickey).")
+        "Give it this machine's key: ssh-copy-id pi@robot."
+    """
+    text = answer.lower()
+    known = (fix for sign, fix in _REMEDIES if sign in text)
+    told = (line.strip() for line in answer.splitlines() if line.strip().startswith("ssh-keygen "))
+    return next(known, _REMEDY).format(host=host, forget=next(told, "ssh-keygen -R followed by its name"))
+
+
+def gist(answer: str) -> str:
+    """Return in one line what ssh answered: its last line, and whether the host's key has changed.
+
+    Example:
+        >>> gist("ssh: connect to host robot port 22: Connection refused")
+        'ssh: connect to host robot port 22: Connection refused'
+    """
+    said = answer.strip().splitlines()
+    last = said[-1] if said else ""
+    return f"{last} (the key of the host is not the one that is known)" if _CHANGED_KEY in answer.lower() else last
+
+
+def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[Finding]:
+    """Return what stands in the way of executing something on a host: it is tried, and changes nothing there.
+
+    Args:
+        where: the plugin that asks.
+        host: as ssh takes it.
+        config: a file to take the place of the user's ssh config.
+    """
+    try:
+        command = ssh_command(host, "exit 0", config=config)
+    except LinkError as error:
+        return [Finding.error(where, error.problem, error.fix)]
+    if shutil.which("ssh") is None:
+        return [Finding.error(where, f"{host} is reached by ssh, which is not installed", _INSTALL)]
+    if config is not None and not config.is_file():
+        return [Finding.error(where, f"there is no ssh config {config}", "Name a file that is there.")]
+    answer = _tried(command)
+    if answer is None:
+        return []
+    return [Finding.error(where, f"{host} cannot be reached: {gist(answer)}", remedy(host, answer))]
+
+
+def _tried(command: list[str]) -> str | None:
+    """Execute a command and return what ssh answered if it failed, or None if it did not."""
+    try:
+        return failure(execute(command, timeout=_CHECK_SECONDS))
+    except subprocess.TimeoutExpired:
+        return f"ssh timed out after {_CHECK_SECONDS:g} s"
+
+
+def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProcess[bytes]:
+    """Execute a command of `ssh_command` to its end, with nothing to read, for so many seconds at most.
+
+    Raises:
+        OSError: it cannot be started.
+        subprocess.TimeoutExpired: it takes longer.
+    """
+    return subprocess.run(  # noqa: S603 - an argument list; the host's name was checked
+        command,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=timeout,
+        check=False,
+        start_new_session=True,
+    )
+
+
+def failure(done: subprocess.CompletedProcess[bytes]) -> str | None:
+    """Return the whole of what was answered to a command that failed, for `gist` and `remedy`; None if it did not."""
+    if done.returncode == 0:
+        return None
+    return done.stderr.decode(errors="replace").strip() or f"ssh ended with code {done.returncode}"
+
+
+#: How long it may take to connect, s: a little more than ssh itself allows.
+_CONNECTING = 15.0
+#: How long the master, a process on this machine, may take to answer, s.
+_ANSWERING = 5.0
+_POLL = 0.01
+#: Keeps the session open until our end of its input is closed, which the system does for a process that was killed.
+_HOLD = "cat >/dev/null"
+
+
+class KeptConnection:
+    """A master of OpenSSH's connection sharing, opened when it is first needed and again when it was lost.
+
+    It ends with the process that opened it, however that ends: its session reads what this process never writes.
+    """
+
+    def __init__(self, host: str, config: Path | None) -> None:
+        self._host = host
+        self._config = config
+        self._folder: Path | None = None
+        self._master: subprocess.Popen[bytes] | None = None
+        self._said: IO[bytes] | None = None
+        self._lock = threading.Lock()
+
+    def is_connected(self) -> bool:
+        """Return whether the master still answers; one that is ending does not, though its process is still there."""
+        if not self._has_master:
+            return False
+        try:
+            return execute(self._line("true", "-O", "check"), timeout=_ANSWERING).returncode == 0
+        except (OSError, subprocess.TimeoutExpired):
+            return False
+
+    def command(self, remote: str, *, within_s: float = _CONNECTING) -> list[str]:
+        """Return the command line that executes `remote` over the connection, which is opened if it is not.
+
+        Args:
+            remote: for the login shell there.
+            within_s: how long it may take to connect, s.
+
+        Raises:
+            LinkError: the host cannot be reached.
+        """
+        with self._lock:
+            if not self._has_master:
+                self._close()
+                self._connect(min(within_s, _CONNECTING))
+        return self._line(remote, "-o", "ControlMaster=no")
+
+    def close(self) -> None:
+        """End the connection; closing twice does nothing."""
+        with self._lock:
+            self._close()
+
+    @property
+    def _has_master(self) -> bool:
+        return self._master is not None and self._master.poll() is None
+
+    def _line(self, remote: str, *options: str) -> list[str]:
+        program, *rest = ssh_command(self._host, remote, config=self._config)
+        return [program, "-S", f"{self._folder}/ssh", *options, *rest]
+
+    def _connect(self, seconds: float) -> None:
+        # Not where TMPDIR says: the path of a socket may have some hundred characters at most.
+        self._folder = Path(tempfile.mkdtemp(prefix="robot-runner-", dir="/tmp"))
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the connection
+        try:
+            self._master = subprocess.Popen(  # noqa: S603 - an argument list; the host's name was checked
+                self._line(_HOLD, "-M", "-o", "ControlPersist=no"),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=self._said,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._close()
+            raise self._unreachable(f"ssh cannot be started: {error}") from error
+        self._await(self._folder / "ssh", seconds)
+
+    def _await(self, socket: Path, seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while self._has_master and not socket.exists():
+            if time.monotonic() > deadline:
+                self._close()
+                raise self._unreachable(f"ssh timed out after {seconds:.3g} s")
+            time.sleep(_POLL)
+        if not self._has_master:
+            answer = self._answer()
+            self._close()
+            raise self._unreachable(answer)
+
+    def _answer(self) -> str:
+        if self._said is None:
+            return ""
+        self._said.seek(0)
+        return self._said.read(100_000).decode(errors="replace").strip()
+
+    def _unreachable(self, answer: str) -> LinkError:
+        why = gist(answer) or "ssh ended without a word"
+        return LinkError(f"{self._host} cannot be reached: {why}", where=self._host, fix=remedy(self._host, answer))
+
+    def _close(self) -> None:
+        master, self._master = self._master, None
+        if master is not None:
+            if master.stdin is not None:
+                with suppress(OSError):
+                    master.stdin.close()
+            master.terminate()
+            try:
+                master.wait(2.0)
+            except subprocess.TimeoutExpired:
+                master.kill()
+                master.wait()
+        if self._said is not None:
+            self._said.close()
+            self._said = None
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None

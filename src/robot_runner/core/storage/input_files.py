@@ -1,0 +1,298 @@
+"""Files that an experiment reads beside its code, such as a room or a bag: named, and found again in a replication.
+
+The experiment's folder keeps copies of them below its config, and an index that says which is which. Where a package is
+executed again, plugins find the copy by the name that the config gives the original.
+"""
+
+# Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TypedDict
+
+from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.storage.declared_shapes import faults_of
+from robot_runner.core.storage.guarded_files import TEXT_LIMIT, read_json
+from robot_runner.core.storage.system_refusals import storage_error
+
+#: The name of the index, beside the config.
+INDEX = "input_files.json"
+#: Names the index in use to this process and to those that it starts, such as a fresh interpreter for a run.
+_VARIABLE = "ROBOT_RUNNER_INPUT_FILES"
+#: What is larger is no part of an experiment's folder, which people send to each other, bytes. A copy is compared with
+#: its original whenever the experiment goes on, and no more than this is read of one file.
+_LARGEST = TEXT_LIMIT
+#: What is larger takes a minute or more to read for a checksum alone, bytes.
+_LARGEST_SUMMED = 16 << 30
+#: Of an input of more files nothing is kept, and only their size is compared.
+_MOST_FILES = 5000
+#: Where those are kept that lie outside the folder of the config.
+_ELSEWHERE = "elsewhere"
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file or folder that a plugin reads, or the link to a robot, as the config names it.
+
+    Attributes:
+        path: as it is named; of a folder, all that is in it is meant.
+        others: the files that it needs in their places relative to it, as a model needs its meshes; of a folder, those
+            files of it that are read.
+
+    Example:
+        >>> InputFile(Path("rover.xml"), (Path("meshes/wheel.stl"),)).path.name
+        'rover.xml'
+    """
+
+    path: Path
+    others: tuple[Path, ...] = ()
+
+
+class KeptInput(TypedDict):
+    """What the index says of one input: where it was, its copy, and how to know it again where there is none.
+
+    `below` is its place in the folder of the config, by which paths that the config makes of its own name it; `others`
+    are the files that it needs, relative to the folder that it is in.
+    """
+
+    named: str
+    at: str
+    below: str | None
+    others: list[str]
+    kept: str | None
+    size: int
+    sha256: str | None
+
+
+class _Index(TypedDict):
+    inputs: list[KeptInput]
+
+
+def read_index(folder: Path) -> list[KeptInput]:
+    """Return what the index in a folder of configs says; nothing where there is none.
+
+    Raises:
+        StorageError: it cannot be read, or is none of ours.
+    """
+    path = folder / INDEX
+    if not path.exists():
+        return []
+    index: _Index = read_json(path)
+    faults = faults_of(index, _Index)
+    if not faults:
+        faults = [f"{each['kept']!r} is no place below it" for each in index["inputs"] if not _is_below(each["kept"])]
+    if faults:
+        raise StorageError(f"the index of input files is damaged: {faults[0]}", where=str(path), fix="Get it again.")
+    return index["inputs"]
+
+
+def _is_below(kept: str | None) -> bool:
+    return kept is None or not (Path(kept).is_absolute() or ".." in Path(kept).parts)
+
+
+def shown_input(each: KeptInput) -> str:
+    """Return size and checksum of an input in words."""
+    digest = f", SHA-256 {each['sha256']}" if each["sha256"] else ""
+    return f"{each['size']:,} bytes{digest}"
+
+
+@contextmanager
+def kept_copies(folder: Path) -> Iterator[None]:
+    """While it lasts, have `input_file` find the copies that a folder of configs keeps, in this process and its own."""
+    before = os.environ.get(_VARIABLE)
+    os.environ[_VARIABLE] = str(folder.resolve())
+    try:
+        yield
+    finally:
+        os.environ.pop(_VARIABLE)
+        if before is not None:
+            os.environ[_VARIABLE] = before
+
+
+def input_file(path: Path) -> Path:
+    """Return where to read a file that a config names: itself, or its copy where a package is executed again.
+
+    A `~` at its beginning stands for the home folder.
+
+    Example:
+        >>> input_file(Path("lab.toml")).as_posix()
+        'lab.toml'
+    """
+    folder = os.environ.get(_VARIABLE)
+    copies = _copies(Path(folder)) if folder else {}
+    found = copies.get(str(path)) or copies.get(str(_absolute(path)))
+    return found or _expanded(path)
+
+
+@cache
+def _copies(folder: Path) -> Mapping[str, Path]:
+    found: dict[str, Path] = {}
+    for each in read_index(folder):
+        copy = _copy_of(each, folder)
+        if copy is not None:
+            # In a package, the home folder of its authors is called `~`.
+            found |= {each["named"]: copy, str(_expanded(Path(each["at"]))): copy}
+            found |= {str(folder / each["below"]): copy} if each["below"] is not None else {}
+    return found
+
+
+def _copy_of(each: KeptInput, folder: Path) -> Path | None:
+    """Return the copy of an input; None where there is none, as a package leaves out what is called like a secret."""
+    copy = None if each["kept"] is None else folder / each["kept"]
+    return copy if copy is not None and copy.exists() else None
+
+
+# What is kept of them, and what has changed since.
+
+
+def kept_contents(inputs: Sequence[InputFile], beside: Path, kept: Path) -> dict[Path, bytes]:
+    """Return what to keep of the inputs of an experiment, by the place in its folder; the index is one of them.
+
+    Args:
+        inputs: what it reads.
+        beside: the folder of its config.
+        kept: the folder of configs in its own.
+
+    Raises:
+        StorageError: a file that is there cannot be read.
+    """
+    contents: dict[Path, bytes] = {}
+    index: list[KeptInput] = []
+    for each in dict.fromkeys(inputs):
+        with _refusals_told(each):
+            path, members = _files_of(each)
+            if members:
+                entry = _described(each, path, members)
+                copies = _kept_of(entry, path, members, beside)
+                contents |= {kept / place: member.read_bytes() for place, member in copies.items()}
+                index.append(entry)
+    if index:
+        contents[kept / INDEX] = (json.dumps({"inputs": index}, indent=2) + "\n").encode()
+    return contents
+
+
+def _kept_of(entry: KeptInput, path: Path, members: Sequence[Path], beside: Path) -> dict[Path, Path]:
+    """Return the files of an input of which copies are kept, by their places, and note in its entry where it is."""
+    at = Path(entry["at"])
+    entry["below"] = at.relative_to(beside).as_posix() if at.is_relative_to(beside) else None
+    if entry["size"] > _LARGEST or len(members) > _MOST_FILES:
+        return {}
+    base, place = _places(path, members, beside)
+    entry["kept"] = (place / path.relative_to(base)).as_posix()
+    return {place / member.relative_to(base): member for member in members}
+
+
+def input_changes(inputs: Sequence[InputFile], kept: Path) -> Iterator[Finding]:
+    """Yield which files are others than those that the experiment read before, by the index in a folder of configs.
+
+    Raises:
+        StorageError: the index cannot be read, or a file that is there.
+    """
+    known = {each["named"]: each for each in read_index(kept)}
+    for each in dict.fromkeys(inputs):
+        was = known.get(str(each.path))
+        if was is not None and _is_another(was, each):
+            fix = "Undo the change, accept it (--accept-changes), or choose another experiment_name."
+            yield Finding.error(str(each.path), "the file is another one than the runs before have read", fix)
+
+
+def _is_another(was: KeptInput, each: InputFile) -> bool:
+    with _refusals_told(each):
+        path, members = _files_of(each)
+        now = _described(each, path, members)
+    return bool(members) and (now["size"], now["sha256"]) != (was["size"], was["sha256"])
+
+
+@contextmanager
+def _refusals_told(each: InputFile) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise storage_error(each.path, "read", error) from error
+
+
+def _files_of(each: InputFile) -> tuple[Path, list[Path]]:
+    """Return where an input is, and all files of it: none where it is missing, of which its own reader tells."""
+    path = _absolute(input_file(each.path))
+    inside = path.rglob("*") if path.is_dir() and not each.others else ()
+    members = {*map(_absolute, each.others), *inside, *([] if path.is_dir() else [path])}
+    return path, sorted(member for member in members if member.is_file())
+
+
+def _described(each: InputFile, path: Path, members: Sequence[Path]) -> KeptInput:
+    size = sum(member.stat().st_size for member in members)
+    is_summed = size <= _LARGEST_SUMMED and len(members) <= _MOST_FILES
+    return {
+        "named": str(each.path),
+        "at": str(_absolute(each.path)),
+        "below": None,
+        "others": [os.path.relpath(_absolute(other), path.parent) for other in each.others],
+        "kept": None,
+        "size": size,
+        "sha256": _digest(path, members) if is_summed else None,
+    }
+
+
+def _digest(path: Path, members: Sequence[Path]) -> str:
+    """Return the SHA-256 of a file; of several, that of the list of theirs, as `sha256sum` would print it."""
+    if list(members) == [path]:
+        return _file_digest(path)
+    lines = (f"{_file_digest(each)}  {os.path.relpath(each, path.parent)}\n" for each in members)
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+def _file_digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _places(path: Path, members: Sequence[Path], beside: Path) -> tuple[Path, Path]:
+    """Return the folder that all files of an input are in, and where below the kept config that folder is to be.
+
+    What lies below the folder of the config has the same place below the kept config, where paths that the config
+    makes of its own find it.
+    """
+    base = Path(os.path.commonpath([path.parent, *(member.parent for member in members)]))
+    if base.is_relative_to(beside) and beside / INDEX not in members:
+        return beside, Path()
+    name = hashlib.sha256(str(base).encode()).hexdigest()[:8]
+    return base, Path(_ELSEWHERE, name)
+
+
+def _expanded(path: Path) -> Path:
+    return Path(os.path.expanduser(path))  # noqa: PTH111  # it leaves the name of an unknown user as it is
+
+
+def _absolute(path: Path) -> Path:
+    # Without links being followed: a link below the folder of the config has its place there.
+    return Path(os.path.normpath(_expanded(path).absolute()))
+
+
+def missing_inputs(folder: Path) -> Iterator[Finding]:
+    """Yield which files a package leaves out and this machine lacks, or has otherwise.
+
+    Args:
+        folder: of the package's config.
+
+    Raises:
+        StorageError: the index cannot be read.
+    """
+    for each in read_index(folder):
+        if _copy_of(each, folder) is None:
+            fault = _fault_of(each)
+            if fault:
+                fix = "Ask its authors for it, and put it there; or name another place with --set."
+                yield Finding.warning(each["at"], f"the package leaves it out, and {fault}: {shown_input(each)}", fix)
+
+
+def _fault_of(each: KeptInput) -> str:
+    at = Path(each["at"])
+    own = InputFile(at, tuple(at.parent / other for other in each["others"]))
+    if not _files_of(own)[1]:
+        return "it is not here"
+    return "the one here is another" if _is_another(each, own) else ""

@@ -1,0 +1,159 @@
+"""From counters of CPU time to utilisation: what was busy between two looks at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from robot_runner.measuring.host import ProcessUtilisation, UtilisationSample
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.measuring.device_clock import ClockMap
+
+
+@dataclass(frozen=True, slots=True)
+class CoreCounters:
+    """CPU time of one core, or of all together, since the computer started; in any one unit.
+
+    Attributes:
+        total: all of it.
+        idle: the part in which nothing was computed, waiting for disks included.
+    """
+
+    total: float
+    idle: float
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessCounters:
+    """One process that a selector matched.
+
+    Attributes:
+        selector: the selector's place in the list that was asked for, from 0.
+        pid: the process.
+        started: anything that tells it from another process that had the same pid before, such as when it was started.
+        cpu: CPU time that it has used, s.
+        memory: physical memory that it holds, bytes.
+    """
+
+    selector: int
+    pid: int
+    started: str
+    cpu: float
+    memory: float
+
+
+@dataclass(frozen=True, slots=True)
+class CounterSample:
+    """One look at a computer's counters.
+
+    Attributes:
+        time: on the clock that stamped it, s.
+        whole: all cores together.
+        cores: each core; empty where the computer does not tell.
+        memory_total: physical memory, bytes; 0 where the computer does not tell.
+        memory_available: what programs could still get of it, bytes.
+        processes: those that selectors matched.
+    """
+
+    time: float
+    whole: CoreCounters
+    cores: tuple[CoreCounters, ...]
+    memory_total: float
+    memory_available: float
+    processes: tuple[ProcessCounters, ...] = ()
+
+
+@dataclass(slots=True)
+class _Ledger:
+    """The CPU time of the processes that selectors matched, added up over their comings and goings."""
+
+    seen: dict[tuple[int, str], float] = field(default_factory=dict)
+    is_first: bool = True
+
+    def spent(self, sample: CounterSample, selector: int) -> float:
+        """Return the CPU time since the look before, s; a process that was not there then was started since."""
+        spent = 0.0
+        for process in sample.processes:
+            if process.selector == selector:
+                key = (process.pid, process.started)
+                before = self.seen.get(key, process.cpu if self.is_first else 0.0)
+                spent += max(0.0, process.cpu - before)
+                self.seen[key] = process.cpu
+        self.is_first = False
+        return spent
+
+
+def utilisation_of(
+    samples: Iterable[CounterSample], *, cores: int, selectors: int = 0, to_run: ClockMap | None = None
+) -> list[UtilisationSample]:
+    """Return the utilisation between each two looks; the first sample has none.
+
+    Counters move in steps (10 ms on most Linux machines), so that a look may find them where they were: its sample has
+    no CPU utilisation either, and the next one tells of the time of both.
+
+    Args:
+        samples: oldest first.
+        cores: how many the computer has.
+        selectors: how many selectors of processes there were.
+        to_run: brings the samples' times to the run's clock; left out, they are on it already.
+
+    Example:
+        >>> first = CounterSample(0.0, CoreCounters(0, 0), (), 8e9, 6e9)
+        >>> later = CounterSample(1.0, CoreCounters(400, 300), (), 8e9, 6e9)
+        >>> [(sample.cpu, sample.memory) for sample in utilisation_of([first, later], cores=4)]
+        [(None, 25.0), (25.0, 25.0)]
+    """
+    found: list[UtilisationSample] = []
+    ledgers = [_Ledger() for _ in range(selectors)]
+    spent = [0.0] * selectors
+    before: CounterSample | None = None
+    for sample in samples:
+        spent = [
+            sofar + ledger.spent(sample, place)
+            for place, (sofar, ledger) in enumerate(zip(spent, ledgers, strict=True))
+        ]
+        cpu = None if before is None else _busy(before.whole, sample.whole)
+        seconds = None if cpu is None or before is None else (sample.time - before.time) * cores
+        found.append(
+            UtilisationSample(
+                time=sample.time if to_run is None else to_run.to_run(sample.time),
+                cpu=cpu,
+                memory=_share(sample.memory_total - sample.memory_available, sample.memory_total),
+                cores=_cores(before, sample),
+                processes=tuple(_process(sample, place, spent[place], seconds) for place in range(selectors)),
+                host_time=None if to_run is None else sample.time,
+            )
+        )
+        if before is None or cpu is not None:
+            before, spent = sample, [0.0] * selectors
+    return found
+
+
+def _busy(before: CoreCounters, after: CoreCounters) -> float | None:
+    total = after.total - before.total
+    if total <= 0:
+        return None
+    # The counter of idle time of some kernels goes back by a step now and then.
+    return min(100.0, max(0.0, 100.0 * (1.0 - (after.idle - before.idle) / total)))
+
+
+def _cores(before: CounterSample | None, sample: CounterSample) -> tuple[float | None, ...]:
+    if before is None or len(before.cores) != len(sample.cores):
+        return (None,) * len(sample.cores)
+    return tuple(map(_busy, before.cores, sample.cores))
+
+
+def _process(sample: CounterSample, selector: int, spent: float, seconds: float | None) -> ProcessUtilisation:
+    matched: Sequence[ProcessCounters] = [one for one in sample.processes if one.selector == selector]
+    return ProcessUtilisation(
+        count=len(matched),
+        cpu=None if not seconds else min(100.0, 100.0 * spent / seconds),
+        memory=_share(sum(one.memory for one in matched), sample.memory_total),
+    )
+
+
+def _share(part: float, whole: float) -> float | None:
+    return min(100.0, 100.0 * part / whole) if whole > 0 else None

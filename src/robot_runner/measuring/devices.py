@@ -1,0 +1,140 @@
+"""Opens what measures or is measured in a run: serial lines to meters, and computers; each once a run."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.connect import SIMULATED, is_simulated, lives_by_simulation, robot_namespace, run_robot
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.kinds import link_key
+from robot_runner.measuring.serial_line import SerialPort
+from robot_runner.measuring.ssh_host import SshHost
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.resources import Resources
+    from robot_runner.core.links.robot_name import RobotName
+    from robot_runner.measuring.host import HostLink
+    from robot_runner.measuring.serial_line import SerialLine
+
+
+_NAME_IT = (
+    "Name the port or the host in the plugin, as in Ina219(port='/dev/ttyUSB0') or PsUtil(host='pi@robot'). "
+    f"Or: --set robot={SIMULATED}."
+)
+
+
+@runtime_checkable
+class BringsDevices(Protocol):
+    """A kind of link whose robots have a power meter and an on-board computer of their own, as a simulated one."""
+
+    def open_serial_line(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> SerialLine:
+        """Open the serial line of the robot's power meter."""
+        ...
+
+    def open_host(self, name: RobotName, *, resources: Resources, seed: int, namespace: str) -> HostLink:
+        """Open a link to the robot's on-board computer."""
+        ...
+
+
+def open_serial_line(
+    context: RobotRunnerContext, port: str | None, *, namespace: str = "", baud: int = 115200
+) -> SerialLine:
+    """Return the serial line at this port; it is opened once and closed with the run.
+
+    Args:
+        context: the run's.
+        port: a device file, or a URL of pyserial's; None is the power meter of a simulated robot, which has no other.
+        namespace: whose power meter it is, where no port is named.
+        baud: bits a second, where a port is named.
+
+    Raises:
+        LinkError: no port is named and the run has no simulated robot, one was named on a simulated robot, or it cannot
+            be opened.
+    """
+    if port is not None and not is_simulated(context.robot):
+        return _port_line(context, port, baud)
+    devices, name = _own_devices(context)
+    if port is not None:
+        raise LinkError(
+            f"a simulated robot has no serial port {port!r}",
+            where=f"robot = {context.robot!r}",
+            fix="Leave the serial port out: it is the robot's own.",
+        )
+    opener = partial(
+        devices.open_serial_line,
+        name,
+        resources=context.resources,
+        seed=context.run_seed,
+        namespace=robot_namespace(context, namespace),
+    )
+    return context.resources.open(link_key("serial", namespace), opener)
+
+
+def _port_line(context: RobotRunnerContext, port: str, baud: int) -> SerialLine:
+    def opener() -> SerialLine:
+
+        return SerialPort(port, context.clock, baud=baud)
+
+    return context.resources.open(f"port {port}", opener)
+
+
+def connect_host(
+    context: RobotRunnerContext,
+    host: str | None,
+    *,
+    namespace: str = "",
+    ssh_config: Path | None = None,
+    form: str | None = None,
+) -> HostLink:
+    """Return the link to this host; it is opened once and closed with the run.
+
+    Args:
+        context: the run's.
+        host: a host's name: `localhost` is this machine, any other is reached by ssh (`pi@robot`); None is the on-board
+            computer of the run's simulated robot.
+        namespace: whose on-board computer it is, where no host is named.
+        ssh_config: a file to take the place of the user's ssh config.
+        form: how it is sampled over ssh: `python3`, `sh` or `ps`; left out, the best that it can do.
+
+    Raises:
+        LinkError: no host is named and the run has no simulated robot, or the name cannot be that of a host.
+    """
+    if host is not None:
+        return _named_host(context, host, ssh_config, form)
+    devices, name = _own_devices(context)
+    within = robot_namespace(context, namespace)
+    opener = partial(devices.open_host, name, resources=context.resources, seed=context.run_seed, namespace=within)
+    return context.resources.open(link_key("host", namespace), opener)
+
+
+def _named_host(context: RobotRunnerContext, host: str, config: Path | None, form: str | None) -> HostLink:
+    # The clock of a simulation says nothing of a real computer.
+    clock = SystemClock() if lives_by_simulation(context) else context.clock
+
+    def opener() -> HostLink:
+        if host == LOCAL:
+            from robot_runner.measuring.local_host import LocalHost  # noqa: PLC0415  # only where it is asked for
+
+            return LocalHost(clock)
+
+        return SshHost(host, clock, config=config, form=form)
+
+    return context.resources.open(f"computer {host} {config} {form}", opener)
+
+
+def _own_devices(context: RobotRunnerContext) -> tuple[BringsDevices, RobotName]:
+    """Return what opens the devices that a simulated robot brings."""
+    kind, name = run_robot(context)
+    if isinstance(kind, BringsDevices):
+        return kind, name
+    raise LinkError(
+        f"robot is {context.robot!r}, which is not simulated, and what measures it is not named",
+        where="robot",
+        fix=_NAME_IT,
+    )

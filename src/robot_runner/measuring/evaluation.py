@@ -1,0 +1,102 @@
+"""From raw samples to the measures of a run: over the mission, and over each phase that was asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from robot_runner.core.events.measure import MeasureValue, Origin, Over
+from robot_runner.core.events.window import Window
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.events.measure import Measure
+
+
+#: Returns the value of each measure over a window; what is left out is missing.
+Evaluate = Callable[[Window], Mapping[str, MeasureValue]]
+
+#: A profiler that saw this much more than the mission does not measure the mission.
+_TOLERANCE = 0.01
+
+
+def publish_measures(
+    context: RobotRunnerContext,
+    measures: Sequence[Measure],
+    evaluate: Evaluate,
+    *,
+    origin: Origin = Origin.MEASURED,
+    clock: Clock | None = None,
+) -> None:
+    """Publish each measure for the mission, and for each phase that the config asks for.
+
+    Args:
+        context: the run's, in `populate_run_data`.
+        measures: of the profiler.
+        evaluate: from a window to the measures' values, computed from the raw samples.
+        origin: where the values come from.
+        clock: that the samples are stamped by, where it is not the run's.
+
+    Raises:
+        MeasureError: a value is refused.
+    """
+    window = context.times.window(clock)
+    values = evaluate(window) if window is not None and window.duration > 0 else {}
+    for measure in measures:
+        context.publish(measure.name, values.get(measure.name), origin=origin)
+    for phase in context.times.requested:
+        _publish_phase(context, phase, [each for each in measures if each.over], evaluate, origin, clock)
+
+
+def note_own_window(
+    context: RobotRunnerContext, own: Window, *, measures: Sequence[str] = (), clock: Clock | None = None
+) -> None:
+    """Doubt what is known only from a profiler's start to its stop, where that exceeds the mission by 1 %.
+
+    Args:
+        context: the run's, in `populate_run_data`.
+        own: what the values are about.
+        measures: which measures; none named: all of the profiler's.
+        clock: that `own` is told by, where it is not the run's.
+    """
+    window = context.times.window(clock)
+    if window is not None and own.duration > window.duration * (1 + _TOLERANCE):
+        problem = (
+            f"the values are about {own.duration:.3f} s, from the profiler's start to its stop; "
+            f"the mission took {window.duration:.3f} s of that"
+        )
+        fix = "List the profiler last, so that it starts last and stops first, or use one that keeps samples."
+        context.doubt(problem, fix=fix, measures=measures)
+
+
+def _publish_phase(
+    context: RobotRunnerContext,
+    phase: str,
+    measures: Sequence[Measure],
+    evaluate: Evaluate,
+    origin: Origin,
+    clock: Clock | None,
+) -> None:
+    windows = [each.window for each in context.times.phases(clock) if each.name == phase and each.window.duration > 0]
+    values = [evaluate(window) for window in windows]
+    for measure in measures:
+        value = _joined([one.get(measure.name) for one in values], windows, measure.over) if windows else None
+        context.publish(f"{measure.name}.{phase}", value, origin=origin)
+
+
+def _joined(values: Sequence[MeasureValue], windows: Sequence[Window], over: Over | None) -> MeasureValue:
+    """Return one value for all windows of a phase; None where one of them is missing or no number."""
+    numbers = [value for value in values if isinstance(value, int | float)]
+    if len(numbers) < len(values):
+        return None
+    if over is Over.MINIMUM:
+        return min(numbers)
+    if over is Over.MAXIMUM:
+        return max(numbers)
+    if over is Over.SUM:
+        return sum(numbers) if all(isinstance(number, int) for number in numbers) else math.fsum(numbers)
+    seconds = [window.duration for window in windows]
+    return math.fsum(map(float.__mul__, map(float, numbers), seconds)) / math.fsum(seconds)

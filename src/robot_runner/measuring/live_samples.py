@@ -1,0 +1,86 @@
+"""A few samples a second, written while a profiler samples, for who watches; gone once all samples are written."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.guarded_files import open_to_append, remove
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from robot_runner.measuring.quality import Column
+
+
+#: What the file's name ends in; it begins with a dot, so that nobody takes it for samples to be analysed.
+LIVE = ".live"
+#: How often a sample is written at most, s: a curve that a person follows needs no more, and the mission no load.
+_EVERY = 0.5
+
+_log = logging.getLogger(__name__)
+
+
+class LiveSamples:
+    r"""The preview of one file of samples: `.samples.csv.live` beside `samples.csv`.
+
+    What it cannot write it leaves: a preview never fails a run.
+
+    Args:
+        path: the file that the samples go to in the end.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from robot_runner.measuring.quality import Column
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     live = LiveSamples(Path(folder) / "samples.csv")
+        ...     live.show(lambda: [Column("time_s", [0.5]), Column("power_W", [7.5])])
+        ...     text = (Path(folder) / ".samples.csv.live").read_text()
+        ...     live.close()
+        >>> text
+        'time_s,power_W\n0.5,7.5\n'
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path.with_name(f".{path.name}{LIVE}")
+        self._has_begun = False
+        self._due = float("-inf")
+
+    def show(self, columns: Callable[[], Sequence[Column]]) -> None:
+        """Write one sample, if the last one was written some time ago.
+
+        Args:
+            columns: returns columns of one value each; not called where nothing is due.
+        """
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + _EVERY
+        try:
+            self._write(columns())
+        except Exception:  # noqa: BLE001 - whatever fails here, the mission goes on
+            _log.debug("Nothing more is shown of %s.", self._path, exc_info=True)
+            self._due = float("inf")
+
+    def close(self) -> None:
+        """Remove the preview; closing twice does nothing."""
+        self._due = float("inf")
+        if self._has_begun:
+            self._has_begun = False
+            remove(self._path)
+
+    def _write(self, columns: Sequence[Column]) -> None:
+        line = ",".join(_cell(column.values[0]) for column in columns)
+        if not self._has_begun:
+            remove(self._path)  # of an earlier attempt
+            self._has_begun = True
+            line = f"{','.join(column.name for column in columns)}\n{line}"
+        with open_to_append(self._path) as file:
+            file.write(f"{line}\n".encode("ascii", "backslashreplace"))
+
+
+def _cell(value: object) -> str:
+    return "" if value is None else str(value)

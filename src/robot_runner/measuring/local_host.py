@@ -1,0 +1,312 @@
+"""The computer that executes the run: its utilisation through psutil, its files read directly."""
+
+from __future__ import annotations
+
+import glob
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.window import Window
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.measuring.cpu_counters import CoreCounters, CounterSample, ProcessCounters, utilisation_of
+from robot_runner.measuring.host import SUBJECT_VARIABLE, FileSample, SamplingReport, UtilisationSample, checked_words
+from robot_runner.measuring.periodic import PeriodicSampler, Sampling
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from robot_runner.core.events.context import Clock
+
+
+#: Seconds between two looks for new processes.
+_RESCAN = 1.0
+#: Looks during which a process may still turn into another program.
+_YOUNG = 5
+_INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
+
+
+class LocalProcesses:
+    """Finds processes and reads their counters.
+
+    Args:
+        psutil: the library, imported by the caller.
+        selectors: as `process_selector` makes them.
+    """
+
+    def __init__(self, psutil: Any, selectors: Sequence[str]) -> None:
+        self._psutil = psutil
+        self._selectors = tuple(selectors)
+        self._looks_for_subjects = any(one.startswith("subject:") for one in self._selectors)
+        self._ages: dict[int, int] = {}
+        self._matched: dict[int, tuple[Any, tuple[int, ...]]] = {}
+        self._next_scan = 0.0
+
+    def counters(self) -> tuple[ProcessCounters, ...]:
+        """Return the counters of each process that matches."""
+        if time.monotonic() >= self._next_scan:
+            self._next_scan = time.monotonic() + _RESCAN
+            self._scan()
+        return tuple(counters for pid in list(self._matched) for counters in self._of(pid))
+
+    def _of(self, pid: int) -> list[ProcessCounters]:
+        process, places = self._matched[pid]
+        try:
+            with process.oneshot():
+                times, memory = process.cpu_times(), process.memory_info().rss
+        except self._psutil.Error:  # it has ended
+            del self._matched[pid]
+            return []
+        started = repr(process.create_time())
+        return [ProcessCounters(place, pid, started, times.user + times.system, float(memory)) for place in places]
+
+    def _scan(self) -> None:
+        self._ages = {pid: self._ages.get(pid, 0) + 1 for pid in self._psutil.pids()}
+        for pid, age in self._ages.items():
+            if age <= _YOUNG:
+                self._matched.pop(pid, None)
+                self._look_at(pid)
+
+    def _look_at(self, pid: int) -> None:
+        try:
+            process = self._psutil.Process(pid)
+            name, words = process.name(), process.cmdline()
+        except self._psutil.Error:
+            return
+        subject = self._subject_of(process) if self._looks_for_subjects else ""
+        places = tuple(place for place, one in enumerate(self._selectors) if matches(one, pid, name, words, subject))
+        if places:
+            self._matched[pid] = (process, places)
+
+    def _subject_of(self, process: Any) -> str:
+        try:
+            return str(process.environ().get(SUBJECT_VARIABLE, ""))
+        except self._psutil.Error:  # another user's
+            return ""
+
+
+def matches(selector: str, pid: int, name: str, words: Sequence[str], subject: str = "") -> bool:
+    """Whether a process is one that a selector means.
+
+    Args:
+        selector: as `process_selector` makes it.
+        pid: the process's number.
+        name: the process's name, as the system knows it.
+        words: its command line.
+        subject: the software under test that it belongs to; empty for none.
+
+    Example:
+        >>> matches("name:talker.py", 4711, "python3", ["/usr/bin/python3", "/opt/talker.py"])
+        True
+        >>> matches("node:/talker", 4711, "talker", ["/opt/talker", "--ros-args", "-r", "__node:=talker"])
+        True
+    """
+    kind, _, value = selector.partition(":")
+    if kind == "pid":
+        return pid == int(value)
+    if kind == "subject":
+        return value == subject
+    if kind == "node":
+        bare = value.lstrip("/")
+        return f"__name:={bare}" in words or f"__node:={bare}" in words
+    names = {name, *(PurePath(word).name for word in words[:1])}
+    if len(words) > 1 and PurePath(words[0]).name.startswith(_INTERPRETERS):
+        names.add(PurePath(words[1]).name)
+    return value in names
+
+
+_INSTALL = "Install it: pip install 'robot-runner[psutil]'."
+
+R = TypeVar("R")
+S = TypeVar("S")
+
+
+class LocalSampler(Generic[R, S]):
+    """Samples in a thread of the run's process from the moment that it is made until `stop`."""
+
+    def __init__(
+        self,
+        read: Callable[[], R],
+        evaluate: Callable[[Sampling[R]], Sequence[S]],
+        *,
+        rate: float,
+        clock: Clock,
+        form: str,
+    ) -> None:
+        self._evaluate = evaluate
+        self._form = form
+        self._rate = rate
+        self._samples: Sequence[S] | None = None
+        self._sampler = PeriodicSampler(read, rate=rate, clock=clock)
+        self._sampler.start()
+
+    def tell(self, on_sample: Callable[[Callable[[], S]], None]) -> None:
+        """Have each further sample told as it is taken, in the thread that samples, by what returns it."""
+        last: list[tuple[float, R]] = []
+
+        def take(time: float, reading: R) -> None:
+            last.append((time, reading))
+            if len(last) > 1:
+                times, readings = zip(*last, strict=True)
+                on_sample(lambda: self._evaluate(Sampling(times, readings, Window(*times), self._rate))[-1])
+                del last[0]
+
+        self._sampler.on_reading = take
+
+    def take_now(self) -> None:
+        """Take one more sample at once, out of turn."""
+        self._sampler.take_now()
+
+    def stop(self) -> Sequence[S]:
+        """End sampling and return the samples, oldest first; a second call returns the same."""
+        if self._samples is None:
+            self._samples = self._evaluate(self._sampler.stop())
+        return self._samples
+
+    def report(self) -> SamplingReport:
+        """Say how it went; to be asked after `stop`."""
+        sampling = self._sampler.stop()
+        failures = [f"{sampling.failures} readings failed: {sampling.first_failure}"] if sampling.failures else []
+        return SamplingReport(
+            rate=self._rate, problems=tuple(failures), cpu_seconds=sampling.cpu_seconds, form=self._form
+        )
+
+
+class LocalHost:
+    """This machine, sampled in a thread of the run's own process.
+
+    Args:
+        clock: the run's.
+
+    Example:
+        >>> from robot_runner.core.events.context import SystemClock
+        >>> host = LocalHost(SystemClock())
+        >>> host.read_files(["/dev/null", "/no/such/file"])
+        ['', None]
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._samplers = ExitStack()
+        self._is_closed = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Always false."""
+        return False
+
+    def sample_utilisation(self, rate: float) -> LocalSampler[CounterSample, UtilisationSample]:
+        """Begin to sample CPU and memory utilisation `rate` times a second; as `sample_processes`."""
+        return self.sample_processes(rate, ())
+
+    def sample_processes(
+        self, rate: float, processes: Sequence[str], *, is_streamed: bool = False
+    ) -> LocalSampler[CounterSample, UtilisationSample]:
+        """Begin to sample the utilisation of this machine and of processes.
+
+        Args:
+            rate: samples a second, Hz.
+            processes: what to look for: `pid:123`, `name:talker` or `node:/talker`.
+            is_streamed: means nothing here: there is no network between.
+
+        Raises:
+            LinkError: psutil is not installed, or the link was closed.
+        """
+        del is_streamed
+        counters = _Counters(checked_words(processes))
+        count = len(processes)
+
+        def evaluate(sampling: Sampling[CounterSample]) -> Sequence[UtilisationSample]:
+            pairs = zip(sampling.times, sampling.readings, strict=True)
+            readings = [replace(reading, time=at) for at, reading in pairs]
+            return utilisation_of(readings, cores=counters.cores, selectors=count)
+
+        return self._sampler(counters.read, evaluate, rate, "psutil, in a thread of the run's process")
+
+    def sample_files(
+        self, rate: float, paths: Sequence[str], *, is_streamed: bool = False
+    ) -> LocalSampler[list[str | None], FileSample]:
+        """Begin to read the first line of each file `rate` times a second.
+
+        Raises:
+            LinkError: the link was closed.
+        """
+        del is_streamed
+        listed = checked_words(paths)
+
+        def evaluate(sampling: Sampling[list[str | None]]) -> Sequence[FileSample]:
+            pairs = zip(sampling.times, sampling.readings, strict=True)
+            return [FileSample(at, tuple(lines)) for at, lines in pairs]
+
+        return self._sampler(
+            lambda: list(map(_first_line, listed)), evaluate, rate, "files read in a thread of the run"
+        )
+
+    def read_files(self, paths: Sequence[str]) -> list[str | None]:
+        """Return the first line of each file, without the line's end; None for one that cannot be read."""
+        return list(map(_first_line, paths))
+
+    def list_files(self, pattern: str) -> list[str]:
+        """Return the paths that match a pattern of the shell, sorted."""
+        return sorted(glob.glob(pattern))  # noqa: PTH207 - the pattern is a whole path
+
+    def close(self) -> None:
+        """End all samplers; closing twice does nothing."""
+        self._is_closed = True
+        self._samplers.close()
+
+    def _sampler(
+        self, read: Callable[[], R], evaluate: Callable[[Sampling[R]], Sequence[S]], rate: float, form: str
+    ) -> LocalSampler[R, S]:
+        if self._is_closed:
+            raise LinkError("the link was closed", where=LOCAL, fix="Use it before the run ends.")
+        sampler = LocalSampler(read, evaluate, rate=rate, clock=self._clock, form=form)
+        self._samplers.callback(sampler.stop)
+        return sampler
+
+
+class _Counters:
+    """Reads psutil's counters."""
+
+    def __init__(self, selectors: Sequence[str]) -> None:
+        self._psutil = _psutil()
+        self._processes = LocalProcesses(self._psutil, selectors) if selectors else None
+        self.cores = int(self._psutil.cpu_count() or 1)
+
+    def read(self) -> CounterSample:
+        """Return the counters of this moment; the caller adds their time."""
+        cores = tuple(map(_core, self._psutil.cpu_times(percpu=True)))
+        memory = self._psutil.virtual_memory()
+        return CounterSample(
+            time=0.0,
+            whole=CoreCounters(sum(core.total for core in cores), sum(core.idle for core in cores)),
+            cores=cores,
+            memory_total=memory.total,
+            memory_available=memory.available,
+            processes=self._processes.counters() if self._processes else (),
+        )
+
+
+def _core(times: Any) -> CoreCounters:
+    # Linux counts the time of guests among that of the user already.
+    guests = getattr(times, "guest", 0.0) + getattr(times, "guest_nice", 0.0)
+    return CoreCounters(total=sum(times) - guests, idle=times.idle + getattr(times, "iowait", 0.0))
+
+
+def _first_line(path: str) -> str | None:
+    try:
+        with Path(path).open(encoding="ascii", errors="replace") as file:
+            return file.readline(4096).rstrip("\n")
+    except OSError:
+        return None
+
+
+def _psutil() -> Any:
+    try:
+        return import_module("psutil")
+    except ModuleNotFoundError as error:
+        raise LinkError("psutil cannot be imported", where=LOCAL, fix=_INSTALL) from error

@@ -1,0 +1,111 @@
+"""What profilers of a machine ask: whose time it lives by, and whether it is the robot's and can be reached."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.connect import SIMULATED, is_simulated, lives_by_simulation
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.ssh_command import ssh_findings
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+
+
+_INSTALL = "Install it: pip install 'robot-runner[psutil]'."
+_NAME_ONE = f"Name it: host='localhost' for this machine, or host='user@robot'. Or: --set robot={SIMULATED}."
+
+
+@dataclass(frozen=True, slots=True)
+class Computer:
+    """A computer that a profiler measures, and how it is reached.
+
+    Attributes:
+        host: `localhost` for this machine, or as ssh takes it.
+        ssh_config: a file to take the place of the user's ssh config.
+        form: how it is sampled over ssh, as `connect_host` takes it.
+        subjects: selectors of processes that are measured on purpose (`process_selector`).
+    """
+
+    host: str = LOCAL
+    ssh_config: Path | None = None
+    form: str | None = None
+    subjects: tuple[str, ...] = ()
+
+
+#: What a profiler measures that reads counters of the machine that it is executed on.
+THIS_MACHINE = Computer()
+
+
+@runtime_checkable
+class MeasuresComputer(Protocol):
+    """A profiler whose measures depend on what else goes on on a computer."""
+
+    @property
+    def measured_computer(self) -> Computer | None:
+        """The computer; None for one that is simulated."""
+        ...
+
+
+def machine_clock(context: RobotRunnerContext) -> Clock:
+    """Return the clock of what is measured on this machine: the run's, unless that is the clock of a simulation.
+
+    A simulated mission of 95 s takes a few real ones, and a watt is a joule in a real second.
+    """
+    return SystemClock() if lives_by_simulation(context) else context.clock
+
+
+def clock_details(context: RobotRunnerContext) -> Mapping[str, str]:
+    """Return, for `quality.json`, whose clock the times in the raw data are of."""
+    return {"clock": "machine" if lives_by_simulation(context) else "run"}
+
+
+def simulation_findings(plugin: str, robot: str | None) -> list[Finding]:
+    """Return a warning where a plugin of this name measures this machine while the robot is a simulated one."""
+    if not is_simulated(robot):
+        return []
+    problem = "the robot is simulated, and this plugin measures the machine that simulates it"
+    return [Finding.warning(f"plugin {plugin}", problem, "Do not take its values for the robot's.")]
+
+
+def host_findings(
+    plugin: str, robot: str | None, *, host: str | None, ssh_config: Path | None, has_selection: bool
+) -> list[Finding]:
+    """Return what stands in the way of sampling a computer.
+
+    Args:
+        plugin: the name of the plugin that asks.
+        robot: how the experiment's robot is reached.
+        host: the computer; None for the on-board one of a simulated robot.
+        ssh_config: a file to take the place of the user's ssh config.
+        has_selection: whether single processes or cores are asked for.
+
+    Example:
+        >>> host_findings("PsUtil", "simulated", host=None, ssh_config=None, has_selection=False)
+        []
+    """
+    where = f"plugin {plugin}"
+    if host is None:
+        return _on_board(where, robot, has_selection=has_selection)
+    findings = simulation_findings(plugin, robot)
+    if host != LOCAL:
+        return [*findings, *ssh_findings(where, host, config=ssh_config)]
+    if importlib.util.find_spec("psutil") is None:
+        findings.append(Finding.error(where, "psutil, which samples this machine, cannot be imported", _INSTALL))
+    return findings
+
+
+def _on_board(where: str, robot: str | None, *, has_selection: bool) -> list[Finding]:
+    if not is_simulated(robot):
+        return [Finding.error(where, "the plugin measures a computer, and none is named", _NAME_ONE)]
+    if has_selection:
+        problem = "the computer of a simulated robot does not tell of single processes or cores"
+        return [Finding.error(where, problem, "Leave processes and cores out.")]
+    return []

@@ -1,0 +1,248 @@
+"""A meter that is a program: started, its output followed as it comes, and ended in one way or another."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING
+
+from robot_runner.core.errors import PluginError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.events.context import Clock
+
+
+#: How often output is looked at, s: records are stamped as much too late, at most.
+_LOOK = 0.01
+#: How long a program that got SIGTERM after its own signal may take before it is killed, s.
+_LAST_GRACE = 1.0
+#: How long to wait for what was killed to be gone, s.
+_DEATH = 5.0
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A piece of output, without the separator that ended it, and when it was there: s on the run's clock."""
+
+    received_at: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a program ended.
+
+    Attributes:
+        exit_code: its exit code; negative for the signal that ended it; None if nothing could end it.
+        was_asked: whether we asked it to; False where it ended by itself before.
+        was_killed: whether it took SIGKILL to end it.
+        complaint: the last line that it wrote to stderr; empty for none.
+    """
+
+    exit_code: int | None
+    was_asked: bool
+    was_killed: bool
+    complaint: str
+
+
+class ChildProgram:
+    """A program that was started, and is ended in one way or another.
+
+    In a process group of its own, it gets SIGTERM on Linux should this process die without a chance to end it; in this
+    process's group, it is ended with the group. Its stdin is a pipe that is never written to: a program that ends at
+    the end of its input ends with us.
+
+    Args:
+        command: the program and its arguments.
+        output: takes what it writes to stdout.
+        errors: takes what it writes to stderr, and can be read; closed when the program has ended.
+        has_own_group: whether it gets a process group of its own.
+
+    Attributes:
+        said: all that it wrote to stderr, once it was stopped.
+
+    Raises:
+        PluginError: it cannot be started.
+    """
+
+    def __init__(
+        self, command: Sequence[str], *, output: IO[bytes], errors: IO[bytes], has_own_group: bool = True
+    ) -> None:
+        self._errors = errors
+        self.said = ""
+        self._ending: Ending | None = None
+        try:
+            self.process = subprocess.Popen(  # noqa: S603 - the user's own command
+                command,
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=errors,
+                process_group=0 if has_own_group else None,
+                preexec_fn=_die_with_parent if has_own_group else None,  # noqa: PLW1509 - one system call, no lock
+            )
+        except OSError as error:
+            errors.close()
+            problem = f"{command[0]!r} cannot be started: {error.strerror}"
+            raise PluginError(problem, where=" ".join(command), fix="Install it, or give its full path.") from error
+        self._group = -self.process.pid if has_own_group else None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self.process.poll() is None
+
+    def wait(self, is_enough: Callable[[], bool], *, seconds: float) -> bool:
+        """Wait for a condition, at most so many real seconds or until the program ends; say whether it came true."""
+        deadline = time.monotonic() + seconds
+        while not is_enough():
+            if not self.is_running:
+                time.sleep(2 * _LOOK)  # the last of its output may be on the way
+                return is_enough()
+            if time.monotonic() >= deadline:
+                return False
+            time.sleep(_LOOK)
+        return True
+
+    def stop(self, stop_signal: signal.Signals, *, grace: float) -> Ending:
+        """End it and return how it ended; a second call returns the same.
+
+        It gets its own signal, alone, so that it can end what it started itself; then its own group gets SIGTERM, and
+        then SIGKILL.
+
+        Args:
+            stop_signal: what it takes for "write what you have, and end".
+            grace: how long it may take for that, s.
+        """
+        if self._ending is None:
+            was_asked = self.is_running
+            was_killed = was_asked and not self._end(stop_signal, grace)
+            if self._group is not None:
+                self._send(self._group, signal.SIGTERM)  # what it may have left behind
+            self._stop_following()
+            if self.process.stdin is not None:
+                self.process.stdin.close()
+            self._is_gone_within(_DEATH)
+            self.said = self._read_errors()
+            complaint = next((line.strip() for line in reversed(self.said.split("\n")) if line.strip()), "")
+            self._ending = Ending(self.process.poll(), was_asked, was_killed, complaint)
+        return self._ending
+
+    def _stop_following(self) -> None:
+        """Take the last of its output; nothing here, where nobody follows it."""
+
+    def _end(self, stop_signal: signal.Signals, grace: float) -> bool:
+        """Return whether it ended without being killed."""
+        everything = self._group or self.process.pid
+        self._send(self.process.pid, stop_signal)
+        if self._is_gone_within(grace):
+            return True
+        self._send(everything, signal.SIGTERM)
+        if self._is_gone_within(_LAST_GRACE):
+            return True
+        self._send(everything, signal.SIGKILL)
+        return False
+
+    def _is_gone_within(self, seconds: float) -> bool:
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(seconds)
+            return True
+        return False
+
+    @staticmethod
+    def _send(pid: int, number: signal.Signals) -> None:
+        try:
+            os.kill(pid, number)
+        except ProcessLookupError:
+            return
+        except PermissionError:  # it was started by sudo
+            command = ["sudo", "-n", "kill", f"-{number.name.removeprefix('SIG')}", "--", str(pid)]
+            with suppress(OSError, subprocess.TimeoutExpired):
+                subprocess.run(  # noqa: S603 - our own words
+                    command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_DEATH, check=False
+                )
+
+    def _read_errors(self) -> str:
+        with self._errors:
+            self._errors.seek(0)
+            return self._errors.read().decode(errors="replace")
+
+
+class MeterProcess(ChildProgram):
+    """A program in a process group of its own, whose output is followed from a file.
+
+    Args:
+        command: the program and its arguments.
+        output: the file that it writes its records to; None for its stdout.
+        folder: takes `stdout.txt` and `stderr.txt`.
+        clock: the run's, for the stamps.
+        separator: what ends a record.
+
+    Raises:
+        PluginError: it cannot be started.
+    """
+
+    def __init__(
+        self, command: Sequence[str], *, output: Path | None, folder: Path, clock: Clock, separator: str = "\n"
+    ) -> None:
+        self._output = output or folder / "stdout.txt"
+        self._clock = clock
+        self._separator = separator.encode()
+        self._records: list[Record] = []
+        self._rest = b""
+        self._offset = 0
+        errors = (folder / "stderr.txt").open("w+b")
+        with (folder / "stdout.txt").open("wb") as out:
+            super().__init__(command, output=out, errors=errors)
+        self._has_ended = threading.Event()
+        self._follower = threading.Thread(target=self._follow, name=f"output of {command[0]}", daemon=True)
+        self._follower.start()
+
+    @property
+    def records(self) -> list[Record]:
+        """The output received so far, oldest first."""
+        return list(self._records)
+
+    def _stop_following(self) -> None:
+        self._has_ended.set()
+        self._follower.join()
+
+    def _follow(self) -> None:
+        while not self._has_ended.wait(_LOOK):
+            self._take()
+        self._take()
+        if self._rest.strip():
+            self._records.append(Record(self._clock.now(), self._rest.decode(errors="replace")))
+
+    def _take(self) -> None:
+        try:
+            with self._output.open("rb") as file:
+                file.seek(self._offset)
+                fresh = file.read()
+        except FileNotFoundError:  # the program has not made it yet
+            return
+        if not fresh:
+            return
+        now = self._clock.now()
+        self._offset += len(fresh)
+        *whole, self._rest = (self._rest + fresh).split(self._separator)
+        self._records += [Record(now, piece.decode(errors="replace")) for piece in whole]
+
+
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
+
+
+def _die_with_parent() -> None:
+    """Have the kernel end this process when its parent dies; called between fork and exec, so it does nothing else."""
+    if _LIBC is not None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))

@@ -1,0 +1,246 @@
+"""A sampler on board of another computer: its samples are fetched at the end, or arrive while they are taken."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+
+from robot_runner.core.errors import LinkError
+from robot_runner.measuring.clock_offset import ClockRecord
+from robot_runner.measuring.cpu_counters import CoreCounters, CounterSample, ProcessCounters, utilisation_of
+from robot_runner.measuring.host import FileSample, SamplingReport, UtilisationSample
+from robot_runner.measuring.on_board_session import FORMS, new_token
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from robot_runner.measuring.device_clock import ClockMap
+    from robot_runner.measuring.on_board_session import OnBoardSession
+
+
+_KILOBYTE = 1024.0
+
+
+def counter_sample(fields: Sequence[str]) -> CounterSample | None:
+    """Return the counters of an `s` line, or None if it is damaged.
+
+    Example:
+        >>> sample = counter_sample("5.25|:200:150,0:100:90,1:100:60|8000:6000|0:42:77:1.5:4096".split("|"))
+        >>> sample.whole, len(sample.cores), sample.processes[0].cpu
+        (CoreCounters(total=200.0, idle=150.0), 2, 1.5)
+    """
+    try:
+        time, cores, memory, processes = fields
+        counters = dict(map(_core, cores.split(",")))
+        total, available = map(float, memory.split(":"))
+        return CounterSample(
+            time=float(time),
+            whole=counters[-1],
+            # A core that is switched off has no line of its own.
+            cores=tuple(counters.get(place, CoreCounters(0.0, 0.0)) for place in range(max(counters) + 1)),
+            memory_total=total * _KILOBYTE,
+            memory_available=available * _KILOBYTE,
+            processes=tuple(map(_process, filter(None, processes.split(",")))),
+        )
+    except (ValueError, KeyError):
+        return None
+
+
+def _core(text: str) -> tuple[int, CoreCounters]:
+    """Return the number of a core, -1 for all of them together, and its counters."""
+    number, total, idle = text.split(":")
+    return int(number or -1), CoreCounters(float(total), float(idle))
+
+
+def _process(text: str) -> ProcessCounters:
+    selector, pid, started, cpu, memory = text.split(":")
+    return ProcessCounters(int(selector), int(pid), started, float(cpu), float(memory))
+
+
+def file_line(field: str) -> str | None:
+    """Return the line of a file as it was sent, or None where it could not be read."""
+    return field[1:] if field.startswith("=") else None
+
+
+def file_sample(fields: Sequence[str], to_run: ClockMap, *, files: int) -> FileSample | None:
+    """Return the lines of an `f` line, or None if it is damaged."""
+    try:
+        time = to_run.to_run(float(fields[0]))
+    except (ValueError, IndexError):
+        return None
+    lines = tuple(map(file_line, fields[1:]))
+    return FileSample(time, lines) if len(lines) == files else None
+
+
+S_co = TypeVar("S_co", covariant=True)
+
+
+class Quantity(Protocol[S_co]):
+    """What is sampled: how it is asked for, and what the lines that come back say."""
+
+    @property
+    def question(self) -> tuple[str, Sequence[str]]:
+        """What the on-board loop calls it, and what it is to look at."""
+        ...
+
+    def understood(self, lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int) -> Sequence[S_co]:
+        """Return the samples of some lines, placed on the run's clock; damaged lines are left out."""
+        ...
+
+
+class UtilisationCounters:
+    """CPU and memory of the computer, and of the processes that selectors match."""
+
+    def __init__(self, processes: Sequence[str]) -> None:
+        self._processes = tuple(processes)
+
+    @property
+    def question(self) -> tuple[str, Sequence[str]]:
+        """What the on-board loop calls it, and the selectors."""
+        return "utilisation", self._processes
+
+    def understood(self, lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int) -> Sequence[UtilisationSample]:
+        """Return the utilisation between each two lines."""
+        counters = [sample for line in lines if (sample := counter_sample(line[1:])) is not None]
+        return utilisation_of(counters, cores=cores, selectors=len(self._processes), to_run=clock.to_run)
+
+
+class FileLines:
+    """The first line of each of some files."""
+
+    def __init__(self, paths: Sequence[str]) -> None:
+        self._paths = tuple(paths)
+
+    @property
+    def question(self) -> tuple[str, Sequence[str]]:
+        """What the on-board loop calls it, and the paths."""
+        return "files", self._paths
+
+    def understood(self, lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int) -> Sequence[FileSample]:
+        """Return what stood in the files."""
+        del cores
+        to_run, count = clock.to_run, len(self._paths)
+        return [one for line in lines if (one := file_sample(line[1:], to_run, files=count)) is not None]
+
+
+class OnBoardSampler(Generic[S_co]):
+    """Samples from the moment that it is made until `stop`.
+
+    Args:
+        session: with the computer; it takes no other samples meanwhile.
+        quantity: what is sampled.
+        rate: samples a second.
+        is_streamed: whether samples are sent at once. Otherwise they are kept in a file on the computer until they are
+            fetched, so that measuring does not load the network; that file survives a connection that is lost.
+        reconnect: opens another session with the computer, to recover such a file.
+
+    Raises:
+        LinkError: the computer does not begin to sample.
+    """
+
+    def __init__(
+        self,
+        session: OnBoardSession,
+        quantity: Quantity[S_co],
+        *,
+        rate: float,
+        is_streamed: bool,
+        reconnect: Callable[[], OnBoardSession],
+    ) -> None:
+        self._session = session
+        self._quantity = quantity
+        self._reconnect = reconnect
+        self._problems: list[str] = []
+        self._is_ended = False
+        self._samples: Sequence[S_co] | None = None
+        self._cpu_seconds: float | None = None
+        self._clock = ClockRecord(session.where, session.clock_offset())
+        session.samples = []
+        token = "-" if is_streamed else new_token()
+        kind, about = quantity.question
+        path, cores, actual = session.ask(kind, rate, token, *about, answer="begun")
+        self._path = None if path == "-" else path
+        self._cores = int(cores)
+        self._rate = float(actual)
+        if not is_streamed and self._path is None:
+            self._problems.append("there is no folder on board that samples can be kept in, so they were sent at once")
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether it was stopped, so that its session is free for another."""
+        return self._samples is not None
+
+    def end(self) -> None:
+        """Sample no more; the samples are on their way, and `stop` waits for them."""
+        if not self._is_ended:
+            self._is_ended = True
+            with suppress(LinkError):  # `stop` finds it lost, and tells
+                self._session.end()
+
+    def stop(self) -> Sequence[S_co]:
+        """End sampling and return the samples, oldest first; a second call returns the same.
+
+        Nothing is raised: where the connection is lost, the samples that can be had are returned, and the report
+        tells of it.
+        """
+        if self._samples is None:
+            lines = self._lines()
+            self._samples = self._quantity.understood(lines, self._clock, self._cores)
+            if damaged := len(lines) - len(self._samples):
+                self._problems.append(f"{damaged} {'sample' if damaged == 1 else 'samples'} arrived damaged")
+        return self._samples
+
+    def report(self) -> SamplingReport:
+        """Say how it went; to be asked after `stop`."""
+        return SamplingReport(
+            rate=self._rate,
+            problems=tuple(self._problems),
+            clock=self._clock,
+            cpu_seconds=self._cpu_seconds,
+            form=FORMS[self._session.form].description,
+        )
+
+    def _lines(self) -> list[list[str]]:
+        self.end()
+        try:
+            self._cpu_seconds = self._session.fetch()
+        except LinkError as error:
+            return self._rescued(error)
+        self._close_record(self._session)
+        return self._session.samples
+
+    def _rescued(self, error: LinkError) -> list[list[str]]:
+        """Return the samples that a lost connection leaves: those that were sent, or those that were kept on board."""
+        self._problems.append(error.problem)
+        if self._path is None:
+            self._problems.append(f"the {len(self._session.samples)} samples that had arrived by then are kept")
+            return self._session.samples
+        try:
+            session = self._reconnect()
+        except LinkError as again:
+            self._problems.append(
+                f"the samples are still on board, in {self._path}: {again.problem}; the next run that samples this "
+                "computer removes them"
+            )
+            return []
+        return self._recovered(session, self._path)
+
+    def _recovered(self, session: OnBoardSession, path: str) -> list[list[str]]:
+        try:
+            session.recover(path)
+        except LinkError as error:
+            self._problems.append(f"the samples could not be recovered from {path} on board: {error.problem}")
+        else:
+            self._problems.append(f"{len(session.samples)} samples were recovered over a second connection")
+            self._close_record(session)
+        finally:
+            session.close()
+        return session.samples
+
+    def _close_record(self, session: OnBoardSession) -> None:
+        try:
+            after = session.clock_offset()
+        except LinkError as error:
+            self._problems.append(f"the computer's clock could not be asked after the run: {error.problem}")
+        else:
+            self._clock = ClockRecord(self._clock.host, self._clock.before, after)

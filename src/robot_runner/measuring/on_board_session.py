@@ -1,0 +1,349 @@
+"""A long-lived process on board of a robot: started over SSH, asked line by line, ended with the run."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import queue
+import secrets
+import shlex
+import signal
+import socket
+import subprocess
+import tempfile
+import threading
+import time
+import uuid
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError
+from robot_runner.measuring.clock_offset import ClockExchange, ClockOffset, estimate_offset
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from robot_runner.core.events.context import Clock
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """One way of sampling on board.
+
+    Attributes:
+        program: the file that is sent there.
+        description: what samples, in words.
+    """
+
+    program: str
+    description: str
+
+
+#: What can be sent, best first, by the name that the bootstrap program knows.
+FORMS = {
+    "python3": Form("loop.py", "a loop in Python that reads Linux's /proc"),
+    "sh": Form("loop.sh", "a loop of the POSIX shell that reads Linux's /proc"),
+    "ps": Form("loop.sh", "a loop of the POSIX shell that asks ps: CPU time in steps of up to a second"),
+}
+
+# The user's login shell at the other end may be any: to it this is one command with one quoted word. The sh that it
+# starts reads a program up to a line `#end`, a byte at a time, so that what follows is left for the program.
+_READ_PROGRAM = (
+    'n="$(printf "\\n_")";n="${n%_}";p=;while IFS= read -r l&&[ "$l" != "#end" ];do p="$p$l$n";done;eval "$p"'
+)
+REMOTE_COMMAND = f"exec sh -c {shlex.quote(_READ_PROGRAM)}"
+
+_END = "#end\n"
+_GREETING = "robot-runner"
+_VERSION = "1"
+_SAMPLES = ("s", "f")
+#: How long an answer may take, s: the first one waits for the connection.
+_PATIENCE = 10.0
+_FIRST_PATIENCE = 20.0
+#: For how long, s, a loop that keeps its samples goes on after its connection was cut: a network that comes back within
+#: a mission finds them whole, and a computer is not sampled for ever where nobody comes back.
+_LEASE = 600
+#: How often the clock is asked for: the least delay of eight is near the least there is.
+_EXCHANGES = 8
+#: How long a process may take to end once its input is closed, s, and then once it is told to.
+_LAST_WORDS = 2.0
+
+
+class OnBoardSession:
+    """A process that samples the computer that it runs on, and answers questions meanwhile.
+
+    Args:
+        command: what starts a shell at the other end that executes `REMOTE_COMMAND`: ssh with its arguments.
+        where: the computer, for messages.
+        clock: the run's.
+        form: one of `FORMS`; left out, the best that the computer can do.
+        gist: says in one line what the stderr of the command says.
+        explain: says from the whole stderr of the command what mends it.
+
+    Raises:
+        LinkError: the command cannot be started, there is no answer, or the computer cannot be sampled.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        *,
+        where: str,
+        clock: Clock,
+        form: str | None = None,
+        gist: Callable[[str], str] = lambda answer: answer.rpartition("\n")[2],
+        explain: Callable[[str], str] = lambda _: "",
+    ) -> None:
+        self.where = where
+        self.samples: list[list[str]] = []
+        self.last_heard = time.monotonic()
+        self._clock = clock
+        self._gist, self._explain = gist, explain
+        self._answers: queue.SimpleQueue[tuple[list[str], float]] = queue.SimpleQueue()
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the session
+        self._process = self._start(command)
+        self._listener = threading.Thread(target=self._listen, name=f"listener to {where}", daemon=True)
+        self._listener.start()
+        try:
+            self.form = self._agree(form)
+        except LinkError:
+            self.close()
+            raise
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether it still answers, as far as is known."""
+        return self._listener.is_alive() and self._process.poll() is None
+
+    def ask(self, *words: object, answer: str, patience: float = _PATIENCE) -> list[str]:
+        """Send one line and return the fields of the line that answers it.
+
+        Raises:
+            LinkError: the connection is lost, it does not answer in time, or it says that it cannot.
+        """
+        self._send("\t".join(map(str, words)) + "\n")
+        return self._await(answer, patience)[0]
+
+    def clock_offset(self) -> ClockOffset:
+        """Ask for the time a few times and return how its clock stands to the run's.
+
+        Raises:
+            LinkError: it does not answer.
+        """
+        return estimate_offset([self._exchange(number) for number in range(_EXCHANGES)])
+
+    def end(self) -> None:
+        """Have it sample no more, without waiting.
+
+        Raises:
+            LinkError: the connection is lost.
+        """
+        self._send("stop\n")
+
+    def fetch(self) -> float | None:
+        """Wait, after `end`, until all samples are in `samples`. Return the CPU time that they took there, s, if known.
+
+        Raises:
+            LinkError: the connection is lost, or it falls silent.
+        """
+        return self._await_end()
+
+    def recover(self, path: str) -> None:
+        """Fetch the samples that a session kept whose connection was lost, and end what it left; as `fetch`.
+
+        Raises:
+            LinkError: the file is not there, the connection is lost, or it falls silent.
+        """
+        self._send(f"recover\t{path}\n")
+        self._await_end()
+
+    def _await_end(self) -> float | None:
+        while True:
+            try:
+                seconds = self._await("end", _PATIENCE)[0][0]
+            except LinkError:
+                if self.is_alive and time.monotonic() - self.last_heard < _PATIENCE:  # still sending
+                    continue
+                raise
+            return None if seconds == "-" else float(seconds)
+
+    def lost(self) -> LinkError:
+        """Return what is to be said of a connection that is lost, with ssh's own words and exit code."""
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_LAST_WORDS)
+        code = self._process.poll()
+        answer = self._answer()
+        said = self._gist(answer)
+        ended = "the loop fell silent" if code is None else f"the loop ended with code {code}"
+        return LinkError(
+            f"the connection is lost: {ended}{f': {said}' if said else ''}", where=self.where, fix=self._explain(answer)
+        )
+
+    def close(self) -> None:
+        """End the process at both ends; closing twice does nothing."""
+        pipe = self._process.stdin
+        if pipe is not None and not pipe.closed:
+            with suppress(OSError):
+                pipe.write(b"leave\n")  # otherwise it would take this for a connection that was cut
+            with suppress(OSError):
+                pipe.close()
+        for ending in (None, signal.SIGTERM, signal.SIGKILL):
+            if ending is not None:
+                with suppress(ProcessLookupError):
+                    os.killpg(self._process.pid, ending)
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_LAST_WORDS)
+                break
+        self._listener.join(_LAST_WORDS)
+        if self._process.stdout is not None and not self._listener.is_alive():
+            self._process.stdout.close()
+        self._stderr.close()
+
+    def _start(self, command: Sequence[str]) -> subprocess.Popen[bytes]:
+        try:
+            return subprocess.Popen(  # noqa: S603 - an argument list, from `ssh_command`
+                list(command),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._stderr,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._stderr.close()
+            problem = f"{command[0]} cannot be started: {error.strerror}"
+            raise LinkError(problem, where=self.where, fix="Install the OpenSSH client.") from error
+
+    def _agree(self, wanted: str | None) -> str:
+        self._send(_program("bootstrap.sh") + _END)
+        fields, _ = self._await(_GREETING, _FIRST_PATIENCE)
+        offered = fields[1].split() if len(fields) > 1 and fields[0] == _VERSION else []
+        form = wanted or next((form for form in FORMS if form in offered), None)
+        if form is None or form not in offered:
+            lack = f"cannot be sampled by {wanted}" if wanted else "has neither Linux's /proc nor a usable ps"
+            raise LinkError(
+                f"the computer {lack}",
+                where=self.where,
+                fix=f"Choose among what it can: {', '.join(offered)}." if offered else "Install python3 there.",
+            )
+        self._send(f"{form}\n{_program(FORMS[form].program)}\n{_END}lease\t{_LEASE}\n")
+        return form
+
+    def _exchange(self, number: int) -> ClockExchange:
+        sent, wall_sent = self._clock.now(), time.time()
+        self._send(f"clock\t{number}\n")
+        while True:
+            (asked, steady, wall), received = self._await("clock", _PATIENCE)
+            if asked == str(number):  # not the late answer to a question that was given up
+                break
+        own_wall = wall_sent + (received - sent) / 2
+        # The clock of a shell goes in steps, and shows as many digits as it knows.
+        resolution = 10.0 ** -len(steady.partition(".")[2])
+        return ClockExchange(sent, received, float(steady), float(wall), own_wall, resolution)
+
+    def _send(self, text: str) -> None:
+        pipe = self._process.stdin
+        try:
+            if pipe is None or pipe.closed:
+                raise BrokenPipeError
+            pipe.write(text.encode())
+            pipe.flush()
+        except OSError as error:
+            raise self.lost() from error
+
+    def _await(self, kind: str, patience: float) -> tuple[list[str], float]:
+        deadline = time.monotonic() + patience
+        while (left := deadline - time.monotonic()) > 0:
+            try:
+                words, at = self._answers.get(timeout=left)
+            except queue.Empty:
+                break
+            if not words:
+                self._answers.put(([], at))  # the next call is told the same
+                raise self.lost()
+            if words[0] == kind:
+                return words[1:], at
+            if words[0] == "error":
+                raise LinkError(
+                    f"the computer cannot do it: {' '.join(words[1:])}", where=self.where, fix="Look at it by hand."
+                )
+        raise LinkError(
+            f"the computer did not answer within {patience:g} s", where=self.where, fix="Look at the network."
+        )
+
+    def _listen(self) -> None:
+        for line in self._lines():
+            self.last_heard = time.monotonic()
+            words = line.decode("utf-8", "replace").rstrip("\n").split("\t")
+            if words[0] in _SAMPLES:
+                self.samples.append(words)
+            else:
+                self._answers.put((words, self._clock.now()))
+        self._answers.put(([], self._clock.now()))
+
+    def _lines(self) -> Iterator[bytes]:
+        pipe = self._process.stdout
+        with suppress(OSError, ValueError):
+            while pipe is not None and (line := pipe.readline()):
+                yield line
+
+    def _answer(self) -> str:
+        """Return the whole of what the command wrote to its stderr."""
+        with suppress(OSError, ValueError):
+            self._stderr.seek(0)
+            return self._stderr.read(1 << 20).decode(errors="replace").strip()
+        return ""
+
+
+def _program(name: str) -> str:
+    return files("robot_runner.measuring.on_board").joinpath(name).read_text(encoding="utf-8")
+
+
+_logger = logging.getLogger(__name__)
+
+_OWNER_DIGITS = 16
+
+
+def new_token() -> str:
+    """Return what a new file of samples is named after: this machine, this process, and a number of its own."""
+    return f"{_owner()}-{os.getpid()}-{secrets.token_hex(8)}"
+
+
+def remove_leftovers(session: OnBoardSession) -> None:
+    """Remove the samples on board that runs of this machine left which are dead, with the loops that still keep them.
+
+    Those of other machines are left alone: their runs may be alive. What cannot be removed is no fault of this run.
+    """
+    try:
+        for path in session.ask("leftovers", _owner(), answer="paths"):
+            if _is_left(path):
+                session.ask("discard", path, answer="discarded")
+                _logger.info("removed the samples of a run that was killed: %s on %s", path, session.where)
+    except LinkError as error:
+        _logger.warning("what runs that were killed left on board could not be removed: %s", error)
+
+
+def _owner() -> str:
+    """Return what tells this machine from others, and a container from those beside it, whose processes it sees not."""
+    space = ""
+    with suppress(OSError):
+        space = str(Path("/proc/self/ns/pid").readlink())
+    told = f"{socket.gethostname()} {uuid.getnode()} {space}"
+    return hashlib.sha256(told.encode()).hexdigest()[:_OWNER_DIGITS]
+
+
+def _is_left(path: str) -> bool:
+    """Return whether the process that a file belongs to is dead."""
+    pid = path.rpartition("/")[2].split("-")[-2]
+    if not pid.isdigit():
+        return False
+    try:
+        os.kill(int(pid), 0)
+    except ProcessLookupError:
+        return True
+    except (PermissionError, OverflowError):
+        return False
+    return False

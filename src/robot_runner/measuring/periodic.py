@@ -1,0 +1,250 @@
+"""Readings at a fixed rate: absolute deadlines on the clock, so that the rate does not drift."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from array import array
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, runtime_checkable
+
+from robot_runner.core.errors import PluginError
+from robot_runner.core.events.window import Window
+from robot_runner.measuring.quality import quality_of
+from robot_runner.measuring.series import Series
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.resources import Closable
+    from robot_runner.measuring.quality import SampleQuality
+
+
+R = TypeVar("R")
+
+#: How long a reading may hold up the end of the measurement, s.
+_PATIENCE = 5.0
+#: How long the first reading may hold up the beginning of the measurement, or one at an edge of the mission that, s.
+_FIRST_PATIENCE = 1.0
+
+
+@runtime_checkable
+class TickingClock(Protocol):
+    """A clock whose time passes only during a sleep on it, such as that of a simulated robot."""
+
+    def call_every(self, period: float, callback: Callable[[], None]) -> Closable:
+        """Have `callback` called every `period` seconds of the clock, until the result is closed."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling(Generic[R]):
+    """What a sampler read between its start and its stop.
+
+    Attributes:
+        times: when each reading was taken, s on the run's clock; the middle of the time that reading took.
+        readings: what was read, one for each time.
+        window: that the readings are evaluated over; at first from the start to the stop of the sampler, whose last
+            reading is taken at the stop, whenever the one before it was.
+        rate: the nominal rate, Hz.
+        failed_at: when readings raised an exception instead, s on the run's clock.
+        first_failure: what the first of those said.
+        cpu_seconds: CPU time that reading took on this machine, s.
+        sampled_seconds: how long the sampler worked, s.
+
+    Example:
+        >>> from robot_runner.core.events.window import Window
+        >>> Sampling([0.0, 1.0], ["7.5", "7.6"], Window(0.0, 1.0), 1.0).series().values
+        [7.5, 7.6]
+    """
+
+    times: Sequence[float]
+    readings: Sequence[R]
+    window: Window
+    rate: float
+    failed_at: Sequence[float] = ()
+    first_failure: str = ""
+    cpu_seconds: float = 0.0
+    sampled_seconds: float = 0.0
+
+    @property
+    def failures(self) -> int:
+        """How many readings of the window raised an exception instead."""
+        return sum(self.window.start <= time <= self.window.end for time in self.failed_at)
+
+    def over(self, window: Window) -> Sampling[R]:
+        """Return the same readings, to be evaluated over another window; those outside tell of its edges."""
+        return replace(self, window=window)
+
+    def within(self) -> Sampling[R]:
+        """Return the readings that were taken in the window, for what counts readings instead of integrating them."""
+        first, last = bisect_left(self.times, self.window.start), bisect_right(self.times, self.window.end)
+        return replace(self, times=self.times[first:last], readings=self.readings[first:last])
+
+    def series(self, value: Callable[[R], float] | None = None) -> Series:
+        """Return one quantity of the readings; `value` picks it, the reading itself if left out."""
+        pick: Callable[[Any], float] = float if value is None else value
+        return Series(self.times, [pick(reading) for reading in self.readings])
+
+    def quality(self, **counts: Any) -> SampleQuality:
+        """Return how good the samples are; `counts` as `quality_of` takes them."""
+        return quality_of(
+            self.times,
+            self.window,
+            self.rate,
+            failed=self.failures,
+            first_failure=self.first_failure,
+            cpu_seconds=self._own_seconds(),
+            **counts,
+        )
+
+    def _own_seconds(self) -> float:
+        """Return the CPU time of the window, from that of all the time that was sampled."""
+        return self.cpu_seconds * self.window.duration / self.sampled_seconds if self.sampled_seconds else 0.0
+
+
+class PeriodicSampler(Generic[R]):
+    """Calls `read` at fixed moments of the run's clock, from `start` until `stop`.
+
+    On the machine's own clock it does so in a thread of the run's process: the moments are start + n / rate, and one
+    that was missed is passed over, so that the samples neither drift nor come in bursts. On a clock that moves only
+    while it is slept on (a simulated robot's, a test's) it is called on the way, in the thread that sleeps.
+
+    A reading that raises is counted and its place stays empty; sampling goes on. So a meter that fails costs samples,
+    which the quality tells of, and not the mission.
+
+    Args:
+        read: returns one reading; it must not sleep on the run's clock.
+        rate: readings a second, Hz.
+        clock: the run's (`context.clock`).
+
+    Raises:
+        PluginError: the rate is not positive.
+
+    Example:
+        >>> from robot_runner.testing import FakeClock
+        >>> clock = FakeClock()
+        >>> sampler = PeriodicSampler(lambda: 7.5, rate=10.0, clock=clock)
+        >>> sampler.start()
+        >>> clock.sleep(1.0)
+        >>> len(sampler.stop().readings)
+        11
+    """
+
+    def __init__(self, read: Callable[[], R], *, rate: float, clock: Clock) -> None:
+        if not (math.isfinite(rate) and rate > 0):
+            raise PluginError(f"the sample rate is {rate!r} Hz", where="sampling", fix="Give a rate above 0.")
+        self._read = read
+        #: Called with each reading and its time, in the thread that reads: for who watches.
+        self.on_reading: Callable[[float, R], None] = lambda _time, _reading: None
+        self._rate = rate
+        self._clock = clock
+        self._ticker: Closable | None = None
+        self._thread: threading.Thread | None = None
+        self._is_asked_to_stop = False
+        self._wanted = threading.Event()
+        self._has_taken = threading.Event()
+        self._times = array("d")
+        self._readings: list[R] = []
+        self._failed_at = array("d")
+        self._first_failure = ""
+        self._cpu_seconds = 0.0
+        self._begun: float | None = None
+        self._sampling: Sampling[R] | None = None
+
+    def start(self) -> None:
+        """Take the first reading, and go on at the rate.
+
+        Raises:
+            PluginError: it was started before.
+        """
+        if self._begun is not None:
+            raise PluginError("a sampler was started twice", where="sampling", fix="Make a new one for each run.")
+        self._begun = self._clock.now()
+        if isinstance(self._clock, TickingClock):
+            self._take()
+            self._ticker = self._clock.call_every(1.0 / self._rate, self._take)
+        else:
+            self._thread = threading.Thread(target=self._keep_taking, name="sampler", daemon=True)
+            self._thread.start()
+            # A thread may come to its turn only when a short mission is over, and a counter has counted most of it.
+            self._has_taken.wait(_FIRST_PATIENCE)
+
+    def take_now(self) -> None:
+        """Take one more reading at once, out of turn; a reading that hangs is waited for a moment only."""
+        if self._thread is None:
+            if not self._times or self._times[-1] < self._clock.now():
+                self._take()
+            return
+        self._has_taken.clear()
+        self._wanted.set()
+        self._has_taken.wait(_FIRST_PATIENCE)
+
+    def stop(self) -> Sampling[R]:
+        """Take a last reading and return all of them; a second call returns the same.
+
+        Raises:
+            PluginError: it was never started.
+        """
+        if self._sampling is None:
+            if self._begun is None:
+                raise PluginError("a sampler was stopped that was never started", where="sampling", fix="Start it.")
+            window = Window(self._begun, self._clock.now())
+            self._end(window.end)
+            count = len(self._readings)
+            self._sampling = Sampling(
+                self._times[:count],
+                self._readings[:count],
+                window,
+                self._rate,
+                failed_at=self._failed_at,
+                first_failure=self._first_failure,
+                cpu_seconds=self._cpu_seconds,
+                sampled_seconds=window.duration,
+            )
+        return self._sampling
+
+    def _end(self, at: float) -> None:
+        if self._ticker is not None:
+            self._ticker.close()
+        self._is_asked_to_stop = True
+        self._wanted.set()
+        if self._thread is not None:
+            self._thread.join(_PATIENCE)
+            if self._thread.is_alive():
+                self._note_failure(f"a reading did not come back within {_PATIENCE:g} s", at)
+                return
+        if not self._times or self._times[-1] < self._clock.now():
+            self._take()
+
+    def _keep_taking(self) -> None:
+        period = 1.0 / self._rate
+        begun, number = time.monotonic(), 0
+        while True:
+            is_out_of_turn = self._wanted.wait(max(0.0, begun + number * period - time.monotonic()))
+            if self._is_asked_to_stop:
+                return
+            self._wanted.clear()
+            self._take()
+            self._has_taken.set()
+            if not is_out_of_turn:
+                number = max(number + 1, math.floor((time.monotonic() - begun) / period))
+
+    def _take(self) -> None:
+        cpu_begun, begun = time.thread_time(), self._clock.now()
+        try:
+            reading = self._read()
+        except Exception as error:  # noqa: BLE001 - whatever a meter raises, the mission goes on and the quality tells
+            self._note_failure(f"{type(error).__name__}: {error}", begun)
+        else:
+            self._times.append((begun + self._clock.now()) / 2)
+            self._readings.append(reading)
+            self.on_reading(self._times[-1], reading)
+        self._cpu_seconds += time.thread_time() - cpu_begun
+
+    def _note_failure(self, what: str, at: float) -> None:
+        self._failed_at.append(at)
+        self._first_failure = self._first_failure or what

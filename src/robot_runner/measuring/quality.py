@@ -1,0 +1,311 @@
+"""What a profiler says about its own samples: kept with the raw data, and warned of where it is poor."""
+
+from __future__ import annotations
+
+import io
+import json
+from array import array
+from bisect import bisect_left, bisect_right
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.storage.guarded_files import open_to_fill
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.window import Window
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a file of samples.
+
+    Attributes:
+        name: its heading, with the unit, such as `power_W`.
+        values: its numbers; None, a missing one, leaves its cell empty.
+        form: how a number is written, in printf style.
+
+    Example:
+        >>> Column("power_W", [7.5], "%.3f").form % 7.5
+        '7.500'
+    """
+
+    name: str
+    values: Sequence[float] | Sequence[float | None]
+    form: str = "%.6f"
+
+    def cells(self) -> Iterable[Any]:
+        """Return what is written by `cell_form`."""
+        return self.values if self._is_complete else ["" if one is None else self.form % one for one in self.values]
+
+    @property
+    def cell_form(self) -> str:
+        """The printf form of `cells`: that of numbers where none is missing, which is far quicker for many."""
+        return self.form if self._is_complete else "%s"
+
+    @property
+    def _is_complete(self) -> bool:
+        return isinstance(self.values, array) or None not in self.values
+
+
+def write_samples(path: Path, columns: Sequence[Column]) -> None:
+    """Write columns of equal length as a CSV file with a heading, replacing what was there.
+
+    Raises:
+        ValueError: the columns are not equally long.
+    """
+    line = ",".join(column.cell_form for column in columns) + "\n"
+    rows = zip(*(column.cells() for column in columns), strict=True)
+    with io.TextIOWrapper(open_to_fill(path), encoding="ascii", newline="") as file:
+        file.write(",".join(column.name for column in columns) + "\n")
+        file.writelines(map(line.__mod__, rows))
+
+
+def write_quality(
+    path: Path,
+    quality: SampleQuality | None,
+    window: Window | None,
+    details: Mapping[str, Any],
+    *,
+    sampled: Window | None = None,
+) -> None:
+    """Write what is known about the samples as a JSON object.
+
+    Args:
+        path: the file.
+        quality: of the samples within the window.
+        window: that the values are about; raw samples outside it count for nothing but its edges.
+        details: plain facts about the sensor.
+        sampled: from the profiler's start to its stop.
+    """
+    facts = {
+        "window": None if window is None else asdict(window),
+        "sampled": None if sampled is None else asdict(sampled),
+        "samples": None if quality is None else asdict(quality),
+        **details,
+    }
+    with open_to_fill(path) as file:
+        file.write(f"{json.dumps(facts, indent=2, allow_nan=False)}\n".encode())
+
+
+#: Percentage of the window that samples must cover for a value to be computed: power and utilisation that change
+#: by a third between phases bend a mean over the rest by less than 2 %.
+MINIMUM_COVERAGE = 95.0
+#: A pause longer than this many periods of sampling is a gap: what happened in it was not seen.
+_GAP_PERIODS = 5.0
+#: By how many percent the samples may be fewer than expected; one sample depends on where the window's edges fall.
+_FEWER = 2.0
+#: Jitter (95th percentile) in periods above which the samples are not what their rate says.
+_JITTER_PERIODS = 0.5
+#: Percentage of the window: samples that may stand further than this beside their true place can bend a value so far.
+_CLOCK_SHARE = 1.0
+#: Percentage of one core above which a profiler changes what it measures on its own machine.
+_OWN_SHARE = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Jitter:
+    """How far the times between two samples are from their median, s: half of them are no further than `p50`.
+
+    Example:
+        >>> jitter_of([0.0, 1.0, 2.0, 3.5])
+        Jitter(p50=0.0, p95=0.5, p99=0.5)
+    """
+
+    p50: float
+    p95: float
+    p99: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SampleQuality:
+    """What is known about the samples of one window.
+
+    Attributes:
+        expected: how many samples the window should hold at the nominal rate.
+        got: how many it holds.
+        period: the nominal time between two samples, s.
+        largest_gap: the longest time without a sample, the window's edges included, s.
+        coverage: percentage of the window outside gaps; a gap is a pause of more than five periods.
+        jitter: of the times between the window's samples, those that were taken for its edges left out; None for fewer
+            than two samples.
+        duplicates: samples that came twice and were left out.
+        lost: samples that were taken or due and never arrived.
+        corrupt: messages that arrived damaged and were left out.
+        failed: readings that raised an error instead; `first_failure` is what the first one said.
+        saturated: samples at the end of the sensor's range: the true value lies beyond.
+        is_bracketed: whether samples stand on both sides of the window, each no further than a period from its edge.
+        clock_offset: how far the clock of the samples was ahead of the run's, s; None where they share one.
+        clock_uncertainty: how far that may be wrong, s.
+        cpu_seconds: CPU time that the profiler itself used on the machine that it measures, s; None if not known.
+        duration: of the window, s.
+    """
+
+    expected: int
+    got: int
+    period: float
+    largest_gap: float
+    coverage: float
+    jitter: Jitter | None = None
+    duplicates: int = 0
+    lost: int = 0
+    corrupt: int = 0
+    failed: int = 0
+    first_failure: str = ""
+    saturated: int = 0
+    is_bracketed: bool = False
+    clock_offset: float | None = None
+    clock_uncertainty: float | None = None
+    cpu_seconds: float | None = None
+    duration: float = 0.0
+
+    @property
+    def is_sufficient(self) -> bool:
+        """Whether the samples cover enough of the window for a value to be computed from them."""
+        return (self.got > 0 or self.is_bracketed) and self.coverage >= MINIMUM_COVERAGE
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return one sentence, with figures, for each thing that is doubtful; nothing where all is well."""
+        return tuple(self._doubts())
+
+    def _doubts(self) -> Iterator[str]:
+        yield from self._doubts_about_times()
+        for count, what in (
+            (self.lost, "lost"),
+            (self.corrupt, "damaged and left out"),
+            (self.duplicates, "received twice"),
+            (self.saturated, "at the end of the sensor's range: the true value lies beyond"),
+        ):
+            if count:
+                yield f"{count} {'sample was' if count == 1 else 'samples were'} {what}"
+        if self.failed:
+            readings = "1 reading" if self.failed == 1 else f"{self.failed} readings"
+            yield f"{readings} failed, the first with: {self.first_failure}"
+        if self.clock_uncertainty is not None and self.clock_uncertainty > self.duration * _CLOCK_SHARE / 100:
+            yield f"the clock of the samples is known to {self.clock_uncertainty:.3f} s only"
+        if self.cpu_seconds is not None and self.cpu_seconds > self.duration * _OWN_SHARE / 100:
+            share = 100 * self.cpu_seconds / self.duration if self.duration else 100.0
+            yield f"the profiler itself kept {share:.1f} % of one core busy"
+
+    def _doubts_about_times(self) -> Iterator[str]:
+        if not self.got and not self.is_bracketed:
+            yield f"no sample arrived in the measured window, where {self.expected} were expected"
+            return
+        if self.expected - self.got > max(1.0, self.expected * _FEWER / 100):
+            yield f"{self.got} samples arrived of {self.expected} expected"
+        if self.largest_gap > _GAP_PERIODS * self.period:
+            yield (
+                f"the largest gap between samples is {self.largest_gap:.3f} s at a period of {self.period:.3f} s; "
+                f"samples cover {self.coverage:.1f} % of the measured window"
+            )
+        elif self.jitter is not None and self.jitter.p95 > _JITTER_PERIODS * self.period:
+            off = self.jitter.p95
+            yield f"the samples are uneven: 1 in 20 came {off:.3f} s or more off a period of {self.period:.3f} s"
+
+
+def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of its samples
+    times: Sequence[float],
+    window: Window,
+    rate: float,
+    *,
+    duplicates: int = 0,
+    lost: int = 0,
+    corrupt: int = 0,
+    failed: int = 0,
+    first_failure: str = "",
+    saturated: int = 0,
+    clock_offset: float | None = None,
+    clock_uncertainty: float | None = None,
+    cpu_seconds: float | None = None,
+) -> SampleQuality:
+    """Return the quality of samples taken at `times` (s, never falling) at a nominal `rate` (Hz).
+
+    Example:
+        >>> from robot_runner.core.events.window import Window
+        >>> quality_of([0.5, 1.5, 2.5, 9.5], Window(0.0, 10.0), rate=1.0).warnings()[0]
+        '4 samples arrived of 10 expected'
+    """
+    within = times[bisect_left(times, window.start) : bisect_right(times, window.end)]
+    gaps = [later - sooner for sooner, later in pairwise((window.start, *within, window.end))]
+    period = 1.0 / rate
+    unseen = sum(gap for gap in gaps if gap > _GAP_PERIODS * period)
+    return SampleQuality(
+        expected=round(window.duration * rate),
+        got=len(within),
+        period=period,
+        largest_gap=max(gaps),
+        coverage=100.0 * (1.0 - unseen / window.duration) if window.duration else 0.0,
+        jitter=jitter_of(times[bisect_right(times, window.start) : bisect_left(times, window.end)]),
+        duplicates=duplicates,
+        lost=lost,
+        corrupt=corrupt,
+        failed=failed,
+        first_failure=first_failure,
+        saturated=saturated,
+        is_bracketed=_is_bracketed(times, window, period),
+        clock_offset=clock_offset,
+        clock_uncertainty=clock_uncertainty,
+        cpu_seconds=cpu_seconds,
+        duration=window.duration,
+    )
+
+
+def _is_bracketed(times: Sequence[float], window: Window, period: float) -> bool:
+    before, after = bisect_right(times, window.start), bisect_left(times, window.end)
+    return (
+        before > 0
+        and after < len(times)
+        and times[before - 1] >= window.start - period
+        and (times[after] <= window.end + period)
+    )
+
+
+def jitter_of(times: Sequence[float]) -> Jitter | None:
+    """Return how far the times between samples (s) are from their median; None for fewer than two samples."""
+    intervals = sorted(later - sooner for sooner, later in pairwise(times))
+    if not intervals:
+        return None
+    last = len(intervals) - 1
+    median = intervals[round(last / 2)]
+    deviations = sorted(abs(interval - median) for interval in intervals)
+    return Jitter(*(deviations[round(last * percent / 100)] for percent in (50, 95, 99)))
+
+
+_FILE = "quality.json"
+_FIX = "Look at the plugin's raw samples before you use this run."
+
+
+def report_quality(
+    context: RobotRunnerContext,
+    quality: SampleQuality,
+    window: Window,
+    *,
+    fix: str = _FIX,
+    details: Mapping[str, Any] | None = None,
+    sampled: Window | None = None,
+    measures: Sequence[str] = (),
+) -> bool:
+    """Keep the quality in the raw-data folder as `quality.json`, doubt what is poor, and say whether it suffices.
+
+    The doubts reach the end of the run, the journal, and the schema of the run table.
+
+    Args:
+        context: the run's.
+        quality: of the samples.
+        window: that they are about.
+        fix: what the reader of a warning can do, in one sentence.
+        details: plain facts to keep beside, such as the sensor's settings.
+        sampled: from the profiler's start to its stop.
+        measures: whose values the samples are; none named: all of the profiler's.
+
+    Returns:
+        Whether a value may be computed from the samples (`SampleQuality.is_sufficient`).
+    """
+    write_quality(context.raw_data_folder / _FILE, quality, window, details or {}, sampled=sampled)
+    for problem in quality.warnings():
+        context.doubt(problem, fix=fix, measures=measures)
+    return quality.is_sufficient

@@ -1,0 +1,181 @@
+"""Integrals and means of samples over their real time stamps, which are never quite evenly spaced."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+from itertools import islice
+from operator import le
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import PluginError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from robot_runner.core.events.window import Window
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Samples of one quantity, oldest first; any sequences do, such as lists or `array("d")`.
+
+    Attributes:
+        times: when each sample was taken, s; never falling.
+        values: one value for each time.
+
+    Raises:
+        PluginError: there are more times than values or the reverse, or the times fall.
+
+    Example:
+        >>> len(Series([0.0, 0.1, 0.2], [7.5, 7.6, 7.4]))
+        3
+    """
+
+    times: Sequence[float]
+    values: Sequence[float]
+
+    def __post_init__(self) -> None:
+        if len(self.times) != len(self.values):
+            raise PluginError(
+                f"there are {len(self.times)} times and {len(self.values)} values",
+                where="Series",
+                fix="Give one time for each value.",
+            )
+        if not all(map(le, self.times, islice(self.times, 1, None))):
+            raise PluginError(
+                "the times of the samples are not in order", where="Series", fix="Sort the samples by time."
+            )
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+
+def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
+    """Return the samples of the window, with a sample on each edge.
+
+    The value on an edge is interpolated linearly between the samples on either side of it. Where there is no
+    sample beyond an edge, the nearest one inside stands for it if it is no further than `reach` seconds away
+    (one period of sampling is a fair choice); otherwise the result begins or ends with that sample.
+
+    Example:
+        >>> from robot_runner.core.events.window import Window
+        >>> cut(Series([0.0, 1.0, 2.0], [0.0, 10.0, 20.0]), Window(0.5, 1.5)).values
+        [5.0, 10.0, 15.0]
+    """
+    low, high = bisect_left(series.times, window.start), bisect_right(series.times, window.end)
+    times, values = list(series.times[low:high]), list(series.values[low:high])
+    if not times or times[0] > window.start:
+        first = _value_at(series, window.start, reach)
+        if first is not None:
+            times.insert(0, window.start)
+            values.insert(0, first)
+    if not times or times[-1] < window.end:
+        last = _value_at(series, window.end, reach)
+        if last is not None:
+            times.append(window.end)
+            values.append(last)
+    return Series(times, values)
+
+
+def _value_at(series: Series, time: float, reach: float) -> float | None:
+    times, values = series.times, series.values
+    after = bisect_left(times, time)
+    if 0 < after < len(times):
+        before = after - 1
+        share = (time - times[before]) / (times[after] - times[before])
+        return values[before] + share * (values[after] - values[before])
+    if after == 0 and len(times) and times[0] - time <= reach:
+        return values[0]
+    if after and time - times[-1] <= reach:
+        return values[-1]
+    return None
+
+
+def integrate(series: Series) -> float | None:
+    """Return the integral of the samples over time by the trapezoid rule, or None for fewer than two samples.
+
+    Example:
+        >>> from robot_runner.measuring.series import Series
+        >>> integrate(Series([0.0, 1.0, 3.0], [2.0, 4.0, 4.0]))
+        11.0
+    """
+    if len(series) < 2:  # noqa: PLR2004 - one sample spans no time
+        return None
+    times, values = series.times, series.values
+    steps = zip(times, islice(times, 1, None), values, islice(values, 1, None), strict=False)
+    return 0.5 * math.fsum((later - sooner) * (left + right) for sooner, later, left, right in steps)
+
+
+def growth(counter: Series, window: Window) -> float | None:
+    """Return by how much a counter grew over the window, or None where its readings span no time.
+
+    At the edges the counter is interpolated between the readings on either side; beyond the first or the last reading
+    it goes on as fast as on average.
+
+    Example:
+        >>> from robot_runner.core.events.window import Window
+        >>> growth(Series([0.0, 10.0, 20.0], [0, 100, 300]), Window(5.0, 15.0))
+        150.0
+    """
+    counted = cut(counter, window)
+    if len(counted) < 2 or counted.times[-1] == counted.times[0]:  # noqa: PLR2004 - one reading shows no growth
+        return None
+    seen = counted.times[-1] - counted.times[0]
+    return (counted.values[-1] - counted.values[0]) * window.duration / seen
+
+
+def mean(series: Series) -> float | None:
+    """Return the mean over time (the integral divided by the time spanned), or None where no time is spanned."""
+    total = integrate(series)
+    if total is None or series.times[-1] == series.times[0]:
+        return None
+    return total / (series.times[-1] - series.times[0])
+
+
+def mean_of_intervals(series: Series, window: Window) -> float | None:
+    """Return the mean over the window of values that each tell of the time since the sample before.
+
+    CPU utilisation is such a value: the share of time that was busy since the last look. The first sample
+    has no time before it and does not count. None where the samples say nothing about the window.
+
+    Example:
+        >>> from robot_runner.measuring.series import Series
+        >>> from robot_runner.core.events.window import Window
+        >>> mean_of_intervals(Series([0.0, 1.0, 3.0], [99.0, 10.0, 40.0]), Window(0.0, 2.0))
+        25.0
+    """
+    times = series.times
+    spans = zip(times, islice(times, 1, None), islice(series.values, 1, None), strict=False)
+    weighted = [
+        (min(later, window.end) - max(sooner, window.start), value)
+        for sooner, later, value in spans
+        if later > window.start and sooner < window.end
+    ]
+    total = math.fsum(weight for weight, _ in weighted)
+    if total <= 0:
+        return None
+    return math.fsum(weight * value for weight, value in weighted) / total
+
+
+def energy(power: Series, window: Window, *, reach: float = 0.0) -> float | None:
+    """Return the integral of power (W) over the window, in joules; edges as `cut` treats them.
+
+    Example:
+        >>> from robot_runner.measuring.series import Series
+        >>> from robot_runner.core.events.window import Window
+        >>> energy(Series([0.0, 10.0], [8.0, 8.0]), Window(1.0, 3.0))
+        16.0
+    """
+    return integrate(cut(power, window, reach=reach))
+
+
+def energy_from_mean_power(power: Series, window: Window) -> float | None:
+    """Return the paper's E = P x t in joules: the plain mean of the window's samples times the window's duration.
+
+    Source: Swanborn and Malavolta, Robot Runner (ICSE 2021), section II.C. It equals the integral for evenly
+    spaced samples; where samples are missing, it takes it that power was as on average.
+    """
+    within = power.values[bisect_left(power.times, window.start) : bisect_right(power.times, window.end)]
+    return math.fsum(within) / len(within) * window.duration if len(within) else None

@@ -1,0 +1,208 @@
+"""What the samples of a run amount to: means over the measured window, and how far they can be trusted."""
+
+from __future__ import annotations
+
+import re
+from array import array
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.events.measure import Measure, Over
+from robot_runner.measuring.on_board_session import FORMS
+from robot_runner.measuring.quality import Column, SampleQuality, quality_of, write_quality, write_samples
+from robot_runner.measuring.series import Series, cut, mean, mean_of_intervals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.events.window import Window
+    from robot_runner.measuring.host import SamplingReport, UtilisationSample
+
+
+#: In steps of how many seconds ps tells what a process has used.
+_PS_STEP = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """What is measured besides the whole computer.
+
+    Attributes:
+        processes: selectors, as `process_selector` makes them.
+        cores: numbers of cores.
+
+    Example:
+        >>> [measure.name for measure in Selection(("node:/talker",), (0,)).measures()]
+        ['CPU_core0', 'CPU_talker', 'Memory_talker']
+    """
+
+    processes: tuple[str, ...] = ()
+    cores: tuple[int, ...] = ()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """A word for each selector, for the names of measures."""
+        return tuple(re.sub(r"\W+", "_", one.partition(":")[2]).strip("_") or "process" for one in self.processes)
+
+    def measures(self) -> tuple[Measure, ...]:
+        """Return a measure for each core, and two for each selector."""
+        return (
+            *(
+                _mean(f"CPU_core{core}", f"CPU utilisation of core {core}, mean over the measured window.")
+                for core in self.cores
+            ),
+            *(
+                measure
+                for label, selector in zip(self.labels, self.processes, strict=True)
+                for measure in _process_measures(label, selector)
+            ),
+        )
+
+
+def _process_measures(label: str, selector: str) -> tuple[Measure, Measure]:
+    which = f"the processes {selector}"
+    return (
+        _mean(f"CPU_{label}", f"Share of all cores together that {which} used, mean over the measured window."),
+        _mean(f"Memory_{label}", f"Share of the physical memory that {which} held, mean over the window."),
+    )
+
+
+def _mean(name: str, description: str) -> Measure:
+    return Measure(name, "%", description, over=Over.MEAN)
+
+
+@dataclass(frozen=True, slots=True)
+class Utilisation:
+    """One run's samples and the window that they are evaluated over.
+
+    Attributes:
+        samples: oldest first.
+        window: on the same clock; at first from the start to the stop of the sampler.
+        selection: what was measured besides the whole computer.
+        report: what the sampler said of itself.
+        is_simulated: whether the computer is a simulated one.
+    """
+
+    samples: Sequence[UtilisationSample]
+    window: Window
+    selection: Selection
+    report: SamplingReport
+    is_simulated: bool
+
+    @property
+    def times(self) -> array[float]:
+        """When each sample was taken, s."""
+        return array("d", [sample.time for sample in self.samples])
+
+    @property
+    def quality(self) -> SampleQuality:
+        """How good the samples are."""
+        clock = self.report.clock
+        return quality_of(
+            self.times,
+            self.window,
+            self.report.rate,
+            clock_offset=None if clock is None else clock.before.wall_offset,
+            clock_uncertainty=None if clock is None else clock.uncertainty,
+            cpu_seconds=self._own_seconds(),
+        )
+
+    def over(self, window: Window) -> Utilisation:
+        """Return the same samples, to be evaluated over another window."""
+        return replace(self, window=window)
+
+    def means(self) -> dict[str, float | None]:
+        """Return the means over the window, by measure.
+
+        CPU utilisation tells of the time since the sample before, memory of a moment.
+        """
+        return {
+            "CPU": self._mean_of_intervals(lambda sample: sample.cpu),
+            "Memory": self._mean(lambda sample: sample.memory),
+            **{f"CPU_core{core}": self._mean_of_intervals(_core(core)) for core in self.selection.cores},
+            **{name: value for place in range(len(self.selection.labels)) for name, value in self._process(place)},
+        }
+
+    def doubts(self) -> Iterator[str]:
+        """Yield what is doubtful, with figures, besides the quality of the samples."""
+        yield from self.report.problems
+        if self.report.form == FORMS["ps"].description and self.window.duration > 0:
+            off = _PS_STEP / self.window.duration * 100
+            yield (
+                f"ps tells CPU time in whole seconds: over {self.window.duration:.1f} s, utilisation may be off by "
+                f"{off:.0f} % of a core for each process"
+            )
+        for place, selector in enumerate(self.selection.processes):
+            if self.samples and not self._was_seen(place):
+                yield f"no process {selector} was seen"
+        for core in self.selection.cores:
+            if self.samples and core >= max(len(sample.cores) for sample in self.samples):
+                yield f"the computer tells of no core {core}"
+
+    def write(self, folder: Path, mission: Window | None) -> None:
+        """Write `samples.csv`, and `quality.json` with the quality over the mission; None where there was none."""
+        write_samples(folder / "samples.csv", list(self._columns()))
+        quality = None if mission is None else self.over(mission).quality
+        write_quality(folder / "quality.json", quality, mission, self._details(), sampled=self.window)
+
+    def _own_seconds(self) -> float | None:
+        """Return the CPU time that sampling took in the window, from that of all the time that was sampled."""
+        spent, times = self.report.cpu_seconds, self.times
+        sampled = times[-1] - times[0] if len(times) else 0.0
+        return spent if spent is None or not sampled else spent * min(1.0, self.window.duration / sampled)
+
+    def _mean_of_intervals(self, pick: Callable[[UtilisationSample], float | None]) -> float | None:
+        # The first sample only tells from when on the second one does. Those without a value are passed over, so that
+        # the next one stands for the time of both.
+        told = [(sample.time, 0.0) for sample in self.samples[:1]]
+        told += [(sample.time, value) for sample in self.samples[1:] if (value := pick(sample)) is not None]
+        return mean_of_intervals(Series([time for time, _ in told], [value for _, value in told]), self.window)
+
+    def _mean(self, pick: Callable[[UtilisationSample], float | None]) -> float | None:
+        told = [(sample.time, value) for sample in self.samples if (value := pick(sample)) is not None]
+        series = Series([time for time, _ in told], [value for _, value in told])
+        return mean(cut(series, self.window, reach=5 / self.report.rate))
+
+    def _process(self, place: int) -> Iterator[tuple[str, float | None]]:
+        label, was_seen = self.selection.labels[place], self._was_seen(place)
+        cpu = self._mean_of_intervals(lambda sample: sample.processes[place].cpu)
+        memory = self._mean(lambda sample: sample.processes[place].memory)
+        yield f"CPU_{label}", cpu if was_seen else None
+        yield f"Memory_{label}", memory if was_seen else None
+
+    def _was_seen(self, place: int) -> bool:
+        return any(sample.processes[place].count for sample in self.samples)
+
+    def _columns(self) -> Iterator[Column]:
+        yield Column("time_s", self.times)
+        yield self._column("cpu_percent", lambda sample: sample.cpu)
+        yield self._column("memory_percent", lambda sample: sample.memory)
+        for core in range(max((len(sample.cores) for sample in self.samples), default=0)):
+            yield self._column(f"cpu_core{core}_percent", _core(core))
+        for place, label in enumerate(self.selection.labels):
+            yield from self._process_columns(place, label)
+        if any(sample.host_time is not None for sample in self.samples):
+            yield Column("host_time_s", [sample.host_time for sample in self.samples])
+
+    def _process_columns(self, place: int, label: str) -> Iterator[Column]:
+        yield Column(f"count_{label}", [sample.processes[place].count for sample in self.samples], "%d")
+        yield self._column(f"cpu_{label}_percent", lambda sample: sample.processes[place].cpu)
+        yield self._column(f"memory_{label}_percent", lambda sample: sample.processes[place].memory)
+
+    def _column(self, name: str, pick: Callable[[UtilisationSample], float | None]) -> Column:
+        return Column(name, [pick(sample) for sample in self.samples], "%.3f")
+
+    def _details(self) -> Mapping[str, Any]:
+        clock = self.report.clock
+        return {
+            "is_simulated": self.is_simulated,
+            "rate_hz": self.report.rate,
+            "form": self.report.form,
+            "problems": list(self.report.problems),
+            "clock": None if clock is None else clock.facts(),
+        }
+
+
+def _core(number: int) -> Callable[[UtilisationSample], float | None]:
+    return lambda sample: sample.cores[number] if number < len(sample.cores) else None

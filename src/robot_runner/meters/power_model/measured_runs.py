@@ -1,0 +1,123 @@
+"""What robots did and drew in the runs of an experiment, read for a power model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.errors import AnalysisError
+from robot_runner.core.events.window import Window
+from robot_runner.core.storage.guarded_files import MissingFileError, read_json
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.measuring.quality import MINIMUM_COVERAGE
+from robot_runner.measuring.series import Series, energy
+from robot_runner.meters.power_model.components import ComponentSources
+from robot_runner.meters.power_model.raw_columns import read_numbers
+from robot_runner.meters.power_model.states import read_states
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from robot_runner.meters.power_model.states import RobotState
+
+#: A piece shorter than this, s, holds too few samples of a 200 Hz meter for its mean power to mean much.
+_SHORTEST = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """The plugins whose raw data tell what the robot did and drew.
+
+    Attributes:
+        power: its `samples.csv` holds `power_W`, its `quality.json` the measured window.
+        utilisation: its `samples.csv` holds `cpu_percent` and `memory_percent`; None for none.
+        phases: its `phases.csv` holds `phase` and `task`; None for none.
+        components: those that tell of the parts of the computer.
+    """
+
+    power: str = "Ina219"
+    utilisation: str | None = "PsUtil"
+    phases: str | None = "BasicTurtlebot3"
+    components: ComponentSources = field(default_factory=ComponentSources)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRun:
+    """What the robot did in a run, and what it drew then.
+
+    Attributes:
+        run_id: the run's.
+        states: what it did, piece by piece.
+        watts: the mean power of each piece, W.
+        is_simulated: whether the meter was a simulated one.
+    """
+
+    run_id: str
+    states: Sequence[RobotState]
+    watts: Sequence[float]
+    is_simulated: bool
+
+
+def read_runs(experiment: Path, sources: Sources, run_ids: Sequence[str]) -> tuple[list[MeasuredRun], dict[str, str]]:
+    """Return the runs that power was measured in, and for each other one why it is left out.
+
+    Args:
+        experiment: the experiment's folder.
+        sources: the plugins to read from.
+        run_ids: the runs that are done.
+
+    Raises:
+        AnalysisError: no run can be used.
+    """
+    runs, left_out = [], {}
+    for run_id in run_ids:
+        try:
+            runs.append(_read_run(ExperimentFolder(experiment).run(run_id), sources))
+        except AnalysisError as error:
+            left_out[run_id] = str(error.problem)
+            first = error
+    if not runs:
+        if not left_out:
+            fix = "Execute the experiment first, with a power meter among its plugins."
+            raise AnalysisError("no run is done", where=str(experiment), fix=fix)
+        raise AnalysisError(f"no run can be used: {first.problem}", where=first.where, fix=first.fix)
+    return runs, left_out
+
+
+def _read_run(folder: Path, sources: Sources) -> MeasuredRun:
+    quality = _read_quality(folder / sources.power / "quality.json")
+    window = Window(**quality["window"])
+    times, watts = read_numbers(folder / sources.power / "samples.csv", ("time_s", "power_W"))
+    power = Series(times, watts)
+    states, means = [], []
+    found = read_states(
+        folder,
+        window,
+        utilisation=sources.utilisation,
+        phases=sources.phases,
+        components=sources.components,
+    )
+    for state in found:
+        joules = energy(power, Window(state.start, state.end)) if state.seconds >= _SHORTEST else None
+        if joules is not None:
+            states.append(state)
+            means.append(joules / state.seconds)
+    return MeasuredRun(folder.name, states, means, bool(quality.get("is_simulated")))
+
+
+def _read_quality(path: Path) -> dict[str, Any]:
+    """Return what the meter said of its samples; refuse those that do not cover the window."""
+    fix = "Name another plugin that measures power, or execute the experiment with one."
+    try:
+        quality: dict[str, Any] = read_json(path)
+        coverage = quality["samples"]["coverage"] if quality["window"] else 0.0
+    except MissingFileError as error:
+        raise AnalysisError("there is no such file", where=str(path), fix=fix) from error
+    except (KeyError, TypeError) as error:
+        problem = f"the file tells of no measured window: {error}"
+        raise AnalysisError(problem, where=str(path), fix=fix) from error
+    if coverage < MINIMUM_COVERAGE:
+        problem = f"the power samples cover {coverage:.0f} % of the measured window"
+        raise AnalysisError(problem, where=str(path), fix="Leave this run out.")
+    return quality

@@ -1,0 +1,171 @@
+"""An experiment executed in a process of its own, for a program that has threads, such as a notebook's."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import traceback
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NoReturn
+
+from robot_runner.core import errors
+from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, Severity
+from robot_runner.core.execution.notices import ExperimentFinished
+from robot_runner.core.execution.processes import stop_with_parent
+
+#: Executes the experiment, given what takes lines for the user.
+Work = Callable[[Callable[[str], object]], ExperimentFinished]
+
+
+def execute_in_interpreter(
+    function: str, request: dict[str, Any], say: Callable[[str], object] | None
+) -> ExperimentFinished:
+    """Execute an experiment in a fresh interpreter, and return how it ended; see `execute_forked`.
+
+    Args:
+        function: `module:name` of what executes it, given the request and what takes lines.
+        request: plain data.
+        say: takes lines for the user; None for nobody.
+    """
+    reader, writer = os.pipe()
+    program = f"from {__name__} import be_requested; be_requested()"
+    line = [sys.executable, "-c", program, function, json.dumps(request), str(writer)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
+        line, stdin=subprocess.DEVNULL, pass_fds=[writer], env=environment, start_new_session=True
+    )
+    os.close(writer)
+    last = _followed(process.pid, reader, say)
+    return _outcome(process.wait(), last)
+
+
+def be_requested() -> NoReturn:
+    """Be the fresh interpreter: execute what the command line asks for."""
+    function, request, writer = sys.argv[1:]
+    module, _, name = function.partition(":")
+    execute = getattr(import_module(module), name)
+    _be_apart(lambda tell: execute(json.loads(request), tell), os.fdopen(int(writer), "wb", buffering=0))
+
+
+def execute_forked(work: Work, say: Callable[[str], object] | None) -> ExperimentFinished:
+    """Execute an experiment in one forked copy of this process, and return how it ended.
+
+    The copy has one thread, which is its main one: it takes signals, and forks runs, as `robot-runner run` does. What
+    its callbacks print is printed here. Ctrl-C, and a notebook's interrupt, ends it cleanly; it ends with this process.
+
+    Args:
+        work: what it executes.
+        say: takes lines for the user; None for nobody.
+
+    Raises:
+        RobotRunnerError: what the experiment raised.
+    """
+    reader, writer = os.pipe()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forking beside threads: the copy uses none of them
+        pid = os.fork()
+    if pid == 0:
+        os.setsid()  # a notebook interrupts its whole process group, and then this process a second time
+        os.close(reader)
+        _be_apart(work, os.fdopen(writer, "wb", buffering=0))
+    os.close(writer)
+    last = _followed(pid, reader, say)
+    return _outcome(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), last)
+
+
+def _followed(pid: int, reader: int, say: Callable[[str], object] | None) -> dict[str, Any]:
+    """Pass on what the copy says, and return its last record."""
+    last: dict[str, Any] = {}
+    with os.fdopen(reader, "rb") as records:
+        while True:
+            try:
+                line = records.readline()
+                if not line:
+                    break
+                record = json.loads(line)
+                if "print" in record:
+                    sys.stdout.write(record["print"])
+                elif "say" in record:
+                    if say is not None:
+                        say(record["say"])
+                else:
+                    last = record
+            except KeyboardInterrupt:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGINT)
+    return last
+
+
+def _outcome(code: int, last: dict[str, Any]) -> ExperimentFinished:
+    if "error" in last:
+        kind = getattr(errors, str(last["error"]), ExecutionError)
+        findings = [Finding(Severity(each.pop("severity")), **each) for each in last["findings"]]
+        raise kind.of_findings(findings)
+    if "finished" not in last:
+        raise ExecutionError(
+            f"the process that executed the experiment ended with code {code}",
+            where="run_experiment",
+            fix="Call it again: it resumes.",
+        )
+    facts = last["finished"]
+    facts["findings"] = tuple(Finding(Severity(each.pop("severity")), **each) for each in facts["findings"])
+    return ExperimentFinished(**facts | {"folder": Path(facts["folder"]), "run_table": Path(facts["run_table"])})
+
+
+class _Told(io.TextIOBase):
+    """What is printed in the copy, on its way to the process that shows it."""
+
+    def __init__(self, tell: Callable[[dict[str, Any]], None]) -> None:
+        self._tell = tell
+
+    def writable(self) -> bool:
+        """Say that it can be written to."""
+        return True
+
+    def write(self, text: str) -> int:
+        """Pass a text on."""
+        self._tell({"print": text})
+        return len(text)
+
+
+def _be_apart(work: Work, records: io.FileIO) -> NoReturn:
+    """Execute the experiment in the copy, and leave without what the copied program would do at its end."""
+    stop_with_parent()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
+
+    def tell(record: dict[str, Any]) -> None:
+        with suppress(BrokenPipeError):
+            records.write(json.dumps(record, default=str).encode() + b"\n")
+
+    sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115, PTH123 - as long as the process
+    sys.stdout = sys.stderr = _Told(tell)
+    code = 1
+    try:
+        finished = work(lambda line: tell({"say": line}))
+        tell({"finished": {**_plain(finished), "findings": list(map(_plain, finished.findings))}})
+        code = 0
+    except RobotRunnerError as error:
+        tell({"error": type(error).__name__, "findings": list(map(_plain, error.findings))})
+    except BaseException as error:  # noqa: BLE001 - it is told, whatever it is
+        traceback.print_exc()
+        finding = Finding.error("run_experiment", f"{type(error).__name__}: {error}", "Look at the traceback.")
+        tell({"error": "ExecutionError", "findings": [_plain(finding)]})
+    finally:
+        os._exit(code)
+
+
+def _plain(value: Any) -> dict[str, Any]:
+    plain = asdict(value)
+    if isinstance(value, Finding):
+        plain["severity"] = value.severity.value
+    return plain

@@ -1,0 +1,164 @@
+"""A config that is given as a class or as its instance, by a script, a notebook or a test."""
+
+from __future__ import annotations
+
+import inspect
+import linecache
+import sys
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config.loader import LoadedConfig, apply_overrides, local_modules_among, raised_in
+from robot_runner.core.config.parameters import RunProcess, StaticParameters
+from robot_runner.core.config.source import ConfigSource, read_source
+from robot_runner.core.errors import ConfigError, Finding
+from robot_runner.core.events.manager import recorded_subscriptions
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.vain_parameters import parameters_guarded
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+
+_NO_FILE = "Write the class to a file and give its path: then all of it is kept."
+
+
+def is_config(value: object) -> bool:
+    """Whether a value can be a config: a class, or an instance of one, that makes a run table."""
+    return callable(getattr(value, "create_run_table", None))
+
+
+def as_texts(settings: Mapping[str, Any]) -> dict[str, str]:
+    """Return values of static parameters as `--set` writes them, so that the manifest has them alike.
+
+    Raises:
+        ConfigError: a value cannot be written so; all of them are told.
+
+    Example:
+        >>> from robot_runner import OperationType
+        >>> as_texts({"operation_type": OperationType.SEMI, "attempts": 2, "robot": None})
+        {'operation_type': 'semi', 'attempts': '2', 'robot': 'None'}
+    """
+    texts: dict[str, str] = {}
+    findings: list[Finding] = []
+    for name, value in settings.items():
+        if isinstance(value, Enum):
+            texts[name] = str(value.value)
+        elif value is None or isinstance(value, str | int | float | Path):
+            texts[name] = str(value)
+        elif isinstance(value, list | tuple) and all(isinstance(each, str) for each in value):
+            texts[name] = ",".join(value)
+        else:
+            problem = f"a value of type {type(value).__name__} cannot be set from outside"
+            findings.append(Finding.error(f"settings[{name!r}]", problem, "Set it in the config."))
+    if findings:
+        raise ConfigError.of_findings(findings)
+    return texts
+
+
+@contextmanager
+def config_of_object(given: Any, overrides: Mapping[str, str]) -> Iterator[LoadedConfig]:
+    """Load a config class, or an instance of one; what is set from outside is gone from an instance afterwards.
+
+    The file that the class stands in is kept as the config. A class that has none, such as one of a notebook, is kept
+    as far as its source can be found, and a finding says so.
+
+    Raises:
+        ConfigError: it is no config, making it raised, or a parameter that is to be set does not exist.
+    """
+    kind = given if isinstance(given, type) else type(given)
+    with TemporaryDirectory(prefix="robot-runner-config-") as folder:
+        source, kept, findings = _source(kind, Path(folder))
+        with recorded_subscriptions() as subscriptions, raised_in(source.path, "while it was made"):
+            # A class of its own each time: what is set for one call must not be there in the next one.
+            own = type(kind.__name__, (kind,), {"__module__": kind.__module__, "__doc__": kind.__doc__})
+            values = apply_overrides(own, overrides)
+            with parameters_guarded():
+                config = own() if isinstance(given, type) else given
+            before = {name: vars(config)[name] for name in values if name in vars(config)}
+            for name, value in values.items():
+                setattr(config, name, value)
+        findings += _process_findings(config, kind, is_class=isinstance(given, type), kept=kept)
+        try:
+            yield LoadedConfig(
+                source=source,
+                config=config,
+                subscriptions=tuple(subscriptions),
+                activated=(),
+                overrides=dict(overrides),
+                local_modules=local_modules_among(source.path, set(sys.modules)) if kept == "file" else (),
+                findings=tuple(findings),
+                folder=_folder(config) if kept != "file" else None,
+                kept=kept,
+            )
+        finally:
+            for name in values:
+                delattr(config, name)
+            vars(config).update(before)
+
+
+def _source(kind: type, folder: Path) -> tuple[ConfigSource, str, list[Finding]]:
+    """Return what is kept as the config, how much of it that is, and what is to be said of it."""
+    where = f"class {kind.__name__}"
+    try:
+        file = Path(inspect.getsourcefile(kind) or "")
+    except (TypeError, OSError):
+        file = Path()
+    if file.is_file():
+        path = file.resolve()
+        findings = [] if _is_loaded_from(path, kind) else [_not_executable(where, path)]
+        return ConfigSource(path, path.read_text(encoding="utf-8"), kind.__name__), "file", findings
+    text = _cell(kind)
+    if text:
+        kept, problem = "cell", "it stands in no file: its cell is kept, and not what it uses of other cells"
+    else:
+        kept, problem = "nothing", "it stands in no file, and its source is not kept: it cannot be found"
+        text = f"# The source of {kind.__name__} could not be found.\n"
+    path = folder / "config_from_python.py"
+    path.write_text(text, encoding="utf-8")
+    return ConfigSource(path, text, kind.__name__), kept, [Finding.warning(where, problem, _NO_FILE)]
+
+
+def _cell(kind: type) -> str:
+    """Return the source of a notebook's or a console's cell in which a class was written; nothing if it is gone.
+
+    `inspect.getsource` looks for the file of the class's module, which a notebook does not have; the code of its
+    methods knows its cell.
+    """
+    codes = (getattr(value, "__code__", None) for value in vars(kind).values())
+    for name in {code.co_filename for code in codes if code is not None}:
+        text = "".join(linecache.getlines(name))
+        if f"class {kind.__name__}" in text:
+            return text
+    return ""
+
+
+def _is_loaded_from(path: Path, kind: type) -> bool:
+    try:
+        return "<locals>" not in kind.__qualname__ and read_source(path).class_name == kind.__name__
+    except ConfigError:
+        return False
+
+
+def _not_executable(where: str, path: Path) -> Finding:
+    problem = f"robot-runner would not find it in {path.name}: a replication package of it cannot be executed"
+    return Finding.warning(where, problem, "Give it a file of its own, at the top level, to have it replicated.")
+
+
+def _process_findings(config: Any, kind: type, *, is_class: bool, kept: str) -> list[Finding]:
+    if getattr(config, "run_process", None) is not RunProcess.SPAWN or (is_class and kept == "file"):
+        return []
+    problem = "run_process is SPAWN, which loads the config from its file again, and this one is an object in memory"
+    return [Finding.error(f"{kind.__name__}.run_process", problem, "Leave it out, or give the path of a file.")]
+
+
+def _folder(config: Any) -> ExperimentFolder | None:
+    """Return where an experiment without a file is kept: a relative path begins where the program was started."""
+    name = getattr(config, "experiment_name", None)
+    results = getattr(config, "results_output_path", StaticParameters.results_output_path)
+    if not isinstance(name, str) or not isinstance(results, str | Path):
+        return None  # which validation says
+    return ExperimentFolder((Path.cwd() / Path(results).expanduser()).resolve() / name)

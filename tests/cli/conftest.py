@@ -1,0 +1,5 @@
+from __future__ import annotations
+
+from tests.core.execution.conftest import execute
+
+__all__ = ["execute"]

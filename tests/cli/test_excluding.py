@@ -1,0 +1,193 @@
+"""Runs that are left out: recorded with the reason, out of the statistics, and never silently."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.cli.excluding import exclude_runs, include_runs
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.core.storage.table_schema import read_schema
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+Execute = Callable[..., Any]
+
+COUNTING = """
+def populate_run_data(self, context):
+    return {"Energy": 10 * context.run_number + context.attempt}
+"""
+WHY = "the door was open, so the room cooled down"
+
+
+def resume(executed: Any, **asked: Any) -> ExperimentFinished:
+    return execute_experiment(prepare_or_refuse(executed.config), SilentObserver(), resumption=Resumption(**asked))
+
+
+def folder_of(executed: Any) -> ExperimentFolder:
+    return ExperimentFolder.found_at(executed.folder)
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def reasons(executed: Any) -> list[str]:
+    return [row["excluded"] for row in executed.table]
+
+
+def test_the_run_and_its_reason_are_kept_in_journal_table_schema_and_status(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    before = executed.table
+    assert exclude_runs(folder_of(executed), ["r_2,r_3"], f"  {WHY}\n") == ("r_2", "r_3")
+    assert reasons(executed) == ["", WHY, WHY, ""]
+    assert [{name: row[name] for name in before[0]} for row in executed.table] == before
+    records = executed.journal("excluded")
+    assert [(each["run"], each["reason"]) for each in records] == [("r_2", WHY), ("r_3", WHY)]
+    assert all(set(each) == {"kind", "at", "run", "reason"} for each in records)
+    column = next(each for each in read_schema(executed.folder / "run_table.schema.json") if each.name == "excluded")
+    assert (column.role.value, column.type) == ("progress", "string")
+    assert read_status(executed.folder).excluded == {"r_2": WHY, "r_3": WHY}
+
+
+@pytest.mark.parametrize("lost", ["run_table.csv", "run_table.schema.json", "manifest.json"])
+def test_it_survives_a_table_a_schema_or_a_manifest_that_is_made_anew(execute: Execute, lost: str) -> None:
+    executed = execute(COUNTING)
+    exclude_runs(folder_of(executed), ["Task=Video"], WHY)
+    table = executed.table
+    (executed.folder / lost).unlink()
+    finished = resume(executed)
+    assert executed.table == table
+    assert finished.excluded == ("r_1", "r_3")
+    assert len(executed.journal("attempt_started")) == 4
+
+
+def test_an_experiment_that_goes_on_finds_nothing_odd(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    exclude_runs(folder_of(executed), ["r_2"], WHY)
+    text = (executed.folder / "run_table.csv").read_text(encoding="utf-8")
+    assert resume(executed).findings == ()
+    assert (executed.folder / "run_table.csv").read_text(encoding="utf-8") == text
+    assert executed.journal("deviation") == []
+
+
+def test_what_the_journal_has_counts_where_the_table_was_not_written_any_more(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    table = (executed.folder / "run_table.csv").read_text(encoding="utf-8")
+    exclude_runs(folder_of(executed), ["r_2"], WHY)
+    (executed.folder / "run_table.csv").write_text(table, encoding="utf-8")  # killed before it was written
+    resume(executed)
+    assert reasons(executed) == ["", WHY, "", ""]
+
+
+def test_an_edited_reason_is_a_deviation_like_any(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    exclude_runs(folder_of(executed), ["r_2"], WHY)
+    path = executed.folder / "run_table.csv"
+    edit(path, f'"{WHY}"', "")
+    with pytest.raises(TableDisagreementError) as refused:
+        resume(executed)
+    (finding,) = refused.value.findings
+    assert finding.where.endswith("run r_2, column 'excluded'")
+    assert finding.problem == f"the table has 'nothing', the journal {WHY!r}"
+    resume(executed, table=TableChoice.JOURNAL)
+    assert reasons(executed) == ["", WHY, "", ""]
+    edit(path, f'"{WHY}"', "")
+    finished = resume(executed, table=TableChoice.FILE)
+    assert finished.excluded == ()
+    (record,) = executed.journal("deviation")
+    assert (record["column"], record["was"], record["is"]) == ("excluded", WHY, "")
+    path.unlink()
+    assert resume(executed).excluded == ()
+
+
+def test_an_edit_that_nobody_has_judged_is_still_found_after_a_run_was_excluded(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    edit(executed.folder / "run_table.csv", "Video,1,11", "Video,1,12")
+    exclude_runs(folder_of(executed), ["r_2"], WHY)
+    with pytest.raises(TableDisagreementError, match="the table has '12', the journal '11'"):
+        resume(executed)
+
+
+def test_an_excluded_run_that_is_to_do_or_failed_is_not_executed(execute: Execute) -> None:
+    executed = execute(
+        COUNTING + "\ndef start_run(self, context):\n    if context.run_number > 2: raise ValueError('x')"
+    )
+    exclude_runs(folder_of(executed), ["r_3"], WHY)
+    finished = resume(executed)
+    assert (finished.done_count, finished.failed, finished.todo_count) == (2, ("r_4",), 0)
+    assert [each["run"] for each in executed.journal("attempt_started")] == ["r_1", "r_2", "r_3", "r_4", "r_4"]
+    status = read_status(executed.folder)
+    assert (status.done, status.failed, status.todo) == (2, 1, 0)
+
+
+def test_a_run_that_is_executed_again_counts_again(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    exclude_runs(folder_of(executed), ["r_2"], WHY)
+    with pytest.raises(ExecutionError, match="the run is excluded: the door was open"):
+        resume(executed, only=("r_2",))
+    finished = resume(executed, redo=("r_2",))
+    assert (finished.excluded, reasons(executed)) == ((), ["", "", "", ""])
+    assert executed.journal("included")[0]["reason"] == "the run is executed again"
+    assert executed.table[1]["Energy"] == "22"
+
+
+def test_included_runs_count_again_and_the_journal_keeps_both(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    exclude_runs(folder_of(executed), ["r_2", "r_4"], WHY)
+    assert include_runs(folder_of(executed), ["r_4"], "the sensor was in another room") == ("r_4",)
+    assert reasons(executed) == ["", WHY, "", ""]
+    assert exclude_runs(folder_of(executed), ["r_2"], WHY) == ()
+    with pytest.raises(ExecutionError, match="none of these runs is excluded"):
+        include_runs(folder_of(executed), ["r_1"])
+
+
+def test_everything_that_is_wrong_is_said_at_once_and_nothing_is_changed(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    journal = executed.journal()
+    with pytest.raises(ExecutionError) as refused:
+        exclude_runs(folder_of(executed), ["r_22,Task=Vidoe", "Taks=Video", "Repetition=3"], " \n")
+    assert [str(each) for each in refused.value.findings] == [
+        "RUNS r_22: the run table has no such run → Did you mean 'r_2'?",
+        "RUNS Task=Vidoe: 'Vidoe' is no treatment of 'Task' in the run table → Did you mean 'Video'?",
+        "RUNS Taks=Video: there is no factor 'Taks' → Did you mean 'Task'?",
+        "RUNS Repetition=3: '3' is no treatment of 'Repetition' in the run table → Choose one of: '1', '2'.",
+        '--reason: the reason is empty → Say why, for the readers of the results: --reason "the door was open".',
+    ]
+    with pytest.raises(ExecutionError, match="the reason holds control characters"):
+        exclude_runs(folder_of(executed), ["r_2"], "\x1b[2J")
+    assert executed.journal() == journal
+
+
+def test_nothing_is_corrected_while_somebody_executes_the_experiment(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    folder = folder_of(executed)
+    holder = executed.folder / "holder.py"
+    with ExperimentLock(folder.lock):  # a lock of one process does not keep the same process out
+        child = os.fork()
+        if not child:
+            try:
+                exclude_runs(folder, ["r_2"], WHY)
+            except ExecutionError as error:
+                holder.write_text(json.dumps([error.problem, error.fix]), encoding="utf-8")
+            finally:
+                os._exit(0)
+        os.waitpid(child, 0)
+    problem, fix = json.loads(holder.read_text(encoding="utf-8"))
+    assert "the experiment is being executed by process" in problem
+    assert "Wait until it ends" in fix
+    assert executed.journal("excluded") == []

@@ -1,0 +1,133 @@
+"""Files that an experiment reads: copies of them, an index, and what is said where there is no copy."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage import input_files
+from robot_runner.core.storage.guarded_files import read_bytes
+from robot_runner.core.storage.input_files import (
+    INDEX,
+    InputFile,
+    input_changes,
+    input_file,
+    kept_contents,
+    kept_copies,
+    missing_inputs,
+    read_index,
+)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """Return the folder of a config, with a model below it whose mesh is elsewhere."""
+    study = tmp_path / "study"
+    for file in ("study/models/rover.xml", "meshes/block.obj"):
+        (tmp_path / file).parent.mkdir(parents=True)
+        (tmp_path / file).write_text(file)
+    return study
+
+
+def _keep(study: Path, *inputs: InputFile) -> Path:
+    """Keep what is read in the folder of configs of a package on another machine, and return that folder."""
+    kept = study.parent / "package" / "config"
+    for place, content in kept_contents(inputs, study, kept).items():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+    return kept
+
+
+def test_what_lies_below_the_config_is_found_by_its_path_although_it_needs_files_elsewhere(study: Path) -> None:
+    kept = _keep(study, InputFile(study / "models/rover.xml", (study / "../meshes/block.obj",)))
+    with kept_copies(kept):
+        found = input_file(kept / "models/../models/rover.xml")
+    assert found.read_text() == "study/models/rover.xml"
+    assert (found.parent / "../../meshes/block.obj").read_text() == "meshes/block.obj"
+
+
+def test_a_file_that_is_called_like_the_index_is_kept_apart_from_it(study: Path) -> None:
+    (study / INDEX).write_text("mine")
+    kept = _keep(study, InputFile(study / INDEX))
+    assert len(read_index(kept)) == 1
+    with kept_copies(kept):
+        assert input_file(kept / INDEX).read_text() == "mine"
+
+
+def test_what_lies_in_the_home_folder_is_found_where_the_package_calls_that_folder_by_its_short_name(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = _keep(study, InputFile(study.parent / "meshes/block.obj"))
+    index = kept / INDEX
+    index.write_text(index.read_text().replace(str(study.parent), "~"))
+    monkeypatch.setenv("HOME", "/home/of_somebody_else")
+    with kept_copies(kept):
+        assert input_file(study.home() / "meshes/block.obj").read_text() == "meshes/block.obj"
+
+
+def test_what_the_package_leaves_out_by_its_name_is_read_where_it_was(study: Path) -> None:
+    secret = study / "robot.key"
+    secret.write_text("swordfish")
+    kept = _keep(study, InputFile(secret))
+    (kept / "robot.key").unlink()
+    assert not list(missing_inputs(kept))
+    with kept_copies(kept):
+        assert input_file(secret) == secret
+    secret.unlink()
+    (missing,) = missing_inputs(kept)
+    assert "the package leaves it out, and it is not here" in missing.problem
+
+
+def test_of_too_many_files_the_index_tells_the_size(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(input_files, "_MOST_FILES", 1)
+    (study / "models/other.xml").write_text("other")
+    kept = _keep(study, InputFile(study / "models"))
+    (told,) = read_index(kept)
+    assert (told["kept"], told["size"]) == (None, len("study/models/rover.xml") + len("other"))
+    assert not list(missing_inputs(kept))
+    (study / "models/other.xml").write_text("another one")
+    (missing,) = missing_inputs(kept)
+    assert "the one here is another" in missing.problem
+    (change,) = input_changes([InputFile(study / "models")], kept)
+    assert change.is_error
+
+
+def test_a_model_that_is_left_out_is_compared_with_its_meshes(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(input_files, "_LARGEST", 1)
+    kept = _keep(study, InputFile(study / "models/rover.xml", (study / "../meshes/block.obj",)))
+    assert not list(missing_inputs(kept))
+    (study.parent / "meshes/block.obj").write_text("another one")
+    assert len(list(missing_inputs(kept))) == 1
+
+
+def test_the_largest_copy_can_be_compared_when_the_experiment_goes_on(study: Path) -> None:
+    with (study / "hall.mcap").open("wb") as file:
+        file.truncate(input_files._LARGEST)
+    kept = _keep(study, InputFile(study / "hall.mcap"))
+    assert len(read_bytes(kept / "hall.mcap")) == input_files._LARGEST
+
+
+def test_a_file_that_cannot_be_read_is_named(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rover = InputFile(study / "models/rover.xml")
+    kept = _keep(study, rover)
+
+    def refuse(path: Path) -> str:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(input_files, "_file_digest", refuse)
+    for read in (lambda: list(input_changes([rover], kept)), lambda: kept_contents([rover], study, kept)):
+        with pytest.raises(StorageError, match=r"rover\.xml: the file cannot be read: Permission denied"):
+            read()
+
+
+def test_the_home_folder_of_nobody_is_a_missing_file(study: Path) -> None:
+    kept = _keep(study, InputFile(study / "models/rover.xml"))
+    (kept / INDEX).write_text((kept / INDEX).read_text().replace(str(study), "~nobody-at-all"))
+    (kept / "models/rover.xml").unlink()
+    with kept_copies(kept):
+        assert input_file(Path("~nobody-at-all/lab.toml")) == Path("~nobody-at-all/lab.toml")
+    (finding,) = missing_inputs(kept)
+    assert "it is not here" in finding.problem

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+
+import pytest
+from tests.measuring.busy_core import busy_core, needs_affinity, wait
+
+from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.measuring import local_host
+from robot_runner.measuring.host import FileHost, HostLink, ProcessHost, ReportingSampler
+from robot_runner.measuring.local_host import LocalHost
+
+pytest.importorskip("psutil", reason="psutil samples this machine: pip install 'robot-runner[psutil]'")
+
+
+@pytest.fixture
+def host():
+    link = LocalHost(SystemClock())
+    yield link
+    link.close()
+
+
+def test_it_is_a_host_that_tells_of_processes_and_files(host):
+    for protocol in (HostLink, ProcessHost, FileHost):
+        assert isinstance(host, protocol)
+    assert not host.is_simulated
+
+
+@needs_affinity
+def test_a_busy_core_reads_100_percent_and_its_process_what_the_kernel_says(host):
+    with busy_core() as busy:
+        sampler = host.sample_processes(10.0, [f"pid:{busy.pid}"])
+        spent = -busy.cpu_seconds
+        wait(1.5)
+        samples = sampler.stop()
+        spent += busy.cpu_seconds
+    spans = [(late.time - soon.time, late) for soon, late in pairwise(samples) if late.cores[busy.core] is not None]
+    mean = sum(span * late.cores[busy.core] for span, late in spans) / sum(span for span, _ in spans)
+    assert mean == pytest.approx(100.0, abs=2.0)
+    counted = [(late.time - soon.time) * (late.processes[0].cpu or 0.0) for soon, late in pairwise(samples)]
+    assert sum(counted) / 100 * os.cpu_count() == pytest.approx(spent, abs=0.12)
+
+
+def test_samples_are_on_the_runs_clock_and_say_how_they_were_taken(host):
+    begun = SystemClock().now()
+    sampler = host.sample_utilisation(50.0)
+    wait(0.3)
+    samples = sampler.stop()
+    assert begun <= samples[0].time <= samples[-1].time <= SystemClock().now()
+    assert samples[0].host_time is None
+    assert all(0.0 < sample.memory < 100.0 for sample in samples)
+    assert isinstance(sampler, ReportingSampler)
+    report = sampler.report()
+    assert (report.rate, report.clock, report.problems) == (50.0, None, ())
+    assert 0.0 < report.cpu_seconds < 0.3
+    assert sampler.stop() is samples
+
+
+def test_this_very_process_is_found_by_its_number(host):
+    sampler = host.sample_processes(20.0, [f"pid:{os.getpid()}", "name:nobody_is_called_so"])
+    wait(0.2)
+    here, nobody = sampler.stop()[-1].processes
+    assert (here.count, nobody.count) == (1, 0)
+    assert here.memory > 0.0
+    assert nobody.memory == 0.0
+
+
+def test_files_are_read_at_the_rate(host, tmp_path):
+    (tmp_path / "power").write_text("7500\nmore\n")
+    sampler = host.sample_files(50.0, [str(tmp_path / "power"), str(tmp_path / "nothing")])
+    wait(0.2)
+    samples = sampler.stop()
+    assert len(samples) >= 5
+    assert {sample.lines for sample in samples} == {("7500", None)}
+    assert host.list_files(f"{tmp_path}/p*") == [str(tmp_path / "power")]
+
+
+def test_a_link_that_is_closed_samples_no_more(host):
+    sampler = host.sample_utilisation(10.0)
+    host.close()
+    host.close()
+    assert sampler.stop()
+    with pytest.raises(LinkError, match="was closed"):
+        host.sample_utilisation(10.0)
+
+
+def test_without_psutil_it_says_how_to_get_it(host, monkeypatch):
+    def missing(name):
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr(local_host, "import_module", missing)
+    with pytest.raises(LinkError, match="psutil cannot be imported") as raised:
+        host.sample_utilisation(10.0)
+    assert "robot-runner[psutil]" in raised.value.fix

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import pytest
+
+from robot_runner.core.errors import LinkError
+from robot_runner.measuring.host import checked_words, process_selector
+from robot_runner.measuring.local_host import matches
+
+
+@pytest.mark.parametrize(
+    ("process", "selector"),
+    [
+        (4711, "pid:4711"),
+        ("pid:4711", "pid:4711"),
+        ("move_base", "name:move_base"),
+        ("name:a:b", "name:a:b"),
+        ("node:/talker", "node:/talker"),
+    ],
+)
+def test_a_process_is_selected_by_number_name_or_node(process, selector):
+    assert process_selector(process) == selector
+
+
+@pytest.mark.parametrize("process", ["", "  ", "pid:x", "node:", True, 1.5, None, "nod:/talker"])
+def test_what_selects_no_process_is_refused(process):
+    with pytest.raises(LinkError, match="selects no process"):
+        process_selector(process)
+
+
+def test_the_kind_that_was_meant_is_named():
+    with pytest.raises(LinkError) as raised:
+        process_selector("nod:/talker")
+    assert raised.value.fix == "Did you mean 'node'?"
+
+
+@pytest.mark.parametrize("word", ["", "a\tb", "a\nb"])
+def test_words_that_would_break_a_line_are_refused(word):
+    with pytest.raises(LinkError, match="cannot be sent"):
+        checked_words(["fine", word])
+
+
+@pytest.mark.parametrize(
+    ("selector", "expected"),
+    [
+        ("pid:7", True),
+        ("pid:8", False),
+        ("name:python3", True),
+        ("name:talker.py", True),
+        ("name:talker", False),
+        ("node:/talker", True),
+        ("node:talker", True),
+        ("node:/talk", False),
+    ],
+)
+def test_a_process_is_matched_by_its_name_its_script_or_its_node(selector, expected):
+    words = ["/usr/bin/python3", "/opt/talker.py", "--ros-args", "-r", "__node:=talker"]
+    assert matches(selector, 7, "python3", words) is expected
+
+
+def test_a_ros_1_node_is_found_by_its_name():
+    assert matches("node:/talker", 7, "talker", ["/opt/talker", "__name:=talker", "__log:=/tmp/x"])

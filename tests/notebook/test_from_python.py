@@ -1,0 +1,275 @@
+"""Experiments executed by scripts, threads, notebooks and tests."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.conftest import written_config
+from tests.core.execution.conftest import RecordingObserver
+
+from robot_runner import (
+    ConfigError,
+    ExecutionError,
+    ExperimentConfig,
+    Factor,
+    OperationType,
+    RunProcess,
+    RunTableModel,
+    run_experiment,
+)
+from robot_runner.core.execution.notices import AttemptFinished
+from robot_runner.notebook import from_python
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+
+
+class Study(ExperimentConfig):
+    experiment_name = "study"
+    watch_machines = False
+    probe = False
+    speed_up = 1.0
+
+    def __init__(self) -> None:
+        self.seen: list[str] = []
+
+    def before_run(self, context: Any) -> None:
+        self.seen.append(context.run_id)
+
+    def launch_mission(self, context: Any) -> None:
+        if context.combination["Task"] == "Bad":
+            raise ValueError("bumped")
+
+    def populate_run_data(self, context: Any) -> dict[str, float]:
+        return {"Energy": 2.5 * self.speed_up}
+
+    def create_run_table(self) -> RunTableModel:
+        return RunTableModel([Factor("Task", ["Good", "Bad"])], repetitions=2, data_columns=["Energy"])
+
+
+class Unnamed(Study):
+    experiment_name = ""
+    attempts = 0
+
+
+def here(call: Callable[[], Any]) -> Any:
+    return call()
+
+
+def in_thread(call: Callable[[], Any]) -> Any:
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(call).result()
+
+
+@pytest.fixture(params=[here, in_thread])
+def wherever(request: pytest.FixtureRequest) -> Callable[[Callable[[], Any]], Any]:
+    """Return what calls something in the main thread, and in another one."""
+    return request.param
+
+
+def test_rows_failures_and_findings_come_back(wherever: Any, tmp_path: Path) -> None:
+    said: list[str] = []
+    results = wherever(lambda: run_experiment(Study, folder=tmp_path, say=said.append))
+    assert [row["Energy"] for row in results.rows] == [2.5, None, 2.5, None]
+    assert [row["Task"] for row in results.rows] == ["Good", "Bad", "Good", "Bad"]
+    assert results.folder == tmp_path / "study"
+    assert results.failures == dict.fromkeys(("r_2", "r_4"), "launch_mission of config: ValueError: bumped")
+    assert (results.done_count, results.failed_count, results.todo_count, results.exit_code) == (2, 2, 0, 1)
+    assert any("r_1 is done after" in line for line in said)
+    assert any("r_2 failed: launch_mission of config" in line for line in said)
+    assert list(results.frame()["Energy"].dropna()) == [2.5, 2.5]
+    assert (results.folder / "config" / "test_from_python.py").read_text() == Path(__file__).read_text()
+    again = wherever(lambda: run_experiment(Study, folder=tmp_path, only=["r_1"], redo=["r_1"]))
+    assert again.done_count == 2
+
+
+def test_all_findings_are_raised(wherever: Any, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as raised:
+        wherever(lambda: run_experiment(Unnamed, folder=tmp_path))
+    assert {finding.where.rpartition(".")[2] for finding in raised.value.findings} >= {"experiment_name", "attempts"}
+    with pytest.raises(ConfigError, match="there is no such file"):
+        wherever(lambda: run_experiment(tmp_path / "nothing.py"))
+
+
+def test_settings_are_recorded_as_deviations_and_stay_with_their_call(wherever: Any, tmp_path: Path) -> None:
+    study = Study()
+    settings = {"speed_up": 2.0, "operation_type": OperationType.AUTO, "robot": None}
+    for number, config in enumerate((Study, study)):
+        results = wherever(
+            lambda config=config, number=number: run_experiment(
+                config, folder=tmp_path, settings={**settings, "experiment_name": f"study_{number}"}, only=["r_1"]
+            )
+        )
+        assert results.rows[0]["Energy"] == 5.0
+        manifest = json.loads((results.folder / "manifest.json").read_text())
+        assert manifest["deviations"]["speed_up"] == "2.0"
+        assert manifest["config"] == {"file": "test_from_python.py", "class": "Study"}
+    assert (Study.speed_up, study.speed_up, Study.experiment_name) == (1.0, 1.0, "study")
+    with pytest.raises(ConfigError, match="there is no static parameter 'sped_up'"):
+        wherever(lambda: run_experiment(Study, folder=tmp_path, settings={"sped_up": 1.0}))
+    with pytest.raises(ConfigError, match="of type object cannot be set"):
+        run_experiment(Study, folder=tmp_path, settings={"robot": object()})
+
+
+def test_a_config_file_is_executed(wherever: Any, tmp_path: Path) -> None:
+    config = written_config(tmp_path, "def populate_run_data(self): return {'Energy': 1.0}")
+    results = wherever(lambda: run_experiment(str(config), settings={"watch_machines": False}))
+    assert [row["Energy"] for row in results.rows] == [1.0] * 4
+    assert results.folder == tmp_path / "results" / "trial"
+    assert results.exit_code == 0
+
+
+def test_in_the_main_thread_an_instance_and_an_observer_see_everything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(from_python, "_is_free", lambda: True)  # whatever threads the test program has
+    study, observer = Study(), RecordingObserver()
+    run_experiment(study, folder=tmp_path, observer=observer)
+    assert study.seen == ["r_1", "r_2", "r_3", "r_4"]
+    assert sum(isinstance(notice, AttemptFinished) for notice in observer.notices) == 4
+
+
+def test_what_cannot_be_is_refused_clearly(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="is no config"):
+        run_experiment(42)
+    with pytest.raises(ExecutionError, match="an observer can only watch"):
+        in_thread(lambda: run_experiment(Study, folder=tmp_path, observer=RecordingObserver()))
+    with pytest.raises(ConfigError, match="run_process is SPAWN"):
+        run_experiment(Study(), folder=tmp_path, settings={"run_process": RunProcess.SPAWN})
+
+
+def test_a_class_without_a_file_is_kept_as_far_as_can_be_and_the_manifest_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": "nowhere"}
+    exec(  # noqa: S102 - as a console does
+        "from robot_runner import *\n"
+        "class Console(ExperimentConfig):\n"
+        "    experiment_name = 'console'\n"
+        "    watch_machines = False\n"
+        "    def create_run_table(self): return RunTableModel([Factor('A', [1])])\n",
+        names,
+    )
+    results = run_experiment(names["Console"])
+    assert results.folder == tmp_path / "experiments" / "console"
+    manifest = json.loads((results.folder / "manifest.json").read_text())
+    assert manifest["config"] == {"file": "config_from_python.py", "class": "Console", "kept": "nothing"}
+    assert any("its source is not kept" in finding.problem for finding in results.findings)
+
+
+INTERRUPTED = """
+import sys, threading, time
+from robot_runner import *
+
+class Slow(ExperimentConfig):
+    experiment_name = "slow"
+    watch_machines = False
+    def launch_mission(self): time.sleep(60)
+    def create_run_table(self): return RunTableModel([Factor("A", [1, 2])])
+
+if {threads}:
+    threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
+results = run_experiment(Slow, folder=sys.argv[1], say=lambda line: print(line, flush=True))
+print("interrupted", results.is_interrupted, results.exit_code, flush=True)
+"""
+
+
+@pytest.mark.parametrize("threads", [False, True])
+def test_ctrl_c_ends_it_cleanly_with_and_without_threads(tmp_path: Path, threads: bool) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(INTERRUPTED.format(threads=threads))
+    with subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path)], stdout=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "r_1) starts" in line:
+                break
+        time.sleep(0.5)
+        process.send_signal(2)
+        out, _ = process.communicate(timeout=60)
+    assert "interrupted True 130" in out
+
+
+def test_a_script_that_is_killed_leaves_nobody(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(INTERRUPTED.format(threads=True))
+    with subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path)], stdout=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if "r_1) starts" in line:
+                break
+        process.kill()
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline and (left := _executing(str(script))):
+        time.sleep(0.1)
+    assert not left
+
+
+def _executing(script: str) -> list[int]:
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if script.encode() in words and int(folder.name) != os.getpid():
+            found.append(int(folder.name))
+    return found
+
+
+CELLS = [
+    "import threading\nfrom robot_runner import ExperimentConfig, Factor, RunTableModel, run_experiment",
+    """class Notebook(ExperimentConfig):
+    experiment_name = "notebook"
+    watch_machines = False
+    def before_run(self, context):
+        print("preparing", context.run_id)
+    def populate_run_data(self, context):
+        return {"Way": context.combination["Speed"] * 10}
+    def create_run_table(self):
+        return RunTableModel([Factor("Speed", [0.1, 0.2])], data_columns=["Way"])""",
+    "results = run_experiment(Notebook, say=print)",
+    "print(threading.active_count() > 1, [row['Way'] for row in results.rows], results.findings[0].problem)",
+]
+
+
+def test_it_works_in_a_notebook(tmp_path: Path) -> None:
+    """A real kernel, with its threads; skipped where ipykernel is not installed."""
+    manager = pytest.importorskip("jupyter_client.manager")
+    pytest.importorskip("ipykernel")
+    kernel, client = manager.start_new_kernel(kernel_name="python3", cwd=str(tmp_path))
+    try:
+        said = ""
+        for cell in CELLS:
+            taken: list[str] = []
+
+            def take(message: Any, taken: list[str] = taken) -> None:
+                content = message["content"]
+                taken.append(content.get("text", "") or "\n".join(content.get("traceback", [])))
+
+            reply = client.execute_interactive(cell, timeout=120, output_hook=take)
+            assert reply["content"]["status"] == "ok", "".join(taken)
+            said += "".join(taken)
+    finally:
+        client.stop_channels()
+        kernel.shutdown_kernel(now=True)
+    assert "preparing r_1" in said
+    assert "r_2 is done after" in said
+    assert "True [1.0, 2.0] it stands in no file" in said
+    folder = tmp_path / "experiments" / "notebook"
+    assert "class Notebook(ExperimentConfig):" in (folder / "config" / "config_from_python.py").read_text()
+    assert json.loads((folder / "manifest.json").read_text())["config"]["kept"] == "cell"
