@@ -6,13 +6,15 @@ import subprocess
 import sys
 import threading
 import time
+from bisect import bisect_right
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import takewhile
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 
 PATIENCE = 60.0
 STANDSTILL = 0.01  # m/s
+#: A robot that brakes rocks: its speed goes through zero once before it stands.
+_IN_A_ROW = 3
 
 
 @contextmanager
@@ -68,18 +72,23 @@ class Witness:
 
         `meanwhile` is called again and again until it stands still.
         """
-        moment = self._first(lambda seen: seen < STANDSTILL, since, meanwhile)
+        moment = self._first(lambda seen: seen < STANDSTILL, since, meanwhile, in_a_row=_IN_A_ROW)
         self._first(lambda _: True, moment + 0.5)
-        assert all(seen < 3 * STANDSTILL for at, seen in list(self.speeds) if at > moment)
+        later = self.speeds[bisect_right(self.speeds, moment, key=itemgetter(0)) :]
+        moved = [(round(at - moment, 3), round(seen, 3)) for at, seen in later if seen >= 3 * STANDSTILL]
+        assert not moved, f"it moves again, s later and m/s: {moved}"
         return moment
 
-    def _first(self, holds: Any, since: float, meanwhile: Callable[[], object] = lambda: None) -> float:
+    def _first(
+        self, holds: Any, since: float, meanwhile: Callable[[], object] = lambda: None, *, in_a_row: int = 1
+    ) -> float:
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline:
             meanwhile()
-            for moment, speed in list(self.speeds):
-                if moment > since and holds(speed):
-                    return moment
+            later = self.speeds[bisect_right(self.speeds, since, key=itemgetter(0)) :]
+            for place in range(len(later) - in_a_row + 1):
+                if all(holds(speed) for _, speed in later[place : place + in_a_row]):
+                    return later[place][0]
             time.sleep(0.01)
         raise AssertionError(f"not within {PATIENCE} s; last seen: {self.speeds[-3:]}")
 

@@ -18,7 +18,7 @@ from tests.ros.missions.drive_action import ACTION, ACTION_TYPE, DriveServer
 from tests.ros.ros1_master import RUDE, needs_ros1
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:

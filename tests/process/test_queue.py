@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from robot_runner.cli.queued_experiments import ExperimentQueue
 from robot_runner.core.storage.outliving import process_stat
-from robot_runner.core.storage.queued_experiments import ExperimentQueue
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

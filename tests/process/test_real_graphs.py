@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
 import logging
 import os
 import signal
+import statistics
 import time
 from collections.abc import Callable
 from datetime import datetime
@@ -21,8 +21,8 @@ from tests.processor_wait import OWN_WAITS, ProcessorWait, family
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import RUDE, needs_ros1
 
-from robot_runner.core.sampling.quality import MINIMUM_COVERAGE
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.measuring.quality import MINIMUM_COVERAGE
 from robot_runner.ros.watchdog import TWIST
 
 if TYPE_CHECKING:
@@ -78,10 +78,7 @@ PROFILERS = """[
     RosBag(["odom", "cmd_vel"], namespace="/alice"), RosGraph()]"""
 
 
-needs_ros2 = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="no ROS 2 is sourced")
-
-
-@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds", pytest.param("ros2", marks=needs_ros2)])
+@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds", pytest.param("ros2", marks=pytest.mark.ros2)])
 def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """How a robot on a graph of this test run is reached."""
     if request.param == "ros1":
@@ -107,7 +104,8 @@ def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, sta
     with simulated_robot(graph, "--namespace", "/alice") as port:
         config = written(tmp_path, tasks, PROFILERS.format(port=port), robot=graph, namespace="/alice", drive_s=0.8)
         begun, wait = time.monotonic(), ProcessorWait(family())
-        experiment = start(config=config)
+        # A probe would refuse a meter whose samples a busy machine delays: what becomes of them is seen below.
+        experiment = start("", "--no-probe", config=config)
         experiment.output, _ = experiment.process.communicate(timeout=PATIENCE)
         assert experiment.process.returncode == 0, experiment.output
         wait.look()
@@ -210,7 +208,7 @@ def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
         killed = 0.0
         for kill in (lambda one: [one.process.pid], lambda one: one.processes()):  # the orchestrator; the whole laptop
             experiment = start(config=config)
-            looking.sees(0.19, since=killed + 1.0)
+            until_it_drives(graph, looking, since=killed + 1.0)
             wait, doomed, killed = ProcessorWait(family()), kill(experiment), time.time()
             for pid in doomed:
                 os.kill(pid, signal.SIGKILL)
@@ -250,6 +248,8 @@ def test_a_robot_whose_topic_s_callback_raises_stands_still_within_a_second(
 
 DOOMED = {
     "the run": lambda one: [one.run_process()],
+    "the keeper": lambda one: [one.keeper()],
+    "the orchestrator": lambda one: [one.process.pid],
     "the run and its keeper": lambda one: [one.run_process(), one.keeper()],
     "the run and the orchestrator": lambda one: [one.run_process(), one.process.pid],
     "the keeper and the orchestrator": lambda one: [one.keeper(), one.process.pid],
@@ -259,16 +259,24 @@ DOOMED = {
 TRIES = int(os.environ.get("ROBOT_RUNNER_KILLS", "100"))
 
 
-def seconds_to_standstill(experiment: Any, looking: Any, doomed: str, since: float) -> float:
-    """Kill these processes while the robot drives; return how long it went on, less the time that nobody computed."""
+def until_it_drives(graph: str, looking: Any, since: float) -> None:
+    """Wait until the robot drives, and whoever stands by has discovered it: on Fast DDS, that may take 3.2 s more."""
     looking.sees(0.19, since=since)
+    if graph.startswith("ros2"):
+        time.sleep(4.0)
+
+
+def seconds_to_standstill(graph: str, experiment: Any, looking: Any, doomed: str, since: float) -> tuple[float, float]:
+    """Kill these processes while the robot drives; return how long it went on, and how much of it nobody computed."""
+    until_it_drives(graph, looking, since)
     wait, pids, killed = ProcessorWait(family()), DOOMED[doomed](experiment), time.time()
     for pid in pids:
         os.kill(pid, signal.SIGKILL)
     stood = looking.sees_standstill(since=killed, meanwhile=wait.look)
-    experiment.end()
-    assert experiment.nobody_is_left()
-    return float(stood - killed - wait.seconds)
+    if experiment.process.pid in pids:
+        experiment.end()
+        assert experiment.nobody_is_left()
+    return stood - killed, wait.seconds
 
 
 @pytest.mark.parametrize("doomed", ["the run", "all three"])
@@ -277,7 +285,34 @@ def test_a_robot_without_a_watchdog_stands_still_within_a_second_whoever_is_kill
 ) -> None:
     with simulated_robot(graph, "--namespace", "/fred", "--no-watchdog"), witness(graph, "/fred") as looking:
         experiment = start(config=written(tmp_path, ["Video"], robot=graph, namespace="/fred", drive_s=60.0))
-        assert seconds_to_standstill(experiment, looking, doomed, since=0.0) < 1.0
+        seconds, waited = seconds_to_standstill(graph, experiment, looking, doomed, since=0.0)
+        assert seconds - waited < 1.0
+        experiment.end()
+        assert experiment.nobody_is_left()
+
+
+DRIVEN = """
+    def launch_mission(self, context):
+        link = connect_robot(context, namespace="/hal")
+        while True:
+            link.publish("cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+            context.clock.sleep(0.05)
+"""
+
+
+def test_a_robot_that_a_config_drives_without_any_system_stands_still_within_a_second_of_a_kill(
+    graph: str, start: Start, write_config: Callable[..., Path]
+) -> None:
+    head = HEAD.replace("import *\n", "import *\nfrom robot_runner.plugins import connect_robot\n", 1)
+    table = TABLE.replace("repetitions=2", "repetitions=1").replace('["Video", "Network"]', "[1]")
+    with simulated_robot(graph, "--namespace", "/hal", "--no-watchdog"), witness(graph, "/hal") as looking:
+        experiment = start(config=write_config(f"    robot = {graph!r}\n{DRIVEN}", head=head, table=table))
+        seconds, waited = seconds_to_standstill(graph, experiment, looking, "the run", since=0.0)
+        assert seconds - waited < 1.0
+        assert experiment.end() == 1
+    assert "the run died before it had made the robot safe; the process that stood by for this did it" in " ".join(
+        experiment.output.split()
+    )
 
 
 @pytest.mark.soak
@@ -287,13 +322,22 @@ def test_a_robot_stands_still_within_a_second_in_each_of_a_hundred_kills(
     graph: str, start: Start, tmp_path: Path, doomed: str, watchdog: list[str]
 ) -> None:
     config, since, took = written(tmp_path, ["Video"], robot=graph, namespace="/fred", drive_s=60.0), 0.0, []
+    # A run for each try, and a pause in which the robot is seen to stand: an orchestrator that lives goes on by itself.
+    listing = config.read_text().replace("range(1, 2)", f"range({TRIES})").replace("_in_ms = 0", "_in_ms = 1000")
+    config.write_text(listing)
     with simulated_robot(graph, "--namespace", "/fred", *watchdog), witness(graph, "/fred") as looking:
+        experiment = start(config=config)
         for _ in range(TRIES):
-            took.append(seconds_to_standstill(start(config=config), looking, doomed, since))
+            if experiment.process.poll() is not None:
+                experiment = start(config=config)
+            took.append(seconds_to_standstill(graph, experiment, looking, doomed, since))
             since = time.time()
-    often = f"{sorted(took)[len(took) // 2]:.2f} s, at most {max(took):.2f} s"
+        experiment.end()
+        assert experiment.nobody_is_left()
+    seconds = sorted(each for each, _ in took)
+    often = f"{len(took)} times, {statistics.median(seconds):.2f} s, at most {seconds[-1]:.2f} s"
     logging.getLogger(__name__).info("%s, %s, %s: %s", graph.partition(":")[0], doomed, watchdog, often)
-    assert max(took) < 1.0
+    assert max(each - waited for each, waited in took) < 1.0
 
 
 SECOND_ROBOT = {"pose": {"pose": {"position": {"x": 0.01}, "orientation": {"w": 1.0}}}}

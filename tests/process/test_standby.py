@@ -147,3 +147,46 @@ def test_a_run_that_ends_by_itself_makes_its_systems_safe_itself_and_nothing_is_
     assert "stood by" not in experiment.output
     assert "MOVING" not in experiment.output
     assert experiment.nobody_is_left()
+
+
+CABLE = """
+class Cable:
+    def __init__(self):
+        with (HERE / "plugged").open("a") as file:
+            file.write(f"{os.getpid()}\\n")
+    def switch_off(self):
+        if (HERE / "torn").exists():
+            (HERE / "torn").unlink()
+            raise OSError("the cable is torn")
+    def close(self):
+        pass
+
+class Lamp(Lamp):
+    def stand_by(self, context):
+        context.resources.open("cable", Cable)
+        (HERE / "ready").touch()
+        raise RuntimeError("whatever it says here")
+    def make_safe(self, context):
+        context.resources.open("cable", Cable).switch_off()
+        super().make_safe(context)
+"""
+
+
+@pytest.mark.parametrize("is_torn", [False, True], ids=["still stands", "was lost"])
+def test_what_the_standby_has_opened_beforehand_makes_safe_and_is_opened_anew_where_it_was_lost(
+    start: Start, write_config: Callable[..., Path], is_torn: bool
+) -> None:
+    systems = LAMP.format(mission=LONG, make_safe="pass") + CABLE
+    experiment = start(config=write_config(BODY, head=HEAD.replace("import *\n", f"import *\n{systems}", 1), table=""))
+    for name in ("launched", "ready"):
+        experiment.wait_for(name)
+    standby = experiment.standby()
+    if is_torn:
+        (experiment.config.parent / "torn").touch()
+    kill(experiment.run_process())
+    assert experiment.end() == 1
+    assert not is_on(experiment)
+    assert calls(experiment) == [[str(standby), "r_1", "Video"]]
+    plugged = (experiment.config.parent / "plugged").read_text().split()
+    assert plugged == [str(standby)] * (2 if is_torn else 1)
+    assert "the process that stood by for this did it" in experiment.output

@@ -7,11 +7,15 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.links.goals import ActionCanceled, GoalStatus
+from robot_runner.ros import action_server
 from robot_runner.ros.action_server import GoalServer
+from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.shapes import Shape
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    import pytest
 
     from robot_runner.ros.action_server import Execution
 
@@ -58,3 +62,40 @@ def test_the_last_state_that_is_told_of_a_goal_is_its_end() -> None:
             thread.join(5.0)
     assert outlet.told[-1] is GoalStatus.CANCELED
     assert outlet.told.count(GoalStatus.CANCELING) == 1
+
+
+class ScriptedTransport:
+    """A graph of ROS 1 with one server, to which messages are delivered by hand."""
+
+    def __init__(self) -> None:
+        self.published: list[tuple[str, Any]] = []
+        self.receivers: dict[str, Callable[[Any], None]] = {}
+
+    def topics(self) -> dict[str, str]:
+        return {}
+
+    def advertise(self, topic: str, message_type: str, qos: Any) -> Any:
+        return SimpleNamespace(publish=lambda message: self.published.append((topic, message)), close=lambda: None)
+
+    def subscribe(self, topic: str, message_type: str, receive: Callable[[Any], None], **_: Any) -> Any:
+        self.receivers[topic] = receive
+        return SimpleNamespace(close=lambda: None)
+
+    def deliver(self, topic: str, message: Any) -> None:
+        self.receivers[topic](SimpleNamespace(message=lambda: message))
+
+
+def test_a_server_of_ros1_forgets_the_goals_that_are_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(action_server, "_REMEMBERED_SECONDS", 0.0)
+    transport = ScriptedTransport()
+    server = GoalServer("/count", TYPES, lambda _: {}, None, lambda fault: None)
+    served: Any = Ros1Actions(transport).serve("/count", "test/Count", server)  # type: ignore[arg-type]
+    for number in range(50):
+        stamp = {"sec": number, "nanosec": 0}
+        transport.deliver("/count/goal", {"goal_id": {"id": f"goal {number}", "stamp": stamp}, "goal": {}})
+        execution = server.find(f"goal {number}")
+        assert execution is None or execution.over.wait(5.0)
+    served.close()
+    results = [message["status"]["goal_id"] for topic, message in transport.published if topic == "/count/result"]
+    assert [(each["id"], each["stamp"]["sec"]) for each in results] == [(f"goal {n}", n) for n in range(50)]
+    assert len(served._stamps) <= 2

@@ -16,7 +16,7 @@ from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import GoalStatus
+from robot_runner.core.links.goals import GoalStatus
 from robot_runner.ros.dds_link import open_dds_link
 
 DOMAIN = claim_domain()

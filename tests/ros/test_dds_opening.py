@@ -12,7 +12,7 @@ import pytest
 from tests.ros.dds_domain import claim_domain
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.dds_link import findings, open_dds_link
 from robot_runner.ros.graph_addresses import DdsSettings
 
@@ -141,7 +141,7 @@ def test_a_network_interface_that_is_not_there_is_an_error_that_names_the_settin
 def test_nothing_of_dds_is_loaded_before_a_link_is_opened():
     script = (
         "import sys; from robot_runner.ros.dds_link import findings; "
-        "from robot_runner.core.links.robot import RobotName; findings(RobotName.parse('dds')); "
+        "from robot_runner.core.links.robot_name import RobotName; findings(RobotName.parse('dds')); "
         "sys.exit('cyclonedds' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", script], check=True, timeout=30)

@@ -8,7 +8,7 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import Clock
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_clock
 from robot_runner.ros.graph_clock import GraphClock
 from robot_runner.ros.graph_links import clock_fix

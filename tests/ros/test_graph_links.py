@@ -11,7 +11,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.links.connect import link_findings, lives_by_simulation, open_clock
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_links
 from robot_runner.ros.graph_clock import GraphClock
 from robot_runner.ros.graph_links import DDS, GRAPH_LINKS, ROS1, ROSBRIDGE

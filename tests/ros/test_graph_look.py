@@ -14,17 +14,18 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_look
 from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.ros.turtlebot3.steered_robot import Task, TaskServices
-from robot_runner.testing import RosbridgeServer
+from robot_runner.testing import FakeClock, RosbridgeServer
 
 TRIGGER = "std_srvs/Trigger"
 HEAD = """\
 from robot_runner import *
+from robot_runner.plugins import treatment
 from robot_runner.plugins import GraphNeed, System
-from robot_runner.plugins.systems import BasicTurtlebot3
+from robot_runner.plugins.systems import ActionMission, BasicTurtlebot3, TopicMission
 
 
 class Gripper(System):
@@ -93,9 +94,37 @@ class GraphLook:
             assert found[2].startswith("! plugin Gripper: there is no service '/arm/close' → Start the gripper.")
             assert found[3].startswith("! plugin Gripper: there is no action '/arm/place' ")
             with pytest.raises(LinkError, match="'/task/video/stop' is of the type std_srvs/Empty"):
-                TaskServices(link).check(Task.VIDEO, where="test")  # as a run does before it drives
+                TaskServices(link).check(Task.VIDEO, FakeClock(), where="test")  # as a run does before it drives
             link.offer("task/stop", TRIGGER, lambda _: {})
             assert findings(write_config, robot, "BasicTurtlebot3(task_factor=None, task='Network')") == []
+
+    def test_goals_and_messages_are_compared_with_their_definitions_even_if_their_node_is_started_later(
+        self, robot, write_config
+    ):
+        missions = (
+            "Bringup()",
+            "ActionMission('pick', 'example_interfaces/Fibonacci', {'ordr': 3}, name='misspelt')",
+            "ActionMission('pick', 'example_interfaces/Fibonacci', {'order': treatment('Task')}, name='bound')",
+            "TopicMission('cmd_vel', 'geometry_msgs/msg/Twist', {'linear': {'x': 'fast'}}, until=1.0)",
+            "TopicMission('cmd_vel', 'geometry_msgs/Twist', {}, until=1.0, afterwards={'angle': {}}, name='after')",
+            "TopicMission('lamp', 'std_msgs/Strin', {'data': 'on'}, until=1.0, name='lamp')",
+        )
+        name = RobotName.parse(robot)
+        with closing(GRAPH_LINKS[name.link].open(name, SystemClock())) as link:
+            be_a_robot(link, services={})
+            link.subscribe("lamp", "std_msgs/String", lambda _: None)
+            found = findings(write_config, robot, *missions)
+        told = [each.removeprefix("! plugin ") for each in found if each.startswith("! ")]
+        assert len(told) == 6, found
+        assert told[0].startswith("misspelt, goal of /pick (")
+        assert "the message has no field 'ordr' → Did you mean 'order'?" in told[0]
+        assert told[1].startswith("bound, goal of /pick")
+        assert "field 'order' is 'Video' → Give a whole number" in told[1]
+        assert told[3].startswith("TopicMission, message of /cmd_vel")
+        assert "field 'linear.x' is 'fast' → Give a finite number." in told[3]
+        assert "has no field 'angle' → Did you mean 'angular'?" in told[4]
+        assert told[5].startswith("lamp, message of std_msgs/Strin: ")
+        assert "→ Did you mean '" in told[5]
 
 
 @quiet_about_rospy

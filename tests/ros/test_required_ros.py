@@ -12,7 +12,7 @@ from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.config.preparation import check_robot, choose_robot
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.kinds import FoundRobot
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import ros_environment
 from robot_runner.ros.required_ros import check_required_ros
 from robot_runner.ros.ros1_master import Master

@@ -17,7 +17,7 @@ from tests.ros.ros1_master import quiet_about_rospy
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import ActionCanceled, GoalStatus
+from robot_runner.core.links.goals import ActionCanceled, GoalStatus
 from robot_runner.ros.ros1_link import open_ros1_link
 
 # Its names are no other test's: the master that they share remembers the types of topics that are no more.

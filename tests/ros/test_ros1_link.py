@@ -104,6 +104,14 @@ class TestMessages:
 
 @quiet_about_rospy
 class TestGraph:
+    def test_the_next_message_of_a_publisher_that_is_there_reaches_a_new_subscription(self, opened):
+        robot, link = opened(), opened()
+        robot.advertise("answers", STRING)
+        heard = threading.Event()
+        link.subscribe("answers", STRING, lambda _: heard.set())
+        robot.publish("answers", STRING, {"data": "the first"})
+        assert heard.wait(60.0)
+
     def test_the_first_message_reaches_who_listens_already(self, opened):
         robot, link = opened(), opened()
         heard = threading.Event()

@@ -14,7 +14,7 @@ from robot_runner.testing.graph_link_contract import GraphLinkContract
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import RobotLink
 
-pytest.importorskip("rclpy", reason="no ROS 2 is sourced")
+pytestmark = pytest.mark.ros2
 
 #: Of its own for each process of tests, among the domains whose ports no other program is given.
 DOMAIN = str(1 + os.getpid() % 100)
@@ -28,5 +28,9 @@ def on_loopback(monkeypatch):
 
 
 class TestRos2Link(GraphLinkContract):
+    # ROS' own; neither example_interfaces nor nav2_msgs is on the package index.
+    action_type = "test_msgs/Fibonacci"
+    other_action_type = "test_msgs/NestedMessage"
+
     def make_link(self, namespace: str = "") -> RobotLink:
         return open_ros2_link({"domain": DOMAIN}, SystemClock(), namespace)

@@ -9,7 +9,7 @@ import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import ros_environment
 from robot_runner.ros.ros2_link import findings, open_ros2_link
 

@@ -9,7 +9,7 @@ import sys
 import time
 
 import pytest
-from tests.core.links.busy_core import busy_core
+from tests.measuring.busy_core import busy_core
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock

@@ -230,6 +230,17 @@ def test_an_experiment_without_such_a_plugin_says_that_settings_are_left(state):
     assert len(left_settings("states", "dds:domain=7")) == 1
 
 
+def test_a_robot_is_known_again_under_another_name_of_its_graph(state, monkeypatch):
+    left({"/slam": {"state": "active"}}, {"/slam": {"state": "inactive"}}, "Lifecycle", "states")
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    same = ["dds:domain=7,distro=humble", "dds", "ros2", "ros2:domain=7,namespace=/alice", "ros2://alice"]
+    assert [len(left_settings("states", each)) for each in same] == [1] * len(same)
+    others = ["dds:domain=8", "ros1", "rosbridge://127.0.0.1:9090", "simulated", "no_such:link", None]
+    assert [left_settings("states", each) for each in others] == [[]] * len(others)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "8")  # what is left stays where it was, whatever the variables say later
+    assert left_settings("states", "dds") == []
+
+
 def test_who_stands_by_puts_back_what_the_run_left_and_keeps_the_file_where_it_cannot(tmp_path, state):
     left({"/planner": {"speed": 1.0}}, {"/planner": {"speed": 0.2}})
     plugin = RosParameters({"planner": {"speed": 1.0}})

@@ -113,6 +113,16 @@ def test_values_say_where_they_come_from(measure, is_simulated, origin):
     assert {published.origin for published in context.broker.measures.values()} == {origin}
 
 
+def test_a_simulation_whose_sign_is_seen_while_it_is_measured_is_one(tmp_path):
+    clock = FakeClock(50.0)
+    robot = _odometry(clock, lambda _: True)
+    clock.at(55.0, lambda: robot.known_topics.update({"/clock": "rosgraph_msgs/Clock"}))
+    plugin = RosTopics()
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot), clock=clock)
+    rehearse(context, plugin, mission=lambda: clock.sleep(10.0))
+    assert {published.origin for published in context.broker.measures.values()} == {Origin.SIMULATED}
+
+
 def test_each_message_and_the_quality_are_kept(measure):
     context = measure(RosTopics({"odom": 20.0}), seconds=1.0)
     with (context.raw_data_folder / "Odom.csv").open(newline="") as file:
@@ -178,7 +188,7 @@ def test_topics_that_cannot_be_are_refused(topics, problem):
 
 
 def test_the_rate_is_shown_while_the_topic_is_heard(tmp_path, monkeypatch):
-    monkeypatch.setattr("robot_runner.core.sampling.live_samples._EVERY", 0.0)
+    monkeypatch.setattr("robot_runner.measuring.live_samples._EVERY", 0.0)
     clock, plugin = FakeClock(50.0), RosTopics({"odom": 20.0})
     context = make_context(tmp_path, plugin, links=FakeLinks(robot=_odometry(clock, lambda _: True)), clock=clock)
     shown = context.raw_data_folder / ".Odom.csv.live"

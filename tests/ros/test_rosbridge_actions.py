@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from contextlib import closing
 
@@ -9,6 +10,8 @@ import pytest
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.goals import ActionCanceled, GoalStatus
+from robot_runner.ros import rosbridge_actions
 from robot_runner.ros.rosbridge_link import open_rosbridge_link
 from robot_runner.testing import RosbridgeServer
 
@@ -88,3 +91,53 @@ def test_a_connection_that_is_lost_ends_the_wait_for_a_goal_at_once(server, robo
     with pytest.raises(LinkError, match="the connection is lost"):
         goal.result(timeout=60.0)
     assert time.monotonic() - begun < 10.0
+
+
+@pytest.mark.parametrize("seconds", [0.0, 60.0])
+def test_goals_of_two_clients_at_once_are_an_error_and_none_goes_on(server, robot, link, monkeypatch, seconds):
+    def dig(execution):
+        while not execution.is_cancel_requested:
+            time.sleep(0.02)
+        ended.append(execution.goal["order"])
+        raise ActionCanceled
+
+    ended = []
+    monkeypatch.setattr(rosbridge_actions, "_AT_ONCE", seconds)
+    robot.offer_action("dig", FIBONACCI, dig)
+    with closing(open_rosbridge_link(server.url, SystemClock())) as rival:
+        own = link.send_goal("dig", FIBONACCI, {"order": 1})
+        other = rival.send_goal("dig", FIBONACCI, {"order": 2})
+        if seconds:
+            with pytest.raises(LinkError, match="sent a goal to this action at the same time") as told:
+                own.result(timeout=20)
+            assert "nobody else" in told.value.fix
+            wait_until(lambda: ended == [1])
+        else:  # who comes later is somebody else for certain
+            time.sleep(0.5)
+            own.cancel(timeout=20)
+            assert own.result(timeout=5).status is GoalStatus.CANCELED
+        other.cancel(timeout=20)
+        wait_until(lambda: ended == [1, 2])
+
+
+def test_a_goal_of_another_client_is_not_taken_for_one_that_was_silently_rejected(server, robot, link):
+    got = []
+    robot.offer_action("drill", FIBONACCI, lambda execution: time.sleep(1.0) or {"sequence": [7]})
+    server.actions.rejects["/drill"] = lambda goal: goal["order"] < 0
+    with closing(open_rosbridge_link(server.url, SystemClock())) as rival:
+        sending = threading.Thread(target=lambda: got.append(link.send_goal("drill", FIBONACCI, {"order": -1})))
+        sending.start()
+        wait_until(lambda: link._goals._goals)  # it is on its way, and nobody will say that it is not taken
+        time.sleep(0.5)
+        rival.send_goal("drill", FIBONACCI, {"order": 3})
+        sending.join(30)
+        with pytest.raises(LinkError, match="it was another client's") as told:
+            got[0].result(timeout=30)
+        assert "nobody else" in told.value.fix
+
+
+def wait_until(holds):
+    deadline = time.monotonic() + 20.0
+    while not holds() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    assert holds()

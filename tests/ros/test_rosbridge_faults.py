@@ -15,7 +15,8 @@ from tests.processor_wait import ProcessorWait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import Encoding, RobotName
+from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_types
 from robot_runner.ros.rosbridge_link import findings, open_rosbridge_link
 from robot_runner.ros.type_catalogue import TypeCatalogue

@@ -123,6 +123,13 @@ def test_the_last_answers_are_awaited_and_those_that_never_come_are_not_for_long
     assert 0 < measures["NearUnanswered"] < measures["ScanMessages"]
 
 
+@pytest.mark.parametrize(("every", "is_told"), [(2, True), (21, False)])
+def test_answers_that_seem_to_take_no_time_are_told_where_they_are_many(measure, every, is_told):
+    _, context = measure(lambda number, send: send(0.0 if number % every == 0 else 0.01, number))
+    problems = " ".join(finding.problem for finding in context.broker.findings)
+    assert ("10 of 20 answers were received no later than their causes" in problems) == is_told
+
+
 @pytest.mark.parametrize(
     ("answer", "types", "problem"),
     [

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
     from robot_runner.ros.action_server import ActionTypes, GoalServer
 
-__all__ = ["ActionClient", "ActionDialect", "LinkGoals", "check_one_server", "missing_action"]
-
 _logger = logging.getLogger(__name__)
 
 #: How long the goals that are not over may take to end when their link is closed, s, all together.

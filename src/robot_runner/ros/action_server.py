@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import GoalExecution, Message
     from robot_runner.ros.shapes import Shape
 
-__all__ = ["ActionTypes", "Execution", "GoalServer", "Outlet"]
-
 _logger = logging.getLogger(__name__)
 
 #: How long a goal that is over is remembered, so that its client may still ask for its result, s; actionlib: 5.

@@ -15,8 +15,6 @@ from robot_runner.ros.shapes import plain_type
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["action_parts", "bundled_definitions", "is_action_part", "whole_action"]
-
 #: What ROS 2 makes of an action beside its goal, result and feedback; no type of another kind has these endings,
 #: because names of ROS 2 have no underscore.
 _ROS2_PARTS = ("_Goal", "_Result", "_Feedback", "_SendGoal", "_GetResult", "_FeedbackMessage")

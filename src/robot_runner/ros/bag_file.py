@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import RawMessage, RobotLink
     from robot_runner.ros.topic_statistics import TypedTopic
 
-__all__ = ["LinkRecorder", "McapBag", "Ros1Bag", "began_late", "messages_in", "new_bag"]
-
-
 _Found = TypeVar("_Found")
 
 #: So many messages of a bag tell when it began, and the period of each topic.

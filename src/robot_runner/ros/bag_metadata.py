@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-__all__ = ["Contents", "offered_profiles"]
-
 #: Of rosbag2's metadata: that of Humble, which all later ones read (rosbag2_storage/metadata_io).
 _VERSION = 5
 

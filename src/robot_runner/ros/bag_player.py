@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.links.robot import Advertiser, Encoding
-from robot_runner.core.sampling.meter_process import MeterProcess
 from robot_runner.core.words import enumerated
+from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.ros.recorded_bag import RecordedMessage
 
 if TYPE_CHECKING:
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.ros.recorded_bag import RecordedBag, RecordedTopic
-
-__all__ = ["CLOCK", "PLAYERS", "LinkPlayer", "Played", "ProgramPlayer", "playing", "refuse_rivals"]
 
 #: The topic of the time that nodes live by where `use_sim_time` is set, and its type.
 CLOCK, _CLOCK_TYPE = "/clock", "rosgraph_msgs/Clock"

@@ -24,21 +24,6 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.dds_reception import Reception
 
-__all__ = [
-    "Endpoint",
-    "Graph",
-    "matched_publications",
-    "matched_subscriptions",
-    "reply_topic",
-    "request_topic",
-    "ros_service",
-    "ros_service_type",
-    "ros_topic",
-    "ros_type",
-    "wire_topic",
-]
-
-
 # https://design.ros2.org/articles/topic_and_service_names.html: the prefixes of what ROS 2 puts on DDS.
 _TOPIC, _REQUEST, _REPLY = "rt", "rq", "rr"
 _REQUEST_END, _REPLY_END = "Request", "Reply"
@@ -157,6 +142,12 @@ class Graph:
         """The GUIDs of all participants, our own among them."""
         with self._lock:
             return frozenset(self._participants)
+
+    def silent(self) -> frozenset[UUID]:
+        """Return the participants that have told of no reader or writer."""
+        with self._lock:
+            told = {each.participant for each in (*self._readers.values(), *self._writers.values())}
+            return frozenset(self._participants - told)
 
     def writers(self, topic: str) -> list[Endpoint]:
         """Return the publishers of a DDS topic."""

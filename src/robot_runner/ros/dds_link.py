@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import RobotLink, RobotName
-
-__all__ = ["findings", "open_dds_link"]
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.links.robot_name import RobotName
 
 _PACKAGES = ("cyclonedds", "rosbags")
 _WAY = "over DDS"

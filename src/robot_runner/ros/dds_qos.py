@@ -13,8 +13,6 @@ from robot_runner.ros.graph_transport import nearest_profile, shortfall
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["adapted", "incompatibility", "profile_of", "reader_profile", "service_profile", "writer_profile"]
-
 #: A writer waits this long in ns for readers that do not keep up before it gives up, where nothing may be lost.
 _MAX_BLOCKING_NS = 500_000_000
 

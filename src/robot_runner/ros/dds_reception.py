@@ -26,19 +26,6 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.shapes import Field
 
-__all__ = [
-    "HEADER_BYTES",
-    "READING_QOS",
-    "RawSample",
-    "Reception",
-    "Source",
-    "WireType",
-    "delete",
-    "service_wire_type",
-    "topic_wire_type",
-    "wire_type_name",
-]
-
 _logger = logging.getLogger(__name__)
 
 # The DDS types of messages are made at run time; their samples go through as the bytes that they are on the wire.
@@ -106,6 +93,12 @@ def topic_wire_type(shape: Shape) -> WireType:
 def service_wire_type(shape: Shape) -> WireType:
     """Return the DDS type of a request or response, whose bytes begin with the header of services."""
     return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER)
+
+
+@lru_cache(maxsize=128)
+def plain_service_wire_type(shape: Shape) -> WireType:
+    """Return the DDS type of a request or response of a middleware that puts no header before it."""
+    return _structure(shape, wire_type_name(shape.type_name, "srv"), {})
 
 
 def _structure(shape: Shape, type_name: str, leading: dict[str, Any]) -> WireType:
@@ -203,6 +196,7 @@ class Reception:
         self._lock = threading.Lock()
         self._turned = threading.Condition()
         self._is_closed = False
+        self._is_woken = False
         self._thread = threading.Thread(target=self._serve, name="dds reception", daemon=True)
 
     def start(self) -> None:
@@ -243,6 +237,11 @@ class Reception:
             return self._turn_until(is_so, timeout)
         with self._turned:
             return self._turned.wait_for(lambda: is_so() or self._is_closed, timeout) and is_so()
+
+    def wake(self) -> None:
+        """Have those who wait look again; what they wait for has come another way."""
+        self._guard.set(True)
+        self._is_woken = True  # afterwards: the turn that sees it takes the guard back
 
     def wait_event(self, event: threading.Event, timeout: float) -> None:
         """Wait for an event that any thread may set; as `wait_for` in all else."""
@@ -294,6 +293,9 @@ class Reception:
     def _turn(self, timeout_ns: int) -> None:
         if not self._waitset.wait(timeout_ns):
             return
+        if self._is_woken and not self._is_closed:
+            self._is_woken = False
+            self._guard.set(False)
         for source in self._sources:
             if not source.is_busy:
                 self._take(source)

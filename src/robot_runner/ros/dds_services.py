@@ -1,4 +1,7 @@
-"""Services as rmw_cyclonedds carries them: a topic for requests, one for replies, both led in by a header."""
+"""Services as rmw_cyclonedds carries them: a topic for requests, one for replies, both led in by a header.
+
+Those of other middlewares are in `dds_foreign_services`.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,7 @@ from cyclonedds.core import DDSException
 from cyclonedds.qos import Policy
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.dds_graph import (
     matched_publications,
@@ -23,7 +27,6 @@ from robot_runner.ros.dds_graph import (
 )
 from robot_runner.ros.dds_qos import service_profile
 from robot_runner.ros.dds_reception import HEADER_BYTES, READING_QOS, delete, service_wire_type
-from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import already_offered, service_timeout, wrong_service_type
 
 if TYPE_CHECKING:
@@ -35,8 +38,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.dds_reception import RawSample
     from robot_runner.ros.dds_session import Session
     from robot_runner.ros.shapes import Shape
-
-__all__ = ["OfferedService", "ServiceClient", "foreign_service"]
 
 _logger = logging.getLogger(__name__)
 
@@ -88,8 +89,6 @@ class ServiceClient:
         self._answers: dict[int, bytes | None] = {}
         self._sequence = itertools.count(1)
         request_type, reply_type = service_wire_type(side.request), service_wire_type(side.response)
-        session.settle(lambda: bool(session.graph.readers(side.request_topic)))
-        self._check_type()
         identity = side.user_data("clientid", side.request)
         self._reader = session.reader(side.reply_topic, reply_type, service_profile(identity))
         self._source = session.reception.add(self._reader, self._take, service)
@@ -124,20 +123,8 @@ class ServiceClient:
             return bool(matched_subscriptions(self._writer) and matched_publications(self._reader))
 
         if not self._side.session.graph.wait_for(is_there, timeout):
-            self._check_type()
-            raise self._missing()
-        # Such a service would take the header of our request for its fields: a false for a true, and no answer.
-        foreign = foreign_service(self._side.session, self._side.service)
-        if foreign is not None:
-            raise foreign
-
-    def _missing(self) -> LinkError:
-        session = self._side.session
-        fix = session.loneliness() if session.is_alone() else "Start the node that offers it."
-        return missing("service", self._side.service, session.graph.services(), where="dds", fix=fix)
-
-    def _check_type(self) -> None:
-        _check_service_type(self._side, self._service_type)
+            await_service(self._side.session, self._side.service, self._service_type, 0.0)
+            raise service_timeout(self._side.service, timeout)
 
     def _take(self, sample: RawSample) -> None:
         if sample.sample_info.valid_data and len(sample.data) >= _BODY:
@@ -152,6 +139,7 @@ class OfferedService:
     def __init__(self, session: Session, service: str, service_type: str, answer: Callable[[Message], Message]) -> None:
         self._side = side = _Side(session, service, service_type)
         self._answer = answer
+        self._has_refused = False
         session.settle(lambda: bool(session.graph.readers(side.request_topic)))
         if session.graph.readers(side.request_topic):
             raise already_offered(service)
@@ -174,7 +162,20 @@ class OfferedService:
             with READING_QOS:
                 client = self._source.reader.get_matched_publication_data(sample.sample_info.publication_handle)
             identity = _client_id(client.qos) if client is not None else None
+            if client is not None and identity is None:
+                self._refuse()
+                return
             threading.Thread(target=self._reply, args=(sample.data, identity), daemon=True).start()
+
+    def _refuse(self) -> None:
+        """Leave out a request without a header, whose fields would be read as one."""
+        if not self._has_refused:
+            self._has_refused = True
+            _logger.warning(
+                "%s is asked by a node of another middleware than rmw_cyclonedds_cpp, which cannot be answered from"
+                " here: start that node with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp",
+                self._side.service,
+            )
 
     def _reply(self, data: bytes, client: str | None) -> None:
         side = self._side
@@ -184,10 +185,14 @@ class OfferedService:
         except Exception as fault:  # noqa: BLE001 - the link has logged it
             _logger.info("%s is not answered: ROS 2 cannot tell a client that it failed (%s)", side.service, fault)
             return
-        # A reply that is written before the client's reader is discovered is lost to it.
-        side.session.graph.wait_for(lambda: not self._source.is_open or self._is_matched(client), _REPLY_SECONDS)
-        if self._source.is_open:
-            self._writer.write(self._reply_type(reply))
+        try:
+            # A reply that is written before the client's reader is discovered is lost to it.
+            side.session.graph.wait_for(lambda: not self._source.is_open or self._is_matched(client), _REPLY_SECONDS)
+            if self._source.is_open:
+                self._writer.write(self._reply_type(reply))
+        except DDSException:
+            if self._source.is_open and not side.session.is_closed:  # else the writer was closed meanwhile
+                raise
 
     def _is_matched(self, client: str | None) -> bool:
         handles = matched_subscriptions(self._writer)
@@ -198,31 +203,37 @@ class OfferedService:
         return any(reader is not None and _client_id(reader.qos) == client for reader in readers)
 
 
-def foreign_service(session: Session, service: str) -> LinkError | None:
-    """Return why a service cannot be called; None where it can, or where there is none.
+def is_foreign(session: Session, service: str) -> bool:
+    """Whether a service that is there is offered through another middleware.
 
-    rmw_cyclonedds tells the identity of a service with its endpoints. rmw_fastrtps and rmw_connextdds carry that of a
-    request beside it (related_sample_identity of DDS-RPC), which cyclonedds can neither write nor read.
+    rmw_cyclonedds tells the identity of a service with its endpoints; rmw_fastrtps and rmw_connextdds tell none.
     """
     readers = session.graph.readers(request_topic(service))
-    if not readers or any("serviceid=" in reader.user_data for reader in readers):
-        return None
-    return LinkError(
-        "the service is not offered through rmw_cyclonedds_cpp, and services do not cross middlewares",
-        where=service,
-        fix="Start its node with RMW_IMPLEMENTATION=rmw_cyclonedds_cpp, or reach the robot by a rosbridge: "
-        "docs/your-humble-robot.md.",
-    )
+    return bool(readers) and not any("serviceid=" in reader.user_data for reader in readers)
+
+
+def await_service(session: Session, service: str, service_type: str, timeout: float) -> None:
+    """Wait until a service is there.
+
+    Raises:
+        LinkError: it is not there within `timeout` seconds, or is of another type.
+    """
+    wire = request_topic(service)
+
+    def is_there() -> bool:
+        return bool(session.graph.readers(wire))
+
+    if not session.settle(is_there) and not session.graph.wait_for(is_there, timeout):
+        fix = session.loneliness() if session.is_alone() else "Start the node that offers it."
+        raise missing("service", service, session.graph.services(), where="dds", fix=fix)
+    asked = session.types.request(service_type).type_name
+    for reader in session.graph.readers(wire):
+        offered = ros_service_type(reader.type_name)
+        if f"{offered}_Request" != asked:
+            raise wrong_service_type(service, offered, service_type)
 
 
 def _client_id(qos: DdsQos) -> str | None:
     data = qos[Policy.Userdata].data if Policy.Userdata in qos else b""
     entries = dict(entry.partition("=")[::2] for entry in data.decode(errors="replace").split(";"))
     return entries.get("clientid")
-
-
-def _check_service_type(side: _Side, service_type: str) -> None:
-    for reader in side.session.graph.readers(side.request_topic):
-        offered = ros_service_type(reader.type_name)
-        if f"{offered}_Request" != side.request.type_name:
-            raise wrong_service_type(side.service, offered, service_type)

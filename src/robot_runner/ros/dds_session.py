@@ -8,6 +8,7 @@ import threading
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
+from uuid import UUID
 
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
@@ -26,12 +27,9 @@ from robot_runner.ros.type_catalogue import TypeCatalogue
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from uuid import UUID
 
     from robot_runner.ros.dds_reception import RawSample, WireType
     from robot_runner.ros.graph_addresses import DdsSettings
-
-__all__ = ["DISCOVERY_TOPIC", "SETTLING", "Nodes", "Session"]
 
 #: rmw_dds_common: each participant says here which nodes it has, and which readers and writers are whose.
 DISCOVERY_TOPIC = "ros_discovery_info"
@@ -41,7 +39,11 @@ _GUID_BYTES = 16
 
 
 class Nodes:
-    """The nodes of a graph, this link's own among them: ROS 2 tells them on a topic of its own."""
+    """The nodes of a graph, this link's own among them: ROS 2 tells them on a topic of its own.
+
+    A link that has opened nothing tells of no node: who stands by to stop a robot is not counted among those that are
+    measured.
+    """
 
     def __init__(self, session: Session, name: str) -> None:
         self._session = session
@@ -65,6 +67,16 @@ class Nodes:
         present = {participant.bytes for participant in self._session.graph.participants}
         with self._lock:
             return sorted({name for owner, names in self._told.items() if owner in present for name in names})
+
+    def tellers(self) -> set[UUID]:
+        """Return the participants that have told their nodes."""
+        with self._lock:
+            return {UUID(bytes=participant) for participant in self._told}
+
+    def without_nodes(self) -> set[UUID]:
+        """Return the participants that have told that they have none."""
+        with self._lock:
+            return {UUID(bytes=participant) for participant, names in self._told.items() if not names}
 
     def name_of(self, endpoint: Endpoint) -> str:
         """Return the full name of the node that has an endpoint; empty where its participant does not tell."""
@@ -101,7 +113,9 @@ class Nodes:
                 "reader_gid_seq": [self._gid(guid) for guid in self._readers],
                 "writer_gid_seq": [self._gid(guid) for guid in self._writers],
             }
-            message = {"gid": self._gid(self._session.guid), "node_entities_info_seq": [node]}
+            nodes = [node] if self._readers or self._writers else []
+            self._told[self._session.guid.bytes] = [f"/{self._name}" for _ in nodes]
+            message = {"gid": self._gid(self._session.guid), "node_entities_info_seq": nodes}
             self._writer.write(self._wire_type(self._session.types.serialise(_TYPE, message, Encoding.CDR)))
 
     def _gid(self, guid: UUID) -> dict[str, bytes]:
@@ -125,8 +139,11 @@ class Nodes:
             self._told[participant], self._owners[participant] = names, owners
 
 
-#: Within so many seconds of joining, all endpoints on the graph have been discovered: DDS announces at once.
+#: Within so many seconds of joining, all participants on the graph have been discovered: DDS announces at once.
 SETTLING = 1.0
+#: Within so many seconds of opening they have told of what they have, and of their nodes: those of Fast DDS tell it up
+#: to 1.2 s after they are discovered (measured with 2.9 and 2.14). It is waited for where some have not.
+_TELLING = 3.0
 
 #: The distribution of a graph without type hashes, which came with Iron, and that of an empty graph.
 _BEFORE_TYPE_HASHES, _LATEST = "humble", "jazzy"
@@ -149,10 +166,12 @@ class Session:
         self.domain = settings.domain
         self._lock = threading.Lock()
         self._topics: dict[tuple[str, str], Topic[Any]] = {}
-        self._is_closed = False
-        self._joined = time.monotonic()
+        self.is_closed = False
+        self._joined = self._opened = time.monotonic()
         self._participant = _joined(settings)
-        _ours.add(self._participant.guid)
+        self._own: set[UUID] = set()
+        self._tellers: Callable[[], set[UUID]] = set
+        self.own(self._participant)
         self.reception = Reception(self._participant)
         self.graph = Graph(self._participant, self.reception)
         with ExitStack() as undoing:
@@ -161,12 +180,19 @@ class Session:
             self.distro = settings.distro or self._told_distro()
             self.types = TypeCatalogue.of(2, self.distro, settings.types)
             self.nodes = Nodes(self, f"robot_runner_{os.getpid()}_{secrets.token_hex(2)}")
+            self._tellers = self.nodes.tellers
+            self._opened = time.monotonic()
             undoing.pop_all()
 
     @property
     def guid(self) -> Any:
         """The participant's own GUID."""
         return self._participant.guid
+
+    def own(self, participant: DomainParticipant) -> None:
+        """Take a participant for one of this link's own."""
+        self._own.add(participant.guid)
+        _ours.add(participant.guid)
 
     def type_hash(self, name: str) -> str:
         """Return the user data that tells a type's hash; empty for distributions that know none."""
@@ -188,11 +214,19 @@ class Session:
 
     def settle(self, is_so: Callable[[], bool]) -> bool:
         """Wait until `is_so` holds, but no longer than it takes to discover what is on the graph."""
-        return self.graph.wait_for(is_so, max(0.0, self._joined + SETTLING - time.monotonic()))
+        if not self.graph.wait_for(is_so, max(0.0, self._joined + SETTLING - time.monotonic())):
+            left = max(0.0, self._opened + _TELLING - time.monotonic())
+            self.graph.wait_for(lambda: is_so() or not self._silent(), left)
+        return is_so()
+
+    def _silent(self) -> frozenset[UUID]:
+        """Return the others that are there, and have not told of their endpoints and nodes."""
+        tellers = {writer.participant for writer in self.graph.writers(DISCOVERY_TOPIC)}
+        return (self.graph.silent() | (tellers - self._tellers())) - self._own
 
     def is_alone(self) -> bool:
-        """Whether this is the only participant of its domain."""
-        return not self.graph.participants - {self.guid}
+        """Whether nobody else is on its domain but participants without a node."""
+        return not self.graph.participants - self._own - self.nodes.without_nodes()
 
     def loneliness(self) -> str:
         """Say what to do where nobody else is on the graph."""
@@ -203,9 +237,9 @@ class Session:
 
     def close(self) -> None:
         """Leave the graph; closing twice does nothing."""
-        if self._is_closed:
+        if self.is_closed:
             return
-        self._is_closed = True
+        self.is_closed = True
         self.reception.close()
         delete(self._participant)
 
@@ -227,15 +261,18 @@ class Session:
             ) from error
 
     def _told_distro(self) -> str:
-        """Tell from the endpoints of others whether there are type hashes on this graph, as there are since Iron."""
+        """Tell from the endpoints of others whether all have type hashes, as there are since Iron.
+
+        One that has none is older. Other links of ours, which found nobody when they were opened, have hashes.
+        """
 
         def others() -> list[str]:
             writers = self.graph.writers(DISCOVERY_TOPIC)
             return [writer.user_data for writer in writers if writer.participant not in _ours]
 
-        self.settle(lambda: bool(others()))
-        told = others()
-        return _BEFORE_TYPE_HASHES if told and not any("typehash=" in data for data in told) else _LATEST
+        # Endpoints of Fast DDS come later than those of our other links.
+        self.settle(lambda: bool(others()) and not self.graph.silent() - self._own)
+        return _LATEST if all("typehash=" in data for data in others()) else _BEFORE_TYPE_HASHES
 
 
 def _joined(settings: DdsSettings) -> DomainParticipant:

@@ -11,10 +11,11 @@ from cyclonedds.core import DDSException
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
+from robot_runner.ros.dds_foreign_services import ForeignServices
 from robot_runner.ros.dds_graph import matched_subscriptions, ros_type, wire_topic
 from robot_runner.ros.dds_qos import adapted, incompatibility, profile_of, reader_profile, writer_profile
 from robot_runner.ros.dds_reception import delete, topic_wire_type
-from robot_runner.ros.dds_services import OfferedService, ServiceClient, foreign_service
+from robot_runner.ros.dds_services import OfferedService, ServiceClient, await_service, is_foreign
 from robot_runner.ros.dds_session import Session
 from robot_runner.ros.graph_transport import ReceivedBytes, check_type
 from robot_runner.ros.ros2_actions import Ros2Actions
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.dds_reception import RawSample, WireType
     from robot_runner.ros.graph_addresses import DdsSettings
     from robot_runner.ros.graph_transport import Reception
-
-__all__ = ["DdsTransport"]
 
 #: How long a publisher that leaves waits until its readers have what it published, s.
 _CLOSING_SECONDS = 0.5
@@ -60,6 +59,7 @@ class DdsTransport:
         self._clients: dict[tuple[str, str], ServiceClient] = {}
         self._subscriptions: list[_Subscription] = []
         self._session = Session(settings)
+        self._foreign = ForeignServices(self._session)
         self._session.graph.on_writer = self._adapt
         self.types = self._session.types
         self.actions = Ros2Actions(self)
@@ -79,13 +79,18 @@ class DdsTransport:
             receive(ReceivedBytes(data, self._now_ns(), decode))
 
         subscription = _Subscription(self._session, topic, message_type, take, qos)
+        # Opened and noted in one: a publisher that is discovered meanwhile is adapted to, by whichever comes second.
         with self._lock:
+            subscription.open()
             self._subscriptions = [each for each in self._subscriptions if each.is_open]
             self._subscriptions.append(subscription)
         return subscription
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service and return its response; a client is kept, because it takes time to be discovered."""
+        await_service(self._session, service, service_type, timeout)
+        if is_foreign(self._session, service):
+            return self._foreign.call(service, service_type, request, timeout)
         with self._lock:
             key = service, service_type
             if key not in self._clients:
@@ -106,10 +111,6 @@ class DdsTransport:
         """Return the type of each service that is answered."""
         self._session.settle(lambda: False)
         return self._session.graph.services()
-
-    def service_fault(self, service: str) -> LinkError | None:
-        """Return why a service cannot be called: it is offered through another middleware."""
-        return foreign_service(self._session, service)
 
     def nodes(self) -> Iterable[str]:
         """Return the full names of the nodes that the participants tell of."""
@@ -140,10 +141,13 @@ class DdsTransport:
 
     def close(self) -> None:
         """Leave the graph."""
+        self._foreign.close()
         self._session.close()
 
     def _adapt(self, writer: Endpoint) -> None:
-        for subscription in self._subscriptions:
+        with self._lock:
+            subscriptions = list(self._subscriptions)
+        for subscription in subscriptions:
             subscription.adapt(writer)
 
 
@@ -230,7 +234,11 @@ class _Subscription:
         _check_types(session, topic, self._wire_type)
         self._asked = self._policies()
         self._check_offers()
-        self._source = self._open()
+
+    def open(self) -> None:
+        """Begin to receive."""
+        self._asked = self._policies()
+        self._source = self._reading()
 
     @property
     def is_open(self) -> bool:
@@ -254,7 +262,7 @@ class _Subscription:
         asked = self._policies()
         if asked != self._asked:
             self._asked = asked
-            fresh = self._open()
+            fresh = self._reading()
             self._session.reception.drain(self._source)
             self._before = dict(self._last)
             stale, self._source = self._source, fresh
@@ -278,7 +286,7 @@ class _Subscription:
                     fix="Leave the QoS out, so that it fits the publishers.",
                 )
 
-    def _open(self) -> Any:
+    def _reading(self) -> Any:
         reader = self._session.reader(self._wire_topic, self._wire_type, self._asked)
         return self._session.reception.add(reader, self._receive, self._topic)
 

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message
 
-__all__ = ["FirstMessage"]
-
 
 class FirstMessage:
     """Keeps the first message that satisfies a condition, or what the condition raised.

@@ -13,8 +13,6 @@ from robot_runner.ros.shapes import plain_type
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["TypeKind", "generated_class"]
-
 
 class TypeKind(Enum):
     """What a type is of: its module in the package, what it is called, and an example.

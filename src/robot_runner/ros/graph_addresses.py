@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -11,6 +12,9 @@ from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl, urlsplit
 
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.links.robot_name import RobotName
+from robot_runner.core.storage.input_files import input_file
+from robot_runner.ros.ros1_master import Master, master_address
 from robot_runner.ros.rosbridge_security import SECURITY_OPTIONS, RosbridgeSecurity
 from robot_runner.ros.type_store import ROS1_DISTROS, ROS2_DISTROS
 
@@ -18,9 +22,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
     from urllib.parse import SplitResult
 
-__all__ = ["DdsSettings", "RosbridgeAddress", "domain_id"]
-
 _WHERE = "robot"
+#: Other names of this computer.
+_LOCAL = MappingProxyType({"127.0.0.1": "localhost", "::1": "localhost"})
 _DDS_OPTIONS = ("domain", "distro", "types")
 #: Domains above this have UDP ports past 65535 (RTPS 2.2, 9.6.1.1: 7400 + 250 · domain + …).
 _MAX_DOMAIN = 232
@@ -55,6 +59,28 @@ def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int
         where="robot" if named else "ROS_DOMAIN_ID",
         fix=f"Give a whole number from 0 to {_MAX_DOMAIN}, the ROS_DOMAIN_ID of the robot.",
     )
+
+
+def graph_of(robot: str) -> str:
+    """Return what tells one graph from another, however it is reached: its domain, its master, or its rosbridge.
+
+    Example:
+        >>> graph_of("dds:domain=7,distro=humble") == graph_of("ros2:domain=7,namespace=/alice")
+        True
+        >>> graph_of("ros1:master=http://127.0.0.1:11311") == graph_of("ros1:master=http://localhost:11311/")
+        True
+    """
+    with suppress(LinkError):
+        name = RobotName.parse(robot)
+        if name.link in {"dds", "ros2"}:
+            return f"domain {domain_id(name.options, os.environ)}"
+        if name.link == "ros1":
+            host, port = master_address(Master(name.options.get("master")).uri)
+            return f"master {_LOCAL.get(host, host)}:{port}"
+        if name.address is not None:
+            address = RosbridgeAddress.parse(name.address)
+            return f"rosbridge {_LOCAL.get(address.host, address.host)}:{address.port}{address.path}"
+    return robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,4 +263,9 @@ def _check_distro(distro: str | None, known: Collection[str], of: str) -> None:
 
 def _paths(options: Mapping[str, str]) -> tuple[Path, ...]:
     """Return the files and folders with further message types."""
-    return tuple(Path(part).expanduser() for part in options.get("types", "").split(os.pathsep) if part)
+    return tuple(input_file(part) for part in named_definitions(options))
+
+
+def named_definitions(options: Mapping[str, str]) -> tuple[Path, ...]:
+    """Return the files and folders with further message types, as the option `types` names them."""
+    return tuple(Path(part) for part in options.get("types", "").split(os.pathsep) if part)

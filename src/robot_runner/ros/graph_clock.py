@@ -11,8 +11,6 @@ from robot_runner.core.errors import LinkError
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, RobotLink
 
-__all__ = ["GraphClock"]
-
 _TOPIC = "/clock"
 _TYPE = "rosgraph_msgs/Clock"
 #: How long, in real seconds, the clock may stand still before a sleep on it is given up.

@@ -8,15 +8,16 @@ from contextlib import ExitStack, closing
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.unhandled import raised_in_thread
+from robot_runner.core.events.early_end import raised_in_thread
+from robot_runner.core.links.commanded_topics import tell_commanded
+from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.action_calls import LinkGoals
 from robot_runner.ros.action_server import GoalServer
 from robot_runner.ros.first_message import FirstMessage
-from robot_runner.ros.graph_links import full_name, namespace_prefix
 from robot_runner.ros.graph_transport import check_type
 from robot_runner.ros.opened_names import Advertised, Opened
-from robot_runner.ros.sent_velocities import note_velocity
+from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, planar, velocity_of
 
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     )
     from robot_runner.ros.graph_transport import Reception, TopicSubscription, Transport
     from robot_runner.ros.parameter_access import ParameterServer
-
-__all__ = ["GraphLink"]
 
 _logger = logging.getLogger(__name__)
 
@@ -108,7 +107,9 @@ class GraphLink:
             check_type(name, message_type, [advertised.message_type])
         complete = completed(advertised.shape, message, where=name)
         if advertised.message_type in VELOCITY_COMMANDS:
-            note_velocity(name, planar(velocity_of(advertised.message_type, complete)))
+            note_sent(name, planar(velocity_of(advertised.message_type, complete)))
+        elif is_watched(name):
+            note_sent(name, complete)
         advertised.publisher.publish(complete)
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
@@ -233,6 +234,16 @@ class GraphLink:
 
         return self._open(name, action_type, serve)
 
+    def check_message(self, name: str, type_name: str, message: Message, *, is_goal: bool = False) -> None:
+        """See that a message of a topic, or a goal of an action, follows its definition; nothing is sent.
+
+        Raises:
+            LinkError: it does not, or there is no such type.
+        """
+        plain, transport = plain_type(type_name), self._transport
+        shape = transport.actions.types(plain).goal if is_goal else transport.types.shape(plain)
+        completed(shape, message, where=self._name(name))
+
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic that is published or subscribed, by full name; `*` where nothing tells it."""
         self._check_open("the graph")
@@ -244,20 +255,15 @@ class GraphLink:
         self._check_open("the graph")
         return self._transport.services()
 
-    def service_fault(self, service: str) -> LinkError | None:
-        """Return why a service that is on the graph cannot be called from here, or None; nothing is called."""
-        fault = getattr(self._transport, "service_fault", None)
-        return None if fault is None else fault(self._name(service))
-
     def actions(self) -> Mapping[str, str]:
         """Return the type of each action that is offered on the graph, by its full name."""
         self._check_open("the graph")
         return self._transport.actions.actions()
 
     def nodes(self) -> Sequence[str]:
-        """Return the full names of the nodes on the graph, sorted."""
+        """Return the full names of the nodes on the graph, sorted; hidden ones (`_daemon`) are left out, as in ROS."""
         self._check_open("the graph")
-        return sorted(self._transport.nodes())
+        return sorted(name for name in self._transport.nodes() if not name.rpartition("/")[2].startswith("_"))
 
     def publishers(self, topic: str) -> Sequence[GraphEndpoint]:
         """Return who publishes a topic, this link included; nobody where there is no such topic."""
@@ -315,6 +321,8 @@ class GraphLink:
                 completed(shape, message, where=name)  # a wrong message is refused before the topic is on the graph
                 known = Advertised(plain, shape, self._transport.advertise(name, plain, qos))
                 self._advertised[name, qos] = known
+                if plain in VELOCITY_COMMANDS:
+                    tell_commanded(name, plain)
             return known
 
     def _subscribe(

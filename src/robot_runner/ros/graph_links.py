@@ -8,42 +8,25 @@ from functools import partial
 from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.graph_names import full_name, missing, namespace_prefix
 from robot_runner.core.links.kinds import link_key
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
+from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_clock import GraphClock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from robot_runner.core.events.context import Clock
     from robot_runner.core.events.resources import Resources
     from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink
-
-__all__ = [
-    "AUTO",
-    "DDS",
-    "GRAPH_LINKS",
-    "ROS1",
-    "ROS2",
-    "ROSBRIDGE",
-    "ROSBRIDGE_TLS",
-    "GraphLinkKind",
-    "clock_fix",
-    "follows_graph_clock",
-    "full_name",
-    "missing",
-    "missing_of",
-    "namespace_prefix",
-    "not_installed",
-]
-
 
 # Which packages a link lacks, and the extra that brings them.
 
@@ -72,6 +55,8 @@ def not_installed(missing: Sequence[str], *, way: str, extra: str) -> LinkError:
     )
 
 
+#: What a file of definitions is called.
+DEFINITIONS = (".msg", ".srv", ".action")
 _CLOCK = "clock"
 _SYSTEM = "system"
 _GRAPH = "graph"
@@ -87,6 +72,7 @@ class GraphLinkKind:
         opener: the function that opens it.
         takes_address: whether it has an address, and no options.
         client: the modules that take long to import, and that `module` imports only where they are asked for.
+        is_slow_to_join: whether who has just joined the graph is not heard at once: DDS has to discover it.
     """
 
     description: str
@@ -94,6 +80,7 @@ class GraphLinkKind:
     opener: str
     takes_address: bool = False
     client: tuple[str, ...] = ()
+    is_slow_to_join: bool = False
 
     @property
     def is_simulated(self) -> bool:
@@ -115,6 +102,13 @@ class GraphLinkKind:
         begin: Callable[..., Callable[[], Sequence[Finding]]]
         begin = import_module("robot_runner.ros.graph_look").begin_look
         return begin(name, needs)
+
+    def input_files(self, name: RobotName) -> Iterable[InputFile]:
+        """Return the definitions of messages that its options name."""
+        query = (name.address or "").partition("?")[2]
+        for path in _definitions(dict(parse_qsl(query)) if query else name.options):
+            inside = input_file(path).rglob("*.*")
+            yield InputFile(path, tuple(each for each in inside if each.suffix in DEFINITIONS))
 
     def preload(self, name: RobotName) -> None:
         """Import the client library; nothing is opened."""
@@ -193,12 +187,15 @@ class _FoundRobot:
 
 # What the entry points of this room name.
 ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link", client=("rospy",))
-ROS2 = GraphLinkKind("ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link", client=("rclpy",))
+ROS2 = GraphLinkKind(
+    "ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link", client=("rclpy",), is_slow_to_join=True
+)
 DDS = GraphLinkKind(
     "ROS 2 over DDS, with no ROS installed",
     "robot_runner.ros.dds_link",
     "open_dds_link",
     client=("robot_runner.ros.dds_transport",),
+    is_slow_to_join=True,
 )
 ROSBRIDGE = GraphLinkKind(
     "ROS 1 or 2 through a rosbridge, with no ROS installed",
@@ -226,7 +223,7 @@ def clock_fix(name: RobotName) -> str:
     """Return what to do where a run is to live by `/clock` and nobody publishes it.
 
     Example:
-        >>> from robot_runner.core.links.robot import RobotName
+        >>> from robot_runner.core.links.robot_name import RobotName
         >>> clock_fix(RobotName.parse("ros2:clock=graph"))
         "Start the simulation; or, for a real robot, leave clock=graph out of robot = 'ros2:…'."
     """
@@ -244,6 +241,13 @@ def follows_graph_clock(robot: str | None) -> bool:
     name = None if robot is None else RobotName.parse(robot)
     kind = None if name is None else GRAPH_LINKS.get(name.link)
     return name is not None and kind is not None and kind.follows_graph_clock(name)
+
+
+def _definitions(options: Mapping[str, str]) -> Sequence[Path]:
+    if "types" not in options:  # as nearly always: what takes them apart imports much
+        return ()
+    named: Sequence[Path] = import_module("robot_runner.ros.graph_addresses").named_definitions(options)
+    return named
 
 
 def _started(link: RobotLink, fix: str) -> GraphClock:

@@ -11,18 +11,21 @@ import subprocess
 import sys
 import time
 from contextlib import closing, suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, Severity, nearest
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.graph_needs import GraphNeed, GraphPart
-from robot_runner.core.links.robot import RobotLink, RobotName
+from robot_runner.core.links.robot import RobotLink
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.words import enumerated
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_links import GRAPH_LINKS, clock_fix
+from robot_runner.ros.graph_transport import LONGEST_DISCOVERY
 from robot_runner.ros.parameter_access import ServerParameters, parameters_of
 from robot_runner.ros.parameter_values import from_json
+from robot_runner.ros.sent_messages import misfits
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import (
     is_told,
@@ -37,12 +40,10 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import GraphListing
 
-__all__ = ["begin_look", "look_at", "need_findings", "offer_findings"]
-
 #: How long a look may take in all, s: a client library takes one or two to import and to join the graph on a laptop.
-_SECONDS = 8.0
+_SECONDS = 11.0
 #: How long what is missing may take to be discovered, s; a ROS 1 master and a rosbridge know at once.
-_DISCOVERY = {"ros2": 2.0, "dds": 1.0}
+_DISCOVERY = {"ros2": LONGEST_DISCOVERY, "dds": 1.0}
 _PERIOD = 0.1
 #: What is on a graph without any robot: topics that the client libraries and the rosbridge bring.
 _INFRASTRUCTURE = frozenset(
@@ -116,10 +117,17 @@ def look_at(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> list[F
         return [error.as_finding() if needs else _not_looked_at(error.problem, error.fix)]
     wanted = {**needs, **({_ROBOT: clock} if clock else {})}
     with closing(link):
+        wrong = list(_misfits(link, needs)) if isinstance(link, GraphLink) else []
         try:
-            return _patiently(link, wanted, _DISCOVERY.get(name.link, 0.0))
+            return [*wrong, *_patiently(link, wanted, _DISCOVERY.get(name.link, 0.0))]
         except LinkError as error:
-            return [_not_looked_at(error.problem, error.fix)]
+            return [*wrong, _not_looked_at(error.problem, error.fix)]
+
+
+def _misfits(link: GraphLink, needs: Mapping[str, Sequence[GraphNeed]]) -> Iterator[Finding]:
+    for where, wanted in needs.items():
+        for need in wanted:
+            yield from misfits(link, need, where)
 
 
 def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], seconds: float) -> list[Finding]:
@@ -165,10 +173,8 @@ def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[F
             yield from _subscribed(link, need, where)
         case GraphPart.SERVICE:
             yield from offer_findings("service", link.services(), need, where)
-            yield from _foreign(link, need, where)
         case GraphPart.ACTION:
             yield from offer_findings("action", link.actions(), need, where)
-            yield from _foreign(link, replace(need, name=f"{need.name}/_action/send_goal"), where)
         case GraphPart.PARAMETERS:
             yield from _parameters(link, need, where)
 
@@ -210,13 +216,6 @@ def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Fin
         yield Finding.error(where, f"{each.where}: {each.problem}", f"{need.fix} {each.fix}".strip())
     for problem, fix in doubts:
         yield Finding.warning(where, problem, fix)
-
-
-def _foreign(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Finding]:
-    """Yield why a service that is there cannot be called over this link."""
-    fault = link.service_fault(need.name) if isinstance(link, GraphLink) else None
-    if fault is not None:
-        yield Finding.error(where, f"{need.name!r}: {fault.problem}", fault.fix)
 
 
 def offer_findings(what: str, offered: Mapping[str, str], need: GraphNeed, where: str) -> Iterator[Finding]:

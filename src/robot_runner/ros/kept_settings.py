@@ -17,14 +17,13 @@ from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.guarded_files import make_experiment_folder, read_json, remove
 from robot_runner.core.storage.outliving import process_stat
 from robot_runner.core.storage.safe_write import write_beside_and_rename
+from robot_runner.ros.graph_addresses import graph_of
 from robot_runner.ros.parameter_values import from_json, to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from robot_runner.ros.parameter_values import ParameterValue
-
-__all__ = ["KeptSettings", "Settings", "as_json", "left_settings"]
 
 #: Values by node and by name.
 Settings: TypeAlias = "Mapping[str, Mapping[str, ParameterValue]]"
@@ -47,6 +46,7 @@ class KeptSettings:
         before: what there was, by full names of nodes.
         wanted: what was set.
         owner: the process that puts it back, and when it was started.
+        graph: of the robot, which may be named in several ways: `ros2`, `dds:domain=0,distro=humble`.
     """
 
     kind: str
@@ -55,6 +55,10 @@ class KeptSettings:
     before: Settings
     wanted: Settings
     owner: tuple[int, str]
+    graph: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "graph", self.graph or graph_of(self.robot))
 
     @classmethod
     def of_this_process(cls, kind: str, robot: str, plugin: str, before: Settings, wanted: Settings) -> KeptSettings:
@@ -83,6 +87,7 @@ class KeptSettings:
         stored = {
             "kind": self.kind,
             "robot": self.robot,
+            "graph": self.graph,
             "plugin": self.plugin,
             "owner": self.owner,
             "before": as_json(self.before),
@@ -108,7 +113,8 @@ def left_settings(kind: str, robot: str | None) -> list[KeptSettings]:
 
     A file that cannot be read is passed over: it is of another version, or a stranger's.
     """
-    return [each for each in _read_all() if each.kind == kind and each.robot == robot and each.is_left]
+    graph = None if robot is None else graph_of(robot)
+    return [each for each in _read_all() if each.kind == kind and each.graph == graph and each.is_left]
 
 
 def as_json(settings: Settings) -> dict[str, dict[str, Any]]:
@@ -123,7 +129,8 @@ def _read_all() -> Iterator[KeptSettings]:
             pid, started = found["owner"]
             before, wanted = _settings(found["before"]), _settings(found["wanted"])
             owner = (int(pid), str(started))
-            kept = KeptSettings(found["kind"], found["robot"], found["plugin"], before, wanted, owner)
+            graph = str(found.get("graph", ""))  # files of earlier versions have none
+            kept = KeptSettings(found["kind"], found["robot"], found["plugin"], before, wanted, owner, graph)
             if kept.path == path:
                 yield kept
 

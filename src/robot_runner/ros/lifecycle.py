@@ -13,8 +13,6 @@ from robot_runner.ros.node_services import call_node
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, RobotLink
 
-__all__ = ["SETTLED", "LifecycleState", "bring_to", "change_state", "named_state", "ros1_has_none", "state_of"]
-
 
 class LifecycleState(IntEnum):
     """The states of lifecycle_msgs/State: four in which a node stays, and those on the way from one to another."""

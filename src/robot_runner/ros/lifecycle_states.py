@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.parameter_values import ParameterValue
 
-__all__ = ["Lifecycle"]
-
 #: What the state of a node is called among its settings.
 _STATE = "state"
 

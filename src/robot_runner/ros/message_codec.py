@@ -11,9 +11,6 @@ if TYPE_CHECKING:
 
     Converter = Callable[[Any], Any]
 
-__all__ = ["FILLER", "OCTETS", "MessageCodec", "NodeKind"]
-
-
 #: What a type without fields holds in a type store, because IDL allows no empty structure.
 FILLER = "structure_needs_at_least_one_member"
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message, RobotLink
 
-__all__ = ["NODE_TYPES", "NodeNotReadyError", "call_node", "full_node"]
-
 _PARAMETERS = {
     "GetParameters": "string[] names\n---\nrcl_interfaces/ParameterValue[] values\n",
     "SetParameters": "rcl_interfaces/Parameter[] parameters\n---\nrcl_interfaces/SetParametersResult[] results\n",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.ros.sent_velocities import note_velocity
+from robot_runner.ros.sent_commands import note_sent
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.graph_transport import TopicPublisher
     from robot_runner.ros.shapes import Shape
-
-__all__ = ["Advertised", "Opened"]
 
 #: How long the last command, to stand still, may take to reach the robot, s: a robot two hops of Wi-Fi away takes it
 #: within tenths, and a run must not hang on one that is switched off.
@@ -37,7 +35,7 @@ class Advertised:
             LinkError: nobody takes it.
         """
         try:
-            note_velocity(topic, (0.0, 0.0))
+            note_sent(topic, (0.0, 0.0))
             self.publisher.publish(completed(self.shape, {}, where=topic))
             self.publisher.flush(_STOPPING_SECONDS)
         except LinkError as error:

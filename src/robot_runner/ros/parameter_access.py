@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.parameter_values import ParameterValue
 
-__all__ = ["NodeParameters", "ParameterAccess", "ParameterServer", "ServerParameters", "all_at_once", "parameters_of"]
-
 #: ROS 1: XML-RPC has whole numbers of 32 bits.
 _INT32 = range(-(2**31), 2**31)
 _DECLARED = "Look what it has: ros2 param list."

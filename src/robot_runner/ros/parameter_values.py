@@ -14,20 +14,6 @@ from robot_runner.core.errors import LinkError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = [
-    "ParameterDescription",
-    "ParameterKind",
-    "ParameterValue",
-    "as_wire",
-    "fitted",
-    "from_json",
-    "from_wire",
-    "kind_of",
-    "normal",
-    "same_value",
-    "to_json",
-]
-
 #: What a parameter may be; None for one that is declared and has no value yet.
 ParameterValue: TypeAlias = bool | int | float | str | bytes | list[bool] | list[int] | list[float] | list[str] | None
 

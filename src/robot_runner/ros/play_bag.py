@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
-from robot_runner.core.links.connect import connect_robot
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.connect import connect_robot, join_beforehand
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.plugin import System
-from robot_runner.core.sampling.quality import Column, write_quality, write_samples
+from robot_runner.core.storage.input_files import InputFile
+from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.bag_player import CLOCK, PLAYERS, LinkPlayer, Played, ProgramPlayer, playing, refuse_rivals
 from robot_runner.ros.recorded_bag import RecordedBag, bag_at
 from robot_runner.ros.topic_statistics import nearest_rank, robot_findings
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.recorded_bag import RecordedTopic
-
-__all__ = ["PlayBag"]
 
 _FIX = "Execute the run again with nothing else going on, or play the bag more slowly (rate)."
 
@@ -119,6 +118,10 @@ class PlayBag(System):
         del robot
         return ()
 
+    def input_files(self) -> Iterable[InputFile]:
+        """Return the bag."""
+        return [InputFile(self.path)]
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Yield what stands in the way: no robot, no such bag, nothing in it to play, no program, two clocks."""
         yield from robot_findings(self.name, circumstances)
@@ -184,6 +187,11 @@ class PlayBag(System):
         if bag is not None:
             self._write(context, bag)
             bag.close()
+
+    def stand_by(self, context: RobotRunnerContext) -> None:
+        """Join the graph, so that `make_safe` is heard at once."""
+        if context.robot is not None:
+            join_beforehand(context)
 
     def make_safe(self, context: RobotRunnerContext) -> None:
         """End what plays; where velocities were recorded, command zero, also in a process not connected before."""

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.ros.parameter_values import ParameterValue
 
-__all__ = ["reconfigurable", "reconfigure"]
-
 _TYPE = "dynamic_reconfigure/Reconfigure"
 _SERVICE = "set_parameters"
 #: The field of a dynamic_reconfigure/Config for each kind; there are no arrays.

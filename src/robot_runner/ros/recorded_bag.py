@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from robot_runner.core.errors import PluginError, did_you_mean, nearest
 from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.core.storage.input_files import input_file
 from robot_runner.ros.graph_transport import nearest_profile
 from robot_runner.ros.message_codec import MessageCodec
 from robot_runner.ros.shapes import plain_type
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.links.robot import Message
-
-__all__ = ["RecordedBag", "RecordedMessage", "RecordedTopic", "bag_at"]
 
 _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 _SUFFIXES = (".bag", ".mcap", ".db3")
@@ -192,7 +191,7 @@ def bag_at(path: Path) -> Path:
     Raises:
         PluginError: there is none, or more than one.
     """
-    path = path.expanduser()
+    path = input_file(path)
     if not path.exists():
         beside = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
         near = nearest(path.name, beside)

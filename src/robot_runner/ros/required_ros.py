@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_addresses import RosbridgeAddress
 from robot_runner.ros.ros1_master import Master
 from robot_runner.ros.ros_environment import RosEnvironment, find_ros, installed_ros, ros_of_host, ros_of_master
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.plugin import Plugin
-
-__all__ = ["check_required_ros", "check_ros"]
 
 _ON_SIMULATED = "or execute it on the embedded robot: --set robot=simulated"
 _ANY = (None, "any")

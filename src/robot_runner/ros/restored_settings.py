@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.kept_settings import Settings
     from robot_runner.ros.parameter_values import ParameterValue
 
-__all__ = ["RestoredSettings", "check_left_settings"]
-
 _log = logging.getLogger(__name__)
 
 #: How often a node is looked for that is not there yet, s.

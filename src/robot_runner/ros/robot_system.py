@@ -5,14 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding
+from robot_runner.core.links.connect import is_simulated, join_beforehand
 from robot_runner.core.plugin import System
+from robot_runner.ros.sent_messages import StandardTypes, misfits
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["RobotSystem"]
 
 
 class RobotSystem(System):
@@ -22,14 +23,26 @@ class RobotSystem(System):
     does: ClassVar[str] = "operates a robot"
     #: A robot that it can operate, for the same.
     for_example: ClassVar[str] = "simulated"
+    #: Of its robot on the graph, where there are several.
+    namespace: str = ""
 
     def claims(self, robot: str | None) -> Iterable[str]:
         """Return what a run needs for itself: nothing but the robot, which the experiment names."""
         del robot
         return ()
 
+    def stand_by(self, context: RobotRunnerContext) -> None:
+        """Join the graph, so that `make_safe` is heard at once."""
+        join_beforehand(context, namespace=self.namespace)
+
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot."""
+        """Return what stands in the way: no robot; on the embedded one, goals and messages that are none of their type.
+
+        On a graph they are compared with its own definitions, when it is looked at.
+        """
+        if is_simulated(circumstances.robot) and StandardTypes.is_known():
+            for need in self.required_graph(circumstances):
+                yield from misfits(StandardTypes(), need, f"plugin {self.name}")
         if circumstances.robot is None:
             yield Finding.error(
                 f"plugin {self.name}",

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.sent_goal import SentGoal
     from robot_runner.ros.shapes import Shape
 
-__all__ = ["Ros1Actions"]
-
 _logger = logging.getLogger(__name__)
 
 _GOAL, _CANCEL, _STATUS, _FEEDBACK, _RESULT = "/goal", "/cancel", "/status", "/feedback", "/result"
@@ -276,6 +274,7 @@ class _Served:
         self._rejected: list[tuple[str, float]] = []
         self._stamps: dict[str, dict[str, int]] = {}
         self._lock = threading.Lock()
+        self._taking = threading.RLock()
         self._is_closed = threading.Event()
         self._open: list[Any] = []
         try:
@@ -327,10 +326,14 @@ class _Served:
         named = message["goal_id"]
         stamp = named["stamp"]
         key = named["id"] or f"{stamp['sec']}.{stamp['nanosec']:09}"
-        self._stamps[key] = stamp
-        if self._server.find(key) is None and self._server.accept(key, message["goal"]) is None:
-            with self._lock:
-                self._rejected.append((key, time.monotonic()))
+        with self._taking:
+            self._stamps[key] = stamp
+            is_rejected = self._server.find(key) is None and self._server.accept(key, message["goal"]) is None
+            if is_rejected:
+                with self._lock:
+                    self._rejected.append((key, time.monotonic()))
+            self._forget_stamps()
+        if is_rejected:
             self._result.publish(
                 {
                     "header": _header(),
@@ -339,6 +342,13 @@ class _Served:
                 }
             )
         self.tell_status(self._server.executions)
+
+    def _forget_stamps(self) -> None:
+        """Keep the stamps of those goals that are still told: a server may live for months."""
+        with self._lock:
+            told = {key for key, _ in self._rejected}
+        told |= {each.key for each in self._server.executions}
+        self._stamps = {key: stamp for key, stamp in self._stamps.items() if key in told}
 
     def _take_cancel(self, reception: Reception) -> None:
         asked = reception.message()

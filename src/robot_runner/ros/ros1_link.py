@@ -17,9 +17,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import RobotLink, RobotName
-
-__all__ = ["findings", "follows_graph_clock", "master_of", "open_ros1_link"]
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.links.robot_name import RobotName
 
 _OPTIONS = ("master",)
 #: How long a check waits for the master, s.

@@ -19,8 +19,6 @@ from robot_runner.core.errors import LinkError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["DEFAULT_MASTER", "Master", "SystemState", "master_address"]
-
 #: Where a master is, unless ROS_MASTER_URI says otherwise.
 DEFAULT_MASTER = "http://localhost:11311"
 _CALLER = "/robot_runner"
@@ -175,6 +173,26 @@ class Master:
             return self.pid_of(node) is not None
         except LinkError:
             return False
+
+    def is_serving(self, node: str, topic: str, listener: str) -> bool:
+        """Whether a node that publishes a topic sends it to another one, as it tells itself; a node of ours too.
+
+        Source: wiki.ros.org/ROS/Slave_API, getBusInfo.
+        """
+        try:
+            code, _, uri = self._answer("lookupNode", node)
+            connections = Master(uri, timeout=self._timeout).connections() if code == _SUCCESS else ()
+            return any(each[1] == listener and each[2] == "o" and each[4] == topic for each in connections)
+        except (LinkError, IndexError, TypeError):  # it is gone, or tells it in another way
+            return False
+
+    def connections(self) -> list[Any]:
+        """Return what a node tells of its connections: number, other side, direction (`o` is out), transport, topic.
+
+        Raises:
+            LinkError: nothing answers.
+        """
+        return list(self._ask("getBusInfo"))
 
     def pid(self) -> int:
         """Return the number of the process that answers; a node answers this question as a master does.

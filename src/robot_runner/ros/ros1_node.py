@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.ros1_master import Master
 
-__all__ = ["REGISTERING_SECONDS", "join_graph", "own_address", "rospy_missing", "within"]
-
 T = TypeVar("T")
 
 #: How long the master may take to note one more publisher, subscriber or service, s.

@@ -19,8 +19,6 @@ from robot_runner.ros.graph_transport import service_timeout, wrong_service_type
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-__all__ = ["call_service", "service_type"]
-
 _LENGTH = struct.Struct("<I")
 _CALLER = "/robot_runner"
 #: What tells a service of another type, in the words of rospy and roscpp.

@@ -10,8 +10,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
-from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import (
     ReceivedBytes,
     already_offered,
@@ -26,13 +26,11 @@ from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, messa
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.links.robot import Message
     from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.ros1_master import Master
-
-__all__ = ["Ros1Transport"]
 
 _logger = logging.getLogger(__name__)
 
@@ -40,8 +38,10 @@ _logger = logging.getLogger(__name__)
 _QUEUE_SIZES: Mapping[Qos, int] = MappingProxyType(
     {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
 )
-#: How long the subscribers that a topic has already may take to connect to a new publisher, s.
+#: How long those who are on a topic already may take to connect to a new publisher or subscriber, s.
 _CONNECTING_SECONDS = 2.0
+#: How long a publisher that is connected may take to tell so, s: a millisecond, or another client library does not.
+_TELLING_SECONDS = 0.5
 #: How long each service may take to tell its type, s.
 _PROBING_SECONDS = 0.5
 #: How often a queue is looked at until it is empty, s.
@@ -81,10 +81,16 @@ class Ros1Transport:
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
     ) -> _Subscription:
-        """Have `receive` called with each message, from a thread of rospy's; in ROS 1 only publishers choose a QoS."""
+        """Have `receive` called with each message, from a thread of rospy's; in ROS 1 only publishers choose a QoS.
+
+        It returns once the publishers that are there already are connected: what they publish next is received.
+        """
         del qos, is_raw
         self._check_type(topic, message_type, publishers_only=True)
-        return _Subscription(self, topic, message_class(message_type), receive)
+        publishers = [each.node for each in self.publishers(topic)]
+        subscription = _Subscription(self, topic, message_class(message_type), receive)
+        subscription.connect(publishers)
+        return subscription
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service and return its response."""
@@ -167,6 +173,10 @@ class Ros1Transport:
             doing="registering the subscriber",
         )
 
+    def is_served(self, topic: str, publishers: Iterable[str]) -> bool:
+        """Whether all of these nodes send a topic to this one, as they tell."""
+        return all(self._master.is_serving(each, topic, self._rospy.get_name()) for each in publishers)
+
     def received(self, data: bytes, decode: Callable[[bytes], Message]) -> ReceivedBytes:
         """Return bytes as a message that has arrived now."""
         return ReceivedBytes(data, self._now_ns(), decode)
@@ -242,6 +252,12 @@ class _Publisher:
             self._arrivals.wait(left)
 
 
+def _until(claim: Callable[[], bool], seconds: float) -> None:
+    deadline = time.monotonic() + seconds
+    while not claim() and time.monotonic() < deadline:
+        time.sleep(_POLL)
+
+
 class _Arrivals:
     """Tells that a subscriber has connected; rospy calls it."""
 
@@ -281,6 +297,12 @@ class _Subscription:
         self._receive = receive
         self._foreign: set[str] = set()
         self._subscriber = transport.open_subscriber(topic, self._take)
+
+    def connect(self, publishers: Sequence[str]) -> None:
+        """Wait until these nodes send to us, for so long as that takes at most."""
+        _until(lambda: self._subscriber.get_num_connections() >= len(publishers), _CONNECTING_SECONDS)
+        # Connected for us; a publisher begins to send a little later, and not all of them tell when.
+        _until(lambda: self._transport.is_served(self._topic, publishers), _TELLING_SECONDS)
 
     def explain(self) -> str:
         return self._transport.explain_silence(self._topic)

@@ -14,8 +14,6 @@ from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, plain_t
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-__all__ = ["Ros1Types", "as_mapping", "as_message", "message_class", "service_class", "shape_of"]
-
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?")
 #: What these names mean in ROS 1; in ROS 2 they are an octet and a uint8.
 _KINDS = {"byte": "int8", "char": "uint8"}

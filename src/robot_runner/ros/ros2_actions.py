@@ -18,7 +18,7 @@ from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.action_calls import check_one_server, missing_action
 from robot_runner.ros.action_types import whole_action
-from robot_runner.ros.graph_transport import already_offered
+from robot_runner.ros.graph_transport import LONGEST_DISCOVERY, already_offered
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.graph_transport import GraphTypes, Reception, TopicPublisher, Transport
     from robot_runner.ros.sent_goal import SentGoal
     from robot_runner.ros.shapes import Shape
-
-__all__ = ["GOAL_NUMBERS", "GOAL_STATES", "STATUS_TOPIC", "STATUS_TYPE", "Ros2ActionTypes", "Ros2Actions"]
 
 _logger = logging.getLogger(__name__)
 
@@ -53,8 +51,6 @@ GOAL_NUMBERS: Mapping[GoalStatus, int] = MappingProxyType({status: number for nu
 #: action_msgs/CancelGoal: why a server does not cancel.
 _NOT_REFUSED, _IS_OVER = 0, 3
 _REFUSALS = {1: "the server refuses", 2: "the server does not know the goal"}
-#: How long a server that is not there is waited for, s; a node that starts up takes as long.
-_PATIENCE = 1.5
 _POLL = 0.05
 #: How long the result of a goal that is over may take, s.
 _RESULT_SECONDS = 5.0
@@ -112,7 +108,7 @@ class Ros2Actions:
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
         """Return what sends goals to an action, once its server is there."""
-        deadline = time.monotonic() + min(timeout, _PATIENCE)
+        deadline = time.monotonic() + min(timeout, LONGEST_DISCOVERY)
         while (known := self.actions()).get(action) != action_type:
             if time.monotonic() > deadline or action in known:
                 raise missing_action(action, action_type, known)

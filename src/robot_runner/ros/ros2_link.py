@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import RobotLink, RobotName
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.links.robot_name import RobotName
     from robot_runner.ros.ros_environment import RosEnvironment
-
-__all__ = ["findings", "open_ros2_link"]
 
 _OPTIONS = ("domain",)
 _WITHOUT_ROS = "or reach the robot without a ROS: robot = 'dds'"

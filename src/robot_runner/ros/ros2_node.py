@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.unhandled import raised_in_thread
+from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.ros.graph_transport import nearest_profile
 from robot_runner.ros.shapes import plain_type
@@ -26,11 +26,10 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Qos
 
-__all__ = ["Graph", "GraphNode", "join_graph"]
-
 _logger = logging.getLogger(__name__)
 
-#: How long after joining a graph what is on it is known: DDS announces participants at once and answers to them.
+#: How long after joining a graph what is on it is told, s: DDS announces participants at once and answers to them. Fast
+#: DDS does not always: what must be there is looked for during LONGEST_DISCOVERY.
 SETTLING = 1.0
 #: An executor looks whether it is to end at least this often, s.
 _SPIN = 0.2
@@ -67,13 +66,14 @@ def join_graph(domain: int | None, *, use_sim_time: bool) -> GraphNode:
 class GraphNode:
     """A context of its own, a node in it, and the threads that spin it and call back.
 
-    Callbacks are called from a thread that spins nothing, so that they may call services. Offered services are a node
-    of their own with an executor of several threads: one that takes long to answer must keep up neither messages and
-    responses nor other services.
+    The node is made once something is opened on it: who only looks at the graph, or stands by to stop a robot, is there
+    as a hidden node, whose name begins with an underscore. Callbacks are called from a thread that spins nothing, so
+    that they may call services. Offered services are a node of their own with an executor of several threads: one that
+    takes long to answer must keep up neither messages and responses nor other services.
 
     Attributes:
         users: how many links use it.
-        node: for topics and calls.
+        hidden: knows the graph; spins nothing.
     """
 
     def __init__(self, domain: int | None, *, use_sim_time: bool, forget: Callable[[], object]) -> None:
@@ -82,12 +82,13 @@ class GraphNode:
         self._use_sim_time = use_sim_time
         self._context = Context()
         self._spinning: list[_Spinning] = []
+        self._node: Any = None
         self._services: Any = None
         self._todo: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         try:
             # No arguments: those of our command line mean nothing to ROS. No handlers of signals: a run has its own.
             self._context.init(args=[], initialize_logging=False, domain_id=domain)
-            self.node = self._new_node("robot_runner")
+            self.hidden = self._new_node("_robot_runner", use_sim_time=False)
         except Exception as error:  # rclpy raises what its middleware does
             self._context.try_shutdown()
             raise LinkError(
@@ -99,11 +100,24 @@ class GraphNode:
         self._caller = threading.Thread(target=self._call_back, name="ros2 callbacks", daemon=True)
         self._caller.start()
 
+    @property
+    def node(self) -> Any:
+        """The node for topics and calls; it is made when it is first needed."""
+        with _lock:
+            if self._node is None:
+                self._node = self._spun("robot_runner")
+            return self._node
+
+    @property
+    def own_name(self) -> str | None:
+        """The full name of the node for topics and calls, if there is one."""
+        return None if self._node is None else str(self._node.get_fully_qualified_name())
+
     def services(self) -> Any:
         """Return the node for services that are offered; it is made when it is first needed."""
         with _lock:
             if self._services is None:
-                self._services = self._new_node("robot_runner_services", threads=_ANSWERING)
+                self._services = self._spun("robot_runner_services", threads=_ANSWERING)
             return self._services
 
     def later(self, todo: Callable[[], None]) -> None:
@@ -119,9 +133,9 @@ class GraphNode:
             time.sleep(_POLL)
         return True
 
-    def settle(self, claim: Callable[[], object] = lambda: False) -> None:
-        """Wait until something holds, or the graph is known."""
-        self.until(claim, self._joined + SETTLING - time.monotonic())
+    def settle(self, claim: Callable[[], object] = lambda: False, seconds: float = SETTLING) -> None:
+        """Wait until something holds, or the graph was joined so many seconds ago."""
+        self.until(claim, self._joined + seconds - time.monotonic())
 
     def leave(self) -> None:
         """Give it up; the last one to do so ends it."""
@@ -135,19 +149,23 @@ class GraphNode:
             self._caller.join(_JOIN)
         for spinning in self._spinning:
             spinning.end()
+        self.hidden.destroy_node()
         self._context.try_shutdown()
 
-    def _new_node(self, name: str, threads: int = 1) -> Any:
-        node = Node(
+    def _spun(self, name: str, threads: int = 1) -> Any:
+        node = self._new_node(name, use_sim_time=self._use_sim_time)
+        self._spinning.append(_Spinning(node, self._context, threads))
+        return node
+
+    def _new_node(self, name: str, *, use_sim_time: bool) -> Any:
+        return Node(
             f"{name}_{os.getpid()}",
             context=self._context,
             use_global_arguments=False,
             enable_rosout=False,
             start_parameter_services=False,
-            parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, self._use_sim_time)],
+            parameter_overrides=[Parameter("use_sim_time", Parameter.Type.BOOL, use_sim_time)],
         )
-        self._spinning.append(_Spinning(node, self._context, threads))
-        return node
 
     def _call_back(self) -> None:
         while (todo := self._todo.get()) is not None:
@@ -207,7 +225,7 @@ class Graph:
     def topics(self) -> dict[str, str]:
         """Return the type of each topic by its full name."""
         self._node.settle()
-        found = self._node.node.get_topic_names_and_types()
+        found = self._node.hidden.get_topic_names_and_types()
         return {name: plain_type(types[0]) for name, types in sorted(found) if types}
 
     def nodes(self) -> list[str]:
@@ -226,15 +244,15 @@ class Graph:
 
     def publishers(self, topic: str) -> list[Any]:
         """Return what there is to know about the publishers of a topic: `topic_type`, `qos_profile`, node's name."""
-        return list(self._node.node.get_publishers_info_by_topic(topic))
+        return list(self._node.hidden.get_publishers_info_by_topic(topic))
 
     def subscriptions(self, topic: str) -> list[Any]:
         """Return the same of the subscriptions of a topic."""
-        return list(self._node.node.get_subscriptions_info_by_topic(topic))
+        return list(self._node.hidden.get_subscriptions_info_by_topic(topic))
 
     def endpoints(self, infos: Iterable[Any]) -> list[GraphEndpoint]:
         """Return these publishers or subscriptions as plain data."""
-        own = self._node.node.get_fully_qualified_name()
+        own = self._node.own_name
         named = [(f"{info.node_namespace.rstrip('/')}/{info.node_name}", info) for info in infos]
         return [
             GraphEndpoint(name, plain_type(info.topic_type), name == own, _profile_of(info.qos_profile))
@@ -246,14 +264,14 @@ class Graph:
         found: dict[str, str] = {}
         for name, namespace in self._names():
             try:
-                offered = self._node.node.get_service_names_and_types_by_node(name, namespace)
+                offered = self._node.hidden.get_service_names_and_types_by_node(name, namespace)
             except RuntimeError:  # it left the graph just now
                 continue
             found |= {service: plain_type(types[0]) for service, types in offered if types}
         return dict(sorted(found.items()))
 
     def _names(self) -> list[tuple[str, str]]:
-        return list(self._node.node.get_node_names_and_namespaces())
+        return list(self._node.hidden.get_node_names_and_namespaces())
 
 
 def _profile_of(policies: Any) -> Qos:

@@ -12,9 +12,10 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.serialization import deserialize_message
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, Qos
-from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import (
+    LONGEST_DISCOVERY,
     ReceivedBytes,
     already_offered,
     check_type,
@@ -25,7 +26,7 @@ from robot_runner.ros.graph_transport import (
     wrong_service_type,
 )
 from robot_runner.ros.ros2_actions import Ros2Actions
-from robot_runner.ros.ros2_node import Graph, GraphNode, join_graph
+from robot_runner.ros.ros2_node import SETTLING, Graph, GraphNode, join_graph
 from robot_runner.ros.ros2_types import Ros2Types, as_mapping, as_message, message_class, service_class
 
 try:
@@ -39,16 +40,15 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import GraphEndpoint, Message
     from robot_runner.ros.graph_transport import Reception
 
-__all__ = ["Ros2Transport"]
-
 #: How much of a topic is kept while the callbacks are behind, where the user names no profile: a second of 1 kHz.
 _KEPT = 1000
 # rmw/qos_profiles.h of ROS 2, for the depths; 0 is as many as come.
 _DEPTHS = {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
-#: How long a new publisher waits for the subscribers that are there already, s.
+#: How long after joining the graph the publishers and subscribers of a topic are known, s: Fast DDS finds a process
+#: within 3.2 s (see LONGEST_DISCOVERY), and its topics right afterwards.
+_FINDING = 4.0
+#: How long a new publisher waits for the subscribers that are known, s.
 _MATCHING = 1.0
-#: How long a service that is not there is waited for, s; a node that starts up takes as long.
-_PATIENCE = 1.5
 
 
 class Ros2Transport:
@@ -147,7 +147,9 @@ class _Publisher:
     def __init__(self, node: GraphNode, graph: Graph, topic: str, message_type: str, qos: Qos) -> None:
         self._node = node
         self._cls = message_class(message_type)
-        node.settle(lambda: graph.publishers(topic) or graph.subscriptions(topic))
+        # What nobody hears is lost, unless it is kept. Hidden topics, those of actions, are heard by who asked first.
+        is_awaited = qos is not Qos.TRANSIENT_LOCAL and "/_" not in topic
+        node.settle(lambda: graph.subscriptions(topic), _FINDING if is_awaited else SETTLING)
         subscriptions = graph.subscriptions(topic)
         _check_types(topic, message_type, [*graph.publishers(topic), *subscriptions])
         profile = _writer_profile(qos)
@@ -192,7 +194,8 @@ class _Subscription:
         self._lock = threading.Lock()
         self._is_open = True
         self._mismatch = ""
-        node.settle(lambda: graph.publishers(topic))
+        # A publisher that is found later may keep a message for late comers, which this subscription would not ask for.
+        node.settle(lambda: graph.publishers(topic), _FINDING if qos is None else SETTLING)
         publishers = graph.publishers(topic)
         _check_types(topic, message_type, publishers)
         profile = _adapted([each.qos_profile for each in publishers]) if qos is None else _reader_profile(qos)
@@ -256,11 +259,12 @@ class _Client:
         self._service = service
         self._type = service_type
         self._cls = service_class(service_type)
+        self._check_type()  # Fast DDS has no client beside a service of this process that has another type
         self._client = node.node.create_client(self._cls, service)
 
     def call(self, request: Message, timeout: float) -> Message:
         deadline = time.monotonic() + timeout
-        self._find(min(timeout, _PATIENCE))
+        self._find(min(timeout, LONGEST_DISCOVERY))
         answered = threading.Event()
         future = self._client.call_async(as_message(self._cls.Request, request))
         future.add_done_callback(lambda _: answered.set())
@@ -272,11 +276,14 @@ class _Client:
     def _find(self, seconds: float) -> None:
         if self._node.until(self._client.service_is_ready, seconds):
             return
+        self._check_type()
+        fix = "Start the node that offers it."
+        raise missing("service", self._service, self._graph.services(), where="ros2", fix=fix)
+
+    def _check_type(self) -> None:
         true = self._graph.service_type(self._service)
         if true is not None and true != self._type:
             raise wrong_service_type(self._service, true, self._type)
-        fix = "Start the node that offers it."
-        raise missing("service", self._service, self._graph.services(), where="ros2", fix=fix)
 
 
 class _Offer:
@@ -299,7 +306,7 @@ class _Offer:
 
         self._host = node.services()
         self._offered = self._host.create_service(cls, service, respond, callback_group=ReentrantCallbackGroup())
-        node.until(lambda: graph.service_type(service), _PATIENCE)
+        node.until(lambda: graph.service_type(service), LONGEST_DISCOVERY)
 
     def close(self) -> None:
         self._host.destroy_service(self._offered)

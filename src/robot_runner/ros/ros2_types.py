@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from array import array
 from functools import lru_cache
 from pathlib import Path
@@ -16,9 +18,6 @@ from robot_runner.ros.type_store import stored_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-__all__ = ["Ros2Types", "as_mapping", "as_message", "message_class", "service_class", "shape_of"]
-
 
 #: What the interface definition language calls some kinds.
 _KINDS = MappingProxyType({"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"})
@@ -195,20 +194,28 @@ def _within(shape: Shape) -> Iterator[str]:
 
 
 def _text(type_name: str) -> str:
-    from ament_index_python.packages import (  # noqa: PLC0415  # comes with a sourced ROS 2
-        PackageNotFoundError,
-        get_package_share_directory,
-    )
-
     whole = whole_action(type_name)
     package, _, name = whole.partition("/")
     folder = "msg" if whole == type_name else "action"
     try:
-        text = (Path(get_package_share_directory(package)) / folder / f"{name}.{folder}").read_text(encoding="utf-8")
-    except (PackageNotFoundError, OSError) as error:
+        text = (_share_folder(package) / folder / f"{name}.{folder}").read_text(encoding="utf-8")
+    except (LookupError, OSError) as error:
         raise LinkError(
             f"the package {package!r} has no text of the definition: {error}",
             where=type_name,
             fix="Install the package with its share folder.",
         ) from error
     return text if whole == type_name else action_parts(2, whole, text, where=whole)[stored_name(type_name)]
+
+
+def _share_folder(package: str) -> Path:
+    """Return where a package keeps its definitions; a ROS 2 that pip has installed is found without being sourced.
+
+    Raises:
+        LookupError: no such package is in what is sourced.
+    """
+    if not os.environ.get("AMENT_PREFIX_PATH"):
+        return Path(sys.prefix, "share", package)
+    from ament_index_python.packages import get_package_share_directory  # noqa: PLC0415  # comes with a sourced ROS 2
+
+    return Path(get_package_share_directory(package))

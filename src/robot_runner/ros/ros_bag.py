@@ -12,10 +12,10 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.links.host import LOCAL
-from robot_runner.core.links.ssh_host import ssh_findings
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.ssh_command import ssh_findings
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import note_own_window, publish_measures
+from robot_runner.measuring.evaluation import note_own_window, publish_measures
 from robot_runner.ros.bag_file import LinkRecorder, began_late, messages_in
 from robot_runner.ros.bag_recorder import PROGRAMS, BagProgram, await_subscriptions, subscriptions_of
 from robot_runner.ros.topic_statistics import found_topics, robot_findings, topic_label
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["RosBag"]
-
 
 _FIX = "Look at the bag before you use this run."
 #: How long after the mission a bag may begin before that is told, s.
@@ -136,7 +133,6 @@ class RosBag(Profiler):
         self._measured_from_ns = 0
         link = connect_robot(context, namespace=self.namespace)
         namespace = robot_namespace(context, self.namespace)
-        self._is_simulated = is_simulation(link, namespace)
         found = found_topics(link, self.topics, namespace, context.clock, patience=self.patience)
         self._problems = [f"{topic} is not published" for topic, typed in found.items() if typed is None]
         topics = [typed for typed in found.values() if typed is not None]
@@ -168,6 +164,8 @@ class RosBag(Profiler):
         if isinstance(self._recorder, LinkRecorder):
             self._recorder.end()
             self._note_end(context)
+        link = connect_robot(context, namespace=self.namespace)
+        self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Finish the bag, and weigh it."""

@@ -18,24 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.kinds import FoundRobot
-from robot_runner.core.links.ssh_host import execute, failure, gist, remedy, ssh_command
+from robot_runner.core.links.ssh_command import execute, failure, gist, remedy, ssh_command
 from robot_runner.ros.ros1_master import Master
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-
-
-__all__ = [
-    "RosEnvironment",
-    "describe_ros",
-    "find_ros",
-    "found_robot",
-    "installed_ros",
-    "other_python_of_rclpy",
-    "ros_of_host",
-    "ros_of_master",
-]
-
 
 # Which ROS there is: on this machine, on a graph of ROS 1, on a robot's computer. Each says where it was read.
 

@@ -11,9 +11,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_host, connect_robot, is_simulated, is_simulation, robot_namespace
-from robot_runner.core.links.host import (
-    LOCAL,
+from robot_runner.core.links.connect import connect_robot, is_simulated, is_simulation, robot_namespace
+from robot_runner.core.links.declared_host import LOCAL
+from robot_runner.core.links.robot_name import RobotName
+from robot_runner.core.plugin import Profiler
+from robot_runner.measuring.devices import connect_host
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.host import (
     ProcessHost,
     PromptSampler,
     RemoteHost,
@@ -21,11 +25,8 @@ from robot_runner.core.links.host import (
     SamplingReport,
     process_selector,
 )
-from robot_runner.core.links.measured_machine import host_findings, machine_clock
-from robot_runner.core.links.robot import RobotName
-from robot_runner.core.links.utilisation import Selection, Utilisation
-from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import publish_measures
+from robot_runner.measuring.measured_machine import host_findings, machine_clock
+from robot_runner.measuring.utilisation import Selection, Utilisation
 from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 
@@ -33,10 +34,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.host import HostLink, UtilisationSampler
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["RosGraph"]
+    from robot_runner.measuring.host import HostLink, UtilisationSampler
 
 _FIX = "Look at the graph, with `ros2 node list` or `rosnode list`, before you use this run."
 _ROS1 = "ros1"
@@ -133,9 +132,8 @@ class RosGraph(Profiler):
         """Connect, before the robot moves and before anything is measured."""
         self._sampler = self._utilisation = None
         self._graphs = {}
-        self._is_simulated = is_simulation(
-            connect_robot(context, namespace=self.namespace), robot_namespace(context, self.namespace)
-        )
+        self._is_simulated = False
+        connect_robot(context, namespace=self.namespace)
         if self.nodes:
             link = self._computer(context)
             if isinstance(link, RemoteHost):
@@ -169,6 +167,8 @@ class RosGraph(Profiler):
             self._utilisation = Utilisation(samples, sampled, self.selection, report, is_simulated=False)
         if self._graphs:
             self._graphs["stop"] = self._look(context)
+            link = connect_robot(context, namespace=self.namespace)
+            self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Write the graph, and the samples."""

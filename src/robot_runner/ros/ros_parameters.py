@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.kept_settings import Settings
     from robot_runner.ros.parameter_values import ParameterValue
 
-__all__ = ["RosParameters"]
-
 
 class RosParameters(RestoredSettings):
     """Sets parameters of nodes before each mission, reads back what the nodes have, and puts back what was there.

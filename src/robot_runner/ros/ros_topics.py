@@ -12,9 +12,9 @@ from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.live_samples import LiveSamples
-from robot_runner.core.sampling.quality import Column, write_quality, write_samples
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.live_samples import LiveSamples
+from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.topic_statistics import (
     DROPPED,
     HeaderReader,
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["RosTopics"]
 
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
 _CLOCKS_FIX = "Synchronise the clocks of the robot and of this machine, with chrony or ntpd."
@@ -112,7 +110,6 @@ class RosTopics(Profiler):
         self._subscriptions, self._live = [], []
         link = connect_robot(context, namespace=self.namespace)
         namespace = robot_namespace(context, self.namespace)
-        self._is_simulated = is_simulation(link, namespace)
         found = found_topics(link, self.topics, namespace, context.clock, patience=self.patience)
         for topic, typed in found.items():
             if typed is None:
@@ -132,6 +129,8 @@ class RosTopics(Profiler):
         if self._is_measuring:
             self._is_measuring = False
             self._sampled = Window(self._begun_at, context.clock.now())
+        link = connect_robot(context, namespace=self.namespace)
+        self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Unsubscribe, and write what was received."""

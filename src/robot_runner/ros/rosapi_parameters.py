@@ -10,8 +10,6 @@ from robot_runner.core.errors import LinkError
 if TYPE_CHECKING:
     from robot_runner.ros.rosbridge_types import Rosapi
 
-__all__ = ["RosapiParameters"]
-
 
 class RosapiParameters:
     """A parameter server by `/rosapi/get_param` and the like, which carry values as JSON.

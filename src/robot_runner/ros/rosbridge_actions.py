@@ -1,8 +1,9 @@
 """Actions of ROS 2 through a rosbridge, by the operations that rosbridge_suite has for them since 2.0.
 
 What its servers do was read from rosbridge_library 2.0 to 3: they do not say that a goal was accepted, and those of 2.x
-say nothing of one that was rejected. So the states of the action's own topic are subscribed beside. By default a server
-takes no other operation of a connection while a goal is executed: each goal has a connection of its own.
+say nothing of one that was rejected. So the states of the action's own topic are subscribed beside. They do not tell
+whose goal is whose: where goals of two clients cannot be told apart, ours is cancelled, and the error says so. By
+default a server takes no other operation of a connection while a goal is executed: each goal has one of its own.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -34,14 +36,21 @@ if TYPE_CHECKING:
     from robot_runner.ros.rosbridge_types import Rosapi
     from robot_runner.ros.sent_goal import SentGoal
 
-__all__ = ["RosbridgeActions"]
-
 _logger = logging.getLogger(__name__)
 
 _REMEDY = "Have rosbridge_suite 2.0 or newer on the robot, with rosapi beside it."
 #: How long a server that is not there is waited for, and how long an action may take to be offered, s.
 _PATIENCE, _OFFERING = 1.5, 3.0
 _POLL = 0.05
+#: How late the state of a goal may arrive that was accepted, s: goals of two clients within this time may be swapped.
+_AT_ONCE = 1.0
+#: How long the states of goals that were there before may take to arrive, s.
+_EARLIER = 0.2
+#: How long a result may come after the state that says that there is one, s.
+_RESULT_SECONDS = 5.0
+_NOT_OURS = "the goal that was accepted when ours was sent is over, and no result came: it was another client's"
+_SWAPPED = "another client sent a goal to this action at the same time, and a rosbridge does not tell which is ours"
+_ALONE = "See that nobody else sends goals to this action; or reach the robot by ros2 or dds, which tell goals apart."
 _SENDING, _CANCELLING = "send_action_goal", "cancel_action_goal"
 
 
@@ -128,10 +137,14 @@ class _Client:
         self._sending = threading.Lock()  # one after the other: a new state is that of the goal that was sent last
         self._connections: dict[str, Session] = {}
         self._known: dict[str, SentGoal | None] = {}
-        self._awaiting: SentGoal | None = None
+        self._unnamed: deque[SentGoal] = deque()  # those of which it is not known yet what the server calls them
+        self._latest: tuple[SentGoal, float] | None = None
+        self._expected: set[str] = set()
+        self._heard = threading.Event()
         self._status = graph.transport.subscribe(
             action + STATUS_TOPIC, STATUS_TYPE, self._take_status, qos=Qos.TRANSIENT_LOCAL, is_raw=False
         )
+        self._heard.wait(_EARLIER)
 
     def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
         with self._sending:
@@ -141,14 +154,16 @@ class _Client:
             connection.on_lost = partial(self._lose, sent)
             with self._lock:
                 self._connections[sent.key] = connection
-                self._awaiting = sent
+                self._unnamed.append(sent)
+                self._latest = sent, time.monotonic()
             try:
                 self._send(connection, goal, sent)
                 sent.wait_for_status(lambda status: status is not GoalStatus.UNKNOWN, timeout)
-            finally:
-                with self._lock:
-                    self._awaiting = None
-            self._check(sent, timeout)
+                self._check(sent, timeout)
+            except LinkError:
+                with self._lock, suppress(ValueError):
+                    self._unnamed.remove(sent)
+                raise
 
     def cancel(self, sent: SentGoal, timeout: float) -> None:
         del timeout
@@ -228,14 +243,38 @@ class _Client:
     def _take_status(self, reception: Reception) -> None:
         for told in reception.message()["status_list"]:
             status = GOAL_STATES.get(told["status"], GoalStatus.UNKNOWN)
-            key = bytes(told["goal_info"]["goal_id"]["uuid"]).hex()
-            with self._lock:
-                if key not in self._known:
-                    self._known[key] = self._awaiting
-                    self._awaiting = None
-                goal = self._known[key]
+            goal = self._goal_of(bytes(told["goal_info"]["goal_id"]["uuid"]).hex(), status)
             if goal is not None and not status.is_over:
                 goal.note(status)  # the end comes with the result
+            elif goal is not None and not goal.is_over and goal.key not in self._expected:
+                self._expected.add(goal.key)
+                timer = threading.Timer(_RESULT_SECONDS, self._give_up, (goal, _NOT_OURS))
+                timer.daemon = True
+                timer.start()
+        self._heard.set()
+
+    def _goal_of(self, key: str, status: GoalStatus) -> SentGoal | None:
+        """Return which goal of ours the server calls so, as far as that can be known; None where it is none."""
+        with self._lock:
+            if key in self._known:
+                return self._known[key]
+            if status.is_over:  # one that was there before, or one of ours whose result comes by itself
+                self._known[key] = None
+                return None
+            while self._unnamed and self._unnamed[0].is_over:
+                self._unnamed.popleft()
+            goal = self._known[key] = self._unnamed.popleft() if self._unnamed else None
+            is_swapped = goal is None and self._latest is not None and time.monotonic() - self._latest[1] < _AT_ONCE
+        if is_swapped and self._latest is not None:
+            self._give_up(self._latest[0], _SWAPPED)
+        return goal
+
+    def _give_up(self, sent: SentGoal, why: str) -> None:
+        """Have a goal end of which it is not known what the server calls it; the server does know ours by its id."""
+        if not sent.is_over:
+            with suppress(LinkError):
+                self.cancel(sent, 0.0)
+            sent.lose(LinkError(why, where=self._action, fix=_ALONE))
 
     def _leave(self, sent: SentGoal) -> None:
         with self._lock:

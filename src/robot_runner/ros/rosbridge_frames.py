@@ -25,18 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.graph_addresses import RosbridgeAddress
 
-__all__ = [
-    "LARGEST_FRAME",
-    "FrameReader",
-    "as_json",
-    "closed_reason",
-    "connect",
-    "from_protocol",
-    "read",
-    "send_errors",
-    "to_protocol",
-]
-
 #: The elements of a typed array by its tag; 4 more is little endian. Those of octets (64, 68) stay bytes.
 _TYPED = MappingProxyType(
     dict(zip((65, 66, 67, 69, 70, 71), (">H", ">I", ">Q", "<H", "<I", "<Q"), strict=True))

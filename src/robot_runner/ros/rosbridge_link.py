@@ -14,9 +14,8 @@ from robot_runner.ros.graph_transport import receive_clock
 
 if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import RobotLink, RobotName
-
-__all__ = ["findings", "open_rosbridge_link"]
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.links.robot_name import RobotName
 
 _PACKAGES = ("cbor2", "rosbags", "websockets")
 _WAY = "through a rosbridge"
@@ -26,7 +25,7 @@ def findings(name: RobotName) -> list[Finding]:
     """Return what stands in the way of reaching a robot at this address; nothing is opened by asking.
 
     Example:
-        >>> from robot_runner.core.links.robot import RobotName
+        >>> from robot_runner.core.links.robot_name import RobotName
         >>> [finding.problem for finding in findings(RobotName.parse("rosbridge://robot:port"))]
         ["'rosbridge://robot:port' cannot be the address of a rosbridge"]
     """

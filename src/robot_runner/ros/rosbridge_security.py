@@ -22,8 +22,6 @@ from robot_runner.core.errors import LinkError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["SECURITY_OPTIONS", "RosbridgeSecurity", "secure_socket", "speaks_tls"]
-
 _WHERE = "robot"
 #: The part of an address after `?` that says how the connection is secured.
 SECURITY_OPTIONS = (

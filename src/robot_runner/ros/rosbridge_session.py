@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from robot_runner.ros.graph_addresses import RosbridgeAddress
 
-__all__ = ["Reply", "Session"]
-
 _logger = logging.getLogger(__name__)
 
 #: How long the server may take to answer what it answers itself, s.

@@ -9,8 +9,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
-from robot_runner.ros.graph_links import missing
 from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.rosapi_parameters import RosapiParameters
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.shapes import Shape
-
-__all__ = ["RosbridgeTransport"]
 
 _logger = logging.getLogger(__name__)
 

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.graph_addresses import RosbridgeAddress
     from robot_runner.ros.rosbridge_session import Reply, Session
 
-__all__ = ["RobotTypes", "Rosapi", "is_hidden"]
-
 #: How long rosapi, which is a node of its own, may take to see what the server has done, and how often it is asked, s.
 _CONFIRMATION, _LOOK = 2.0, 0.02
 

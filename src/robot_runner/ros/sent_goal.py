@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message
 
-__all__ = ["SentGoal"]
-
 #: How often it is looked whether the server of an awaited goal is still there, s.
 _LOOK = 1.0
 

@@ -12,8 +12,6 @@ from typing import Any
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
-__all__ = ["BYTE_KINDS", "PRIMITIVES", "UNBOUNDED", "Field", "Shape", "UpTo", "completed", "plain_type"]
-
 #: The least and the greatest value of each kind of whole number. `byte` and `char` are ROS 2's (an octet, a uint8); a
 #: shape of ROS 1 says `int8` for its `byte` and `uint8` for its `char`, which is what they mean there.
 _INTEGERS: Mapping[str, tuple[int, int]] = MappingProxyType(

@@ -1,29 +1,32 @@
-"""Sees that one node tells a robot's pose and that nobody else commands it, before it moves and while it does."""
+"""Sees that nobody else commands a robot, and that one node tells its pose, before it moves and while it does."""
 
 from __future__ import annotations
 
 import threading
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from functools import partial
+from textwrap import shorten
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError
+from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.words import enumerated
-from robot_runner.ros.graph_links import full_name
-from robot_runner.ros.sent_velocities import is_from_here
+from robot_runner.ros.sent_commands import is_from_here, watched
 from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, planar, velocity_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
+    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import GraphEndpoint, GraphListing, Message, RobotLink
-
-__all__ = ["SoleControl", "is_told", "named", "rival_findings", "sole_publisher_findings", "subscriber_type_findings"]
 
 #: How often the publishers of the pose are looked up, s: a look is a question to the ROS master or to rosapi, which
 #: costs the robot's computer some milliseconds.
 _PERIOD = 1.0
 #: How long our thread may take to end, s: a graph that is lost answers no sooner than its own deadline.
 _PATIENCE = 5.0
+#: How much of a rival's message is told, characters.
+_SHOWN = 120
 #: The node of our own watchdog commands the robot to stand still when a run has fallen silent.
 _WATCHDOG = "robot_runner_watchdog"
 
@@ -34,9 +37,10 @@ class SoleControl:
     Args:
         link: to the robot.
         namespace: the robot's.
-        pose_topic: the topic on which it tells its pose.
-        command_topic: the topic on which velocities are commanded.
+        command_topic: the topic on which it is commanded.
         where: the plugin, for errors.
+        pose_topic: the topic on which it tells its pose; None where that is of no matter.
+        types: the types that commands may have.
     """
 
     def __init__(
@@ -44,17 +48,41 @@ class SoleControl:
         link: RobotLink,
         *,
         namespace: str,
-        pose_topic: str,
         command_topic: str,
         where: str,
+        pose_topic: str | None = None,
+        types: Collection[str] = VELOCITY_COMMANDS,
     ) -> None:
         self._link = link
-        self._pose_topic = full_name(namespace, pose_topic)
+        self._pose_topic = None if pose_topic is None else full_name(namespace, pose_topic)
+        self._types = types
         self._command_topic = full_name(namespace, command_topic)
         self._where = where
         self._is_over = threading.Event()
         self._closing = ExitStack()
         self._has_told = False
+
+    def take(self, context: RobotRunnerContext, *, sole: bool) -> None:
+        """See that nobody else commands it or tells its pose, now and until `end`.
+
+        Args:
+            context: of the run.
+            sole: whether the run fails where somebody does; if not, its values are doubtful then.
+
+        Raises:
+            LinkError: somebody does now.
+        """
+        if self._link.is_simulated:  # the embedded robot is alone in its world
+            return
+        findings = self.check()
+        errors = [finding for finding in findings if finding.is_error]
+        if errors and sole:
+            raise LinkError.of_findings(errors)
+        for finding in findings:
+            tell = context.doubt if finding.is_error else context.warn
+            tell(finding.problem, fix=finding.fix)
+        fix = "End what else commands or is this robot, and execute the run again."
+        self.begin(context.fail if sole else partial(context.doubt, fix=fix))
 
     def check(self) -> Sequence[Finding]:
         """Return what stands in the way of moving this robot and no other: errors, and warnings.
@@ -64,8 +92,8 @@ class SoleControl:
         """
         where, commands = self._where, self._command_topic
         return [
-            *sole_publisher_findings(self._link, self._pose_topic, where),
-            *subscriber_type_findings(self._link, commands, VELOCITY_COMMANDS, where),
+            *self._second_robots(),
+            *subscriber_type_findings(self._link, commands, self._types, where),
             *rival_findings(self._link, commands, where),
         ]
 
@@ -75,10 +103,15 @@ class SoleControl:
         Raises:
             LinkError: the commands cannot be heard.
         """
-        types = {each.message_type for each in self._link.subscribers(self._command_topic)} & VELOCITY_COMMANDS
-        for message_type in sorted(types) or [TWIST]:  # a graph that does not tell the type carries what we publish
+        told = {each.message_type for each in self._link.subscribers(self._command_topic)}.intersection(self._types)
+        # A graph that does not tell the type carries what we publish.
+        for message_type in sorted(told) or [TWIST if TWIST in self._types else next(iter(self._types))]:
             hear = self._hearer(message_type, tell)
+            self._closing.enter_context(watched(self._command_topic))
             self._closing.callback(self._link.subscribe(self._command_topic, message_type, hear).close)
+        if self._pose_topic is None:
+            self._closing.callback(self._is_over.set)
+            return
         watching = threading.Thread(target=self._watch, args=(tell,), name="sole control", daemon=True)
         watching.start()
         self._closing.callback(watching.join, _PATIENCE)
@@ -90,23 +123,28 @@ class SoleControl:
 
     def _hearer(self, message_type: str, tell: Callable[[str], object]) -> Callable[[Message], None]:
         def hear(message: Message) -> None:
-            velocity = planar(velocity_of(message_type, message))
-            if not is_from_here(self._command_topic, velocity) and not self._is_over.is_set():
+            is_velocity = message_type in VELOCITY_COMMANDS
+            command: Any = planar(velocity_of(message_type, message)) if is_velocity else message
+            if not is_from_here(self._command_topic, command) and not self._is_over.is_set():
                 rivals = _others(self._link.publishers(self._command_topic))
                 who = named(rivals) if rivals else "somebody else"
-                figures = f"{velocity[0]:g} m/s, {velocity[1]:g} rad/s"
-                self._tell(tell, f"{who} commands the robot on {self._command_topic!r}: {figures}")
+                shown = f"{command[0]:g} m/s, {command[1]:g} rad/s" if is_velocity else shorten(str(command), _SHOWN)
+                self._tell(tell, f"{who} commands the robot on {self._command_topic!r}: {shown}")
 
         return hear
 
     def _watch(self, tell: Callable[[str], object]) -> None:
         while not self._is_over.wait(_PERIOD):
             try:
-                findings = list(sole_publisher_findings(self._link, self._pose_topic, self._where))
+                findings = list(self._second_robots())
             except LinkError:  # a graph that is lost falls silent: the odometry says so within its own time
                 continue
             for finding in findings:
                 self._tell(tell, finding.problem)
+
+    def _second_robots(self) -> Iterator[Finding]:
+        if self._pose_topic is not None:
+            yield from sole_publisher_findings(self._link, self._pose_topic, self._where)
 
     def _tell(self, tell: Callable[[str], object], problem: str) -> None:
         if not self._has_told and not self._is_over.is_set():

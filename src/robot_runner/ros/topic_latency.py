@@ -13,8 +13,8 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.plugin import Profiler
-from robot_runner.core.sampling.evaluation import publish_measures
-from robot_runner.core.sampling.quality import Column, write_quality, write_samples
+from robot_runner.measuring.evaluation import publish_measures
+from robot_runner.measuring.quality import Column, write_quality, write_samples
 from robot_runner.ros.topic_statistics import HeaderReader, found_topics, nearest_rank, robot_findings, topic_label
 
 if TYPE_CHECKING:
@@ -26,12 +26,13 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.topic_statistics import TypedTopic
 
-__all__ = ["TopicLatency"]
-
 #: How often we look whether the last answers have come, s.
 _LOOK = 0.01
 #: So much earlier than its cause, s, may an answer be seen here before that is told: two threads receive them.
 _EARLY = 0.001
+#: Which share of the answers may be received no later than their causes before that is told. Messages that wait for a
+#: busy machine are received together, in any order.
+_TOGETHER = 0.05
 _KEEP_STAMPS = "Have the node give its output the stamp of the input that it was made from."
 _LOOK_AT_GRAPH = "Look whether the node is alive and publishes there: ros2 topic info, or rostopic info."
 
@@ -137,7 +138,6 @@ class TopicLatency(Profiler):
         self._subscriptions = []
         link = connect_robot(context, namespace=self.namespace)
         namespace = robot_namespace(context, self.namespace)
-        self._is_simulated = is_simulation(link, namespace)
         found = found_topics(link, self.topics, namespace, context.clock, patience=self.patience)
         for topic, typed in found.items():
             if typed is None:
@@ -155,6 +155,8 @@ class TopicLatency(Profiler):
         for subscription in subscriptions:
             subscription.close()
         if subscriptions and context.window is not None:
+            link = connect_robot(context, namespace=self.namespace)
+            self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
             self._write(context, context.window)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
@@ -248,6 +250,12 @@ class TopicLatency(Profiler):
             yield topic, "nothing was published on it", _LOOK_AT_GRAPH
         elif min(known) < -_EARLY:
             yield topic, f"an answer came {-min(known):.3f} s before its cause", _KEEP_STAMPS
+        elif (together := sum(latency <= 0 for latency in known)) > _TOGETHER * len(known):
+            problem = (
+                f"{together} of {len(known)} answers were received no later than their causes: "
+                "they come sooner than this machine can tell"
+            )
+            yield topic, problem, "Take load from this machine, or have another process play the bag."
 
     def _write(self, context: RobotRunnerContext, window: Window) -> None:
         folder = context.raw_data_folder

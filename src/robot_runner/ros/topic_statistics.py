@@ -11,9 +11,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding
-from robot_runner.core.sampling.quality import Column, quality_of
-from robot_runner.ros.graph_links import full_name
+from robot_runner.measuring.quality import Column, quality_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -22,21 +22,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.window import Window
     from robot_runner.core.links.robot import RawMessage, RobotLink
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.core.sampling.quality import SampleQuality
-
-__all__ = [
-    "DROPPED",
-    "HeaderReader",
-    "ReceivedTopic",
-    "Stamp",
-    "TypedTopic",
-    "found_topics",
-    "missed",
-    "nearest_rank",
-    "robot_findings",
-    "topic_label",
-]
-
+    from robot_runner.measuring.quality import SampleQuality
 
 _HEADERS = frozenset({"Header", "std_msgs/Header", "std_msgs/msg/Header"})
 #: How often the graph is asked for topics that are not there yet, s.

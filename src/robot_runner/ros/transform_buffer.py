@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import Message, Subscriber
 
-__all__ = ["TransformBuffer"]
-
 _TYPE = "tf2_msgs/TFMessage"
 _WHERE = "tf"
 #: How far a stamp may lie before the last one of its frame, s: messages of two nodes overtake each other by tenths; a

@@ -10,8 +10,6 @@ import math
 from dataclasses import dataclass
 from typing import TypeAlias
 
-__all__ = ["IDENTITY", "Quaternion", "Transform", "Vector", "between"]
-
 Vector: TypeAlias = tuple[float, float, float]
 #: x, y, z, w.
 Quaternion: TypeAlias = tuple[float, float, float, float]

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-__all__ = ["TypeCatalogue"]
-
 #: Type stores lose the defaults that definitions give. Of the standard messages this is the only one with any.
 _DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-__all__ = ["ROS1_DISTROS", "ROS2_DISTROS", "STANDARD_SERVICES", "filled_store", "service_part", "stored_name"]
-
 #: The distributions whose types are known. All of ROS 1's noetic series have the same messages.
 ROS1_DISTROS = ("kinetic", "lunar", "melodic", "noetic")
 ROS2_DISTROS = ("foxy", "galactic", "humble", "iron", "jazzy", "kilted")

@@ -13,21 +13,6 @@ from robot_runner.core.errors import LinkError
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message
 
-__all__ = [
-    "HEARTBEAT_TOPIC",
-    "HEARTBEAT_TYPE",
-    "RELEASE_SERVICE",
-    "RELEASE_TYPE",
-    "TWIST",
-    "TWIST_STAMPED",
-    "VELOCITY_COMMANDS",
-    "Watchdog",
-    "planar",
-    "velocity_command",
-    "velocity_of",
-]
-
-
 TWIST = "geometry_msgs/Twist"
 #: The type that a TurtleBot3 subscribes by default from ROS 2 Jazzy on.
 TWIST_STAMPED = "geometry_msgs/TwistStamped"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.ros.missions.drive_action import ACTION, ACTION_TYPE, goal_at, offered
 
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.plugins import Circumstances, Measure, treatment
 from robot_runner.plugins.systems import ActionMission, Together
@@ -29,6 +30,7 @@ class TestActionMission(SystemContract):
     """Half a metre ahead, by an action server."""
 
     breaking_points = 4
+    goes_on_without_its_process = False  # on a real graph: tests/process/test_missions_on_real_graphs.py
 
     def make_plugin(self) -> ActionMission:
         recoveries = Measure("Recoveries", "1", "How often the robot recovered.")
@@ -174,3 +176,27 @@ def test_two_robots_reach_their_goals_at_the_same_time(contexts: Any) -> None:
 def test_a_parameter_that_cannot_be_is_refused(given: dict[str, Any], complaint: str) -> None:
     with pytest.raises(PluginError, match=complaint):
         ActionMission(ACTION, ACTION_TYPE, **given)
+
+
+def test_on_the_embedded_robot_a_wrong_goal_or_message_is_found_before_any_run(write_config: Any) -> None:
+    head = """\
+from robot_runner import *
+from robot_runner.plugins import treatment
+from robot_runner.plugins.systems import ActionMission, TopicMission
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    robot = "simulated"
+"""
+    goal = "{'pose': {'pose': {'position': {'x': treatment('Task')}}}}"
+    body = f"""
+        plugins = [
+            ActionMission("navigate_to_pose", "nav2_msgs/NavigateToPose", {goal}),
+            TopicMission("cmd_vel", "geometry_msgs/Twist", {{"linar": {{}}}}, until=1.0),
+        ]
+    """
+    first, second, message = (str(each) for each in prepare(write_config(body, head=head)).findings if each.is_error)
+    assert "field 'pose.pose.position.x' is 'Video'" in first
+    assert "field 'pose.pose.position.x' is 'Network'" in second
+    assert "the message has no field 'linar' → Did you mean 'linear'?" in message

@@ -11,11 +11,11 @@ import pytest
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import RunFailed
-from robot_runner.core.events.joint_missions import JointMission, SharedClock, StoppedWithOthers, execute_together
 from robot_runner.core.links.connect import connect_robot
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins import Measure, System, treatment
 from robot_runner.plugins.systems import BasicTurtlebot3, Together, TopicMission, Waypoints
+from robot_runner.ros.missions.joint_missions import JointMission, SharedClock, StoppedWithOthers, execute_together
 from robot_runner.testing import FakeClock, SystemContract, make_context, rehearse
 
 if TYPE_CHECKING:

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import subprocess
+import sys
 import time
+from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
@@ -12,10 +17,11 @@ from tests.ros.simulators.faithful_simulator import FaithfulSimulator
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import RunFailed
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.systems import BasicTurtlebot3, Program, Simulation
 from robot_runner.ros.graph_links import DDS
+from robot_runner.ros.simulators import unpausing
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, Rehearsal, SystemContract, make_context
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("cyclonedds") is None, reason="there is no DDS")
@@ -176,6 +182,35 @@ class _Told:
         self.calls.append(("reset", time))
 
 
+@pytest.mark.parametrize("robot", ["rosbridge://sim:9090", "rosbridge+tls://sim:9090", "wss://sim/ros"])
+def test_a_simulator_behind_any_rosbridge_is_let_go_on_at_its_address(monkeypatch, robot):
+    addresses = []
+
+    def open_link(name, clock, namespace):
+        addresses.append(name.address)
+        raise LinkError("nobody is there", where="robot", fix="Start it.")
+
+    kind = SimpleNamespace(takes_address=True, open=open_link)
+    monkeypatch.setattr(unpausing, "GRAPH_LINKS", dict.fromkeys(("rosbridge", "rosbridge+tls", "wss"), kind))
+    unpause = Simulation("gazebo_classic_ros2")._dialect.unpause
+    unpausing._let_go_on(unpausing._told(robot, "", unpause, 1.0, ()))
+    assert addresses == [robot]
+
+
+def test_a_guardian_ends_when_it_is_told_to_also_while_another_process_holds_its_pipe(monkeypatch):
+    monkeypatch.setattr(unpausing, "_ENDING", 60.0)  # it may not have begun yet on a busy machine
+    unpause = Simulation("gazebo_classic_ros2")._dialect.unpause
+    unpausing.guard_pauses("dds", "/gus", unpause, 1.0)
+    guardian = unpausing._guardians["dds", "/gus"]
+    held = os.dup(guardian.stdin.fileno())  # as the watcher of an event does, which is forked when that begins
+    try:
+        unpausing.guard_pauses_no_more("dds", "/gus")
+        assert guardian.returncode == 0
+    finally:
+        os.close(held)
+        guardian.wait(20.0)
+
+
 @pytest.mark.parametrize(
     ("parameters", "problem"),
     [
@@ -204,3 +239,53 @@ def test_the_check_says_where_it_is_of_no_use():
     assert list(own.check(Circumstances(robot="dds", plugins=[starter, own, robot]))) == []
     (late,) = own.check(Circumstances(robot="dds", plugins=[starter, robot, own]))
     assert "once 'BasicTurtlebot3'" in late.problem
+
+
+_PAUSED = """\
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins.systems import Simulation
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    time_between_runs_in_ms = 300_000
+    robot = "{robot}"
+    plugins = [Simulation("gazebo_classic_ros2", timeout_s=20.0, lowest_real_time_factor=0)]
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Number", [1, 2])])
+"""
+
+
+def test_a_simulator_goes_on_after_the_experiment_was_killed_between_two_runs(tmp_path, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    robot = f"dds:domain={claim_domain()}"
+    config = tmp_path / "study.py"
+    config.write_text(_PAUSED.format(robot=robot))
+    with closing(DDS.open(RobotName.parse(robot), SystemClock())) as its:
+        made = FaithfulSimulator(its, "gazebo_classic_ros2")
+        try:
+            with (tmp_path / "said.txt").open("wb") as said:
+                command = [sys.executable, "-m", "robot_runner", "run", str(config)]
+                killed = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, cwd=tmp_path)
+                try:
+                    journal = tmp_path / "results/trial/journal.jsonl"
+                    ended = _wait(lambda: made.is_paused and '"status":"done"' in journal.read_text(), killed)
+                    assert ended, (tmp_path / "said.txt").read_text()
+                    assert made.told[-1] == "pause"
+                finally:
+                    killed.kill()
+                    killed.wait(20)
+            begun = time.monotonic()
+            assert _wait(lambda: not made.is_paused)
+            assert time.monotonic() - begun < 30.0
+        finally:
+            made.close()
+
+
+def _wait(holds, process=None):
+    deadline = time.monotonic() + 60.0
+    while not holds() and time.monotonic() < deadline and (process is None or process.poll() is None):
+        time.sleep(0.05)
+    return holds()

@@ -474,6 +474,14 @@ def test_a_simulated_robot_on_a_graph_is_labelled_as_such(stage):
     assert {each.origin for each in played.context.broker.measures.values()} == {Origin.SIMULATED}
 
 
+def test_a_simulated_robot_is_labelled_as_such_on_a_graph_that_is_known_only_while_it_drives(stage):
+    played = stage()
+    clock = played.clock
+    clock.at(clock.now() + 7.0, lambda: played.robot.known_topics.update({"/clock": "rosgraph_msgs/Clock"}))
+    played.execute()
+    assert {each.origin for each in played.context.broker.measures.values()} == {Origin.SIMULATED}
+
+
 def test_what_broke_the_mission_off_is_told_though_the_robot_cannot_be_made_safe(stage):
     played = stage()
     played.plugin.start_run(played.context)

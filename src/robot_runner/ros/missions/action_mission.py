@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Goal, RobotLink
     from robot_runner.core.plugin import Circumstances
 
-__all__ = ["ActionMission"]
-
 #: How often it is looked whether the goal is over, s.
 _LOOK = 0.02
 #: How often it is looked whether its server is still there, s.
@@ -169,7 +167,7 @@ class ActionMission(RobotSystem):
         """Return the action, and the topics that are named."""
         del circumstances
         fix = "Start the node that offers it, or correct its name or the plugin's namespace."
-        yield GraphNeed.action(self.action, plain_type(self.action_type), fix=fix)
+        yield GraphNeed.action(self.action, plain_type(self.action_type), fix=fix, goals=[self.goal])
         yield from self._of_way.required()
         if self.stop_topic is not None:
             fix = "Start the robot's bringup, or leave stop_topic out."
@@ -180,7 +178,6 @@ class ActionMission(RobotSystem):
         self._goal = self._values = None
         self._of_feedback.begin()
         self._link = connect_robot(context, namespace=self.namespace)
-        self._is_simulated = is_simulation(self._link, robot_namespace(context, self.namespace))
         if self.stop_topic is not None:
             self._heartbeat = Heartbeat(self._link)
         self._of_way.begin(self._link, context, timeout=self.connect_timeout_s)
@@ -211,7 +208,6 @@ class ActionMission(RobotSystem):
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Leave; a goal that is not over is cancelled."""
-        del context
         heartbeat, self._heartbeat = self._heartbeat, None
         with ExitStack() as closing:
             closing.callback(self._of_way.close)
@@ -221,6 +217,8 @@ class ActionMission(RobotSystem):
             if heartbeat is not None:
                 heartbeat.end()
                 heartbeat.say_farewell()
+        if self._link is not None and self._values is not None:
+            self._is_simulated = is_simulation(self._link, robot_namespace(context, self.namespace))
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no values where the mission did not take place."""

@@ -10,8 +10,6 @@ from robot_runner.core.links.robot import Encoding
 if TYPE_CHECKING:
     from robot_runner.core.links.robot import RobotLink
 
-__all__ = ["cancel_all_goals"]
-
 #: action_msgs/srv/CancelGoal: the server does not cancel any of them.
 _REFUSED = 1
 _NOW = {"sec": 0, "nanosec": 0}

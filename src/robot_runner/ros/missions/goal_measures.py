@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import MeasureValue
     from robot_runner.core.links.robot import Message
 
-__all__ = ["FeedbackMeasures", "ResultMeasures"]
-
 _PREFIX = "result."
 _PAIR = 2
 _COUNT = "count"

@@ -8,12 +8,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.joint_missions import JointMission, SharedClock, execute_together
 from robot_runner.core.events.manager import CLOSED_BY, EVENTS_BY_CALLBACK, RobotRunnerEvents
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.plugin import Plugin, System
 from robot_runner.core.words import enumerated
+from robot_runner.ros.missions.joint_missions import JointMission, SharedClock, execute_together
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.window import MissionTimes
     from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["Together"]
+    from robot_runner.core.storage.input_files import InputFile
 
 _LAUNCH = RobotRunnerEvents.LAUNCH_MISSION
 _FEWEST = 2
@@ -117,6 +116,11 @@ class Together(System):
                 name = need.name if need.name.startswith("/") or not prefix else f"{prefix[1:]}/{need.name}"
                 yield replace(need, name=name)
 
+    def input_files(self) -> Iterable[InputFile]:
+        """Return what its systems read."""
+        for system in self.systems:
+            yield from system.input_files()
+
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long the longest of the missions takes, s; None where one of them is not known."""
         known = [system.duration_s(combination) for system in self.systems]
@@ -136,6 +140,12 @@ class Together(System):
         with ExitStack() as each_of_them:
             for system in self.systems:  # the last one first
                 each_of_them.callback(system.make_safe, self._context_of(system, context))
+
+    def stand_by(self, context: RobotRunnerContext) -> None:
+        """Have each of its systems get ready, whatever fails with another."""
+        with ExitStack() as each_of_them:
+            for system in self.systems:
+                each_of_them.callback(system.stand_by, self._context_of(system, context))
 
     def _pass_on(self, event: RobotRunnerEvents, context: Any) -> dict[str, Any] | None:
         """Call the callbacks of its systems; of a closing event, those whose opening one was called, in reverse."""

@@ -12,8 +12,10 @@ from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.core.links.robot import Advertiser
 from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.shapes import plain_type
+from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["TopicMission"]
 
 #: A clock rounds: what is due within this many seconds is done now.
 _TICK = 1e-6
@@ -44,6 +44,8 @@ class TopicMission(RobotSystem):
             run dies. A velocity command is followed by zero where it is left out, and any other message by nothing.
         name: tells several instances apart; the class's name if left out.
         namespace: the robot's ROS namespace, such as `/alice`.
+        sole_control: whether a run fails where somebody else publishes on the topic during it; where it is False, the
+            run's values are doubtful then.
 
     Raises:
         PluginError: a parameter is out of its range.
@@ -75,6 +77,7 @@ class TopicMission(RobotSystem):
         afterwards: Mapping[str, Any] | None = None,
         name: str | None = None,
         namespace: str = "",
+        sole_control: bool = True,
     ) -> None:
         super().__init__(name=name)
         for parameter, message in (("publish", publish), ("afterwards", afterwards or {})):
@@ -91,10 +94,12 @@ class TopicMission(RobotSystem):
         is_velocity = plain_type(message_type) in VELOCITY_COMMANDS
         self.afterwards = {} if afterwards is None and is_velocity else afterwards
         self.namespace = namespace
+        self.sole_control = sole_control
         self.commands = (topic,)
         self._is_velocity = is_velocity
         self._link: RobotLink | None = None
         self._heartbeat: Heartbeat | None = None
+        self._control: SoleControl | None = None
         self._is_simulated = False
         self._result: tuple[float, int] | None = None
 
@@ -111,7 +116,9 @@ class TopicMission(RobotSystem):
         """Return that somebody subscribes what is published."""
         del circumstances
         fix = "Start the node that subscribes it, or correct its name or the plugin's namespace."
-        yield GraphNeed.subscribed(self.topic, self.message_type, fix=fix)
+        messages = [self.publish, *([] if self.afterwards is None else [self.afterwards])]
+        plain, is_sole = plain_type(self.message_type), self.sole_control
+        yield GraphNeed.subscribed(self.topic, plain, is_sole=is_sole, fix=fix, messages=messages)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long it takes, s, where that is fixed."""
@@ -119,12 +126,19 @@ class TopicMission(RobotSystem):
         return self.until.seconds if isinstance(self.until, _Elapsed) else None
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect."""
+        """Connect, and see that nobody else publishes what this mission commands."""
         self._result = None
         self._link = connect_robot(context, namespace=self.namespace)
-        self._is_simulated = is_simulation(self._link, robot_namespace(context, self.namespace))
         if self._is_velocity:
             self._heartbeat = Heartbeat(self._link)
+        types = VELOCITY_COMMANDS if self._is_velocity else {plain_type(self.message_type)}
+        namespace = robot_namespace(context, self.namespace)
+        self._control = SoleControl(
+            self._link, namespace=namespace, command_topic=self.topic, where=self.name, types=types
+        )
+        self._control.take(context, sole=self.sole_control)
+        if isinstance(self._link, Advertiser):  # to be discovered may take seconds, which are not to be measured
+            self._link.advertise(self.topic, self.message_type)
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Publish until the condition holds; the safe message follows whatever happens.
@@ -144,17 +158,20 @@ class TopicMission(RobotSystem):
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Leave the robot in the safe state."""
-        del context
         link, heartbeat, self._heartbeat = self._link, self._heartbeat, None
         if link is None:
             return
         with ExitStack() as closing:
             if heartbeat is not None:
                 closing.callback(heartbeat.end)
+            if self._control is not None:
+                closing.callback(self._control.end)
             self._say_safe(link)
             if heartbeat is not None:
                 heartbeat.end()
                 heartbeat.say_farewell()
+        if self._result is not None:
+            self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no values where the mission did not take place."""

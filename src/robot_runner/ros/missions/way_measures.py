@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.transforms import Transform
 
-__all__ = ["WayMeasures"]
-
 PATH_LENGTH = Measure("PathLength", "m", "Way covered during the mission, by odometry.", low=0.0)
 CLOSEST_OBSTACLE = Measure("ClosestObstacle", "m", "The shortest range of the laser scanner during the mission.")
 _SCAN, _TRANSFORMS = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"

@@ -13,7 +13,7 @@ from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.sampling.live_samples import LiveSamples
+from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp, Wheels
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Pose, Trajectory, wrapped
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-
-__all__ = ["Waypoints"]
 
 #: What a robot may be commanded beyond its cruising speed to mend what it is off by, and beyond that the odometry
 #: counts as jumping.
@@ -138,6 +136,7 @@ class Waypoints(RobotSystem):
         self.measures = (*type(self).measures[: None if with_yaw else -1], *_legs(len(self.waypoints)))
         self._robot: Robot | None = None
         self._outcome: _Outcome | None = None
+        self._is_simulated = False
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
         """Return odometry and velocity commands."""
@@ -172,7 +171,7 @@ class Waypoints(RobotSystem):
         self._robot = self._reached(context)
         self._robot.odometer.wait(self.connect_timeout_s)
         self._robot.check_commands_subscribed(where=self.name)
-        self._robot.take_control(context, sole=self.sole_control)
+        self._robot.control.take(context, sole=self.sole_control)
 
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Drive from waypoint to waypoint; the robot is stopped whatever happens.
@@ -199,16 +198,18 @@ class Waypoints(RobotSystem):
         del context
         if self._robot is not None:
             self._robot.close()
+            if self._outcome is not None:
+                self._is_simulated = self._robot.is_simulated()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no values where the mission did not take place."""
         outcome = self._outcome
-        if outcome is None or self._robot is None:
+        if outcome is None:
             context.doubt("the mission did not take place", fix="Look at the run's log.")
             for measure in self.measures:
                 context.publish(measure.name, None)
             return
-        origin = Origin.SIMULATED if self._robot.is_simulated else Origin.MEASURED
+        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
         turned_by = () if outcome.turned_by is None else (outcome.turned_by,)
         values = (outcome.duration, outcome.distance, outcome.error, *turned_by, *outcome.legs)
         for measure, value in zip(self.measures, values, strict=True):

@@ -14,7 +14,7 @@ from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.plugin import System
 from robot_runner.ros.graph_links import follows_graph_clock
 from robot_runner.ros.simulators.simulator_dialects import dialect_of
-from robot_runner.ros.simulators.unpausing import unpause_from_elsewhere
+from robot_runner.ros.simulators.unpausing import guard_pauses, guard_pauses_no_more, unpause_from_elsewhere
 from robot_runner.ros.simulators.watched_pose import WatchedPose, checked_spot
 from robot_runner.ros.simulators.watched_time import CLOCK_TOPIC, WatchedTime
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.simulators.simulator_dialects import Demand, Spot
-
-__all__ = ["Simulation"]
 
 _RESETS = ("world", "simulation", "none")
 #: How long the first time of a simulator is awaited, s: Gazebo publishes it ten times a second at least.
@@ -127,9 +125,7 @@ class Simulation(System):
                 "the embedded robot begins each run anew: nothing is reset, and its time has no pace of its own",
                 "Leave the plugin out, or reach a simulator on a graph: --set robot=dds.",
             )
-        plugins = list(circumstances.plugins)
-        before = plugins[: plugins.index(self)] if self in plugins else []
-        for each in before:
+        for each in circumstances.before(self):
             if isinstance(each, System) and not each.starts_nodes and not isinstance(each, Simulation):
                 problem = f"it resets the simulator once {each.name!r}, which is listed before it, has begun its run"
                 yield Finding.warning(where, problem, f"List {self.name!r} before {each.name!r} in `plugins`.")
@@ -147,15 +143,21 @@ class Simulation(System):
                 yield GraphNeed.service(demand.services[0], demand.service_type, fix=fix)
 
     def before_run(self, context: RobotRunnerContext) -> None:
-        """Let the simulator go on where the run lives by its time: a run cannot begin while that stands still."""
+        """Let the simulator go on where the run lives by its time: a run cannot begin while that stands still.
+
+        Whoever is killed from here on, it is left going on: a process waits for that.
+        """
         if self.pauses and follows_graph_clock(context.robot):
             self._unpause_from_elsewhere(context)
+        unpause, robot = self._dialect.unpause, context.robot
+        if self.pauses and unpause is not None and robot is not None and not is_simulated(robot):
+            guard_pauses(robot, self.namespace, unpause, self.timeout_s, signs=self._signs)
 
     def after_experiment(self, context: ExperimentContext) -> None:
         """Leave the simulator as it was found: going on."""
         if self.pauses and context.robot is not None and not is_simulated(context.robot):
-            signs = (CLOCK_TOPIC, self.pose_topic)  # a subject that started it may have ended it
-            self._unpause_from_elsewhere(context, signs)
+            self._unpause_from_elsewhere(context, self._signs)
+            guard_pauses_no_more(context.robot, self.namespace)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Reset the simulator, and see that it was reset.
@@ -221,6 +223,11 @@ class Simulation(System):
         link = connect_robot(context, namespace=self.namespace)
         if self.pauses and not link.is_simulated:
             self._demand(self._dialect.unpause, link, robot_namespace(context, self.namespace))
+
+    @property
+    def _signs(self) -> Sequence[str]:
+        """The topics that it publishes: a subject that started it may have ended it."""
+        return CLOCK_TOPIC, self.pose_topic
 
     def _reset_and_see(self, reset: Demand, link: RobotLink, namespace: str) -> float:
         """Return how long it took, s."""

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message, RobotLink
 
-__all__ = ["DIALECTS", "Demand", "Dialect", "Spot", "dialect_of"]
-
 #: Where a robot is to stand: x, y (m) and yaw (rad).
 Spot = tuple[float, float, float]
 

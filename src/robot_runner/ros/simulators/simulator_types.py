@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["simulator_types"]
-
 _STATE = "geometry_msgs/Pose pose\ngeometry_msgs/Twist twist\nstring reference_frame\n"
 _ROS1 = {
     "gazebo_msgs/ModelState.msg": f"string model_name\n{_STATE}",

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.simulators.simulator_dialects import Spot
 
-__all__ = ["WatchedPose", "checked_spot", "distance_between"]
-
 #: How many messages in a row must tell of the place: the first after a reset may still be of the time before.
 _IN_A_ROW = 2
 

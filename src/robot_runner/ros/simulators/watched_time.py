@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message, RobotLink
 
-__all__ = ["CLOCK_TOPIC", "WatchedTime"]
-
 CLOCK_TOPIC = "/clock"
 _TYPE = "rosgraph_msgs/Clock"
 #: Over how long, s of this machine, the slowest stretch is looked for: shorter ones are the network's.

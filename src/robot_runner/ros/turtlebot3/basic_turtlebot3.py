@@ -10,8 +10,8 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.core.sampling.live_samples import LiveSamples
 from robot_runner.core.treatments import factors_of
+from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.ros.robot_system import RobotSystem
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Wheels
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.turtlebot3.mission import Performance, Phase
-
-__all__ = ["BasicTurtlebot3"]
 
 _KNOWN_TASKS = tuple(task.value.capitalize() for task in Task)
 #: How far from its beginning, m, a mission may end before the run is warned of.
@@ -102,6 +100,7 @@ class BasicTurtlebot3(RobotSystem):
         self.mission = CircularMission(sleep_s=sleep_s, drive_s=drive_s, task_s=task_s, rotate_s=rotate_s, speed=speed)
         self._robot: Robot | None = None
         self._performance: Performance | None = None
+        self._is_simulated = False
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or treatments that are no tasks."""
@@ -132,9 +131,9 @@ class BasicTurtlebot3(RobotSystem):
         self._robot = Robot(link, odometer, context.clock, namespace=namespace, where=self.name)
         odometer.wait(self.connect_timeout_s)
         self._robot.check_commands_subscribed(where=self.name)
-        self._robot.tasks.check(self._task_of(context), where=self.name)
+        self._robot.tasks.check(self._task_of(context), context.clock, where=self.name)
         self._end_left_task(self._robot.tasks, context)
-        self._robot.take_control(context, sole=self.sole_control)
+        self._robot.control.take(context, sole=self.sole_control)
 
     def _end_left_task(self, tasks: TaskServices, context: RobotRunnerContext) -> None:
         """Stop a task that an earlier run, or somebody else, left running: it would be measured, and refuse ours."""
@@ -170,6 +169,8 @@ class BasicTurtlebot3(RobotSystem):
         del context
         if self._robot is not None:
             self._robot.close()
+            if self._performance is not None:
+                self._is_simulated = self._robot.is_simulated()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish duration, distance and pose error; no values where the mission did not take place."""
@@ -181,8 +182,7 @@ class BasicTurtlebot3(RobotSystem):
             return
         for problem in _doubts(performance):
             context.warn(problem, fix="Look whether the robot's way is free, and reposition the robot.")
-        is_simulated = self._robot is not None and self._robot.is_simulated
-        origin = Origin.SIMULATED if is_simulated else Origin.MEASURED
+        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
         context.publish("Duration", performance.duration, origin=origin)
         context.publish("Distance", performance.distance, origin=origin)
         context.publish("PoseError", performance.pose_error, origin=origin)

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.turtlebot3.odometry import Pose
     from robot_runner.ros.turtlebot3.steered_robot import Robot, Task
 
-__all__ = ["CircularMission", "Performance", "Performer", "Phase", "PhaseKind", "PhaseLog"]
-
 
 class PhaseKind(Enum):
     """What the robot does in a phase."""

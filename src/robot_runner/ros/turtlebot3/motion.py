@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.ros.graph_links import full_name
+from robot_runner.core.links.graph_names import full_name
+from robot_runner.core.links.robot import Advertiser
 from robot_runner.ros.turtlebot3.odometry import Odometer, Pose, wrapped
 from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, velocity_command
 
@@ -16,9 +17,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import RobotLink
-
-__all__ = ["COMMAND_TOPIC", "MAXIMUM_SPEED", "MAXIMUM_TURN_RATE", "TICK", "Pilot", "Ramp", "Wheels"]
-
 
 #: The topic of the robot's velocity commands.
 COMMAND_TOPIC = "cmd_vel"
@@ -57,6 +55,15 @@ class Wheels:
         """
         message_type = self._type or self._subscribed_type()
         self._link.publish(self._own_topic, message_type, velocity_command(message_type, speed, rate))
+
+    def get_ready(self) -> None:
+        """Be heard from the first command on: to be discovered may take seconds, which are not to be measured.
+
+        Raises:
+            LinkError: the robot cannot be reached, or subscribes neither type.
+        """
+        if isinstance(self._link, Advertiser):
+            self._link.advertise(self._own_topic, self._type or self._subscribed_type())
 
     def _subscribed_type(self) -> str:
         told = {each.message_type for each in self._link.subscribers(self._topic) if not each.is_own}

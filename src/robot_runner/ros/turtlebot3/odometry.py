@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.sampling.quality import Column, write_samples
+from robot_runner.measuring.quality import Column, write_samples
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -15,10 +15,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import Message
-    from robot_runner.core.sampling.live_samples import LiveSamples
-
-__all__ = ["ODOMETRY", "POSE_TOPIC", "Odometer", "Pose", "Trajectory", "wrapped"]
-
+    from robot_runner.measuring.live_samples import LiveSamples
 
 #: The topic of the robot's odometry.
 POSE_TOPIC = "odom"

@@ -7,15 +7,15 @@ import threading
 from contextlib import ExitStack
 from dataclasses import replace
 from enum import Enum
-from functools import partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.unhandled import raised_in_thread
+from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.links.connect import is_simulation
+from robot_runner.core.links.graph_names import full_name, missing
 from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.ros.graph_links import full_name, missing
 from robot_runner.ros.graph_look import offer_findings
+from robot_runner.ros.graph_transport import LONGEST_DISCOVERY
 from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, MAXIMUM_SPEED, MAXIMUM_TURN_RATE, Pilot, Wheels
 from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC
@@ -24,17 +24,16 @@ from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.events.context import Clock
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.ros.turtlebot3.odometry import Odometer
-
-__all__ = ["Heartbeat", "Robot", "Task", "TaskServices", "required_services"]
-
 
 #: The watchdog is patient for 0.4 s: three beats may be lost on the air.
 _PERIOD = 0.1
 #: How long the thread may take to end, s: publishing does not wait for subscribers.
 _PATIENCE = 2.0
+#: How often services that are not there yet are looked for, s.
+_LOOK = 0.1
 
 _logger = logging.getLogger(__name__)
 
@@ -131,17 +130,22 @@ class TaskServices:
         self._link = link
         self._namespace = namespace
 
-    def check(self, task: Task, *, where: str) -> None:
+    def check(self, task: Task, clock: Clock, *, where: str) -> None:
         """See that the robot offers the services of a task, before it has driven to where the task begins.
 
         Raises:
             LinkError: it does not, or they are of another type.
         """
-        offered = self._link.services()
         needs = [replace(need, name=full_name(self._namespace, need.name)) for need in required_services(task)]
-        found = [finding for need in needs for finding in offer_findings("service", offered, need, where)]
-        if found:
-            raise LinkError.of_findings(found)
+        deadline = clock.now() + LONGEST_DISCOVERY
+        while True:
+            offered = self._link.services()
+            found = [finding for need in needs for finding in offer_findings("service", offered, need, where)]
+            if not found:
+                return
+            if clock.now() >= deadline:
+                raise LinkError.of_findings(found)
+            clock.sleep(_LOOK)
 
     def start(self, task: Task) -> None:
         """Start a task.
@@ -201,7 +205,6 @@ class Robot:
         pilot: moves it.
         tasks: starts and stops its tasks.
         control: sees that nobody else commands it or tells its pose.
-        is_simulated: whether it is a simulated one.
     """
 
     def __init__(  # noqa: PLR0913 - one keyword for each thing in which robots differ
@@ -218,11 +221,12 @@ class Robot:
         has_tasks: bool = True,
     ) -> None:
         self._link = link
+        self._namespace = namespace
         self._clock = clock
         self._command_topic = full_name(namespace, command_topic)
         self.odometer = odometer
-        wheels = Wheels(link, namespace=namespace, topic=command_topic)
-        self.pilot = Pilot(wheels, odometer, clock, where=where, limits=limits)
+        self._wheels = Wheels(link, namespace=namespace, topic=command_topic)
+        self.pilot = Pilot(self._wheels, odometer, clock, where=where, limits=limits)
         self.control = SoleControl(
             link,
             namespace=namespace,
@@ -232,15 +236,22 @@ class Robot:
         )
         self.tasks = TaskServices(link, namespace)
         self._has_tasks = has_tasks
-        self.is_simulated = is_simulation(link, namespace)
         self._subscription = link.subscribe(pose_topic, "nav_msgs/Odometry", odometer.take)
         self._heartbeat = Heartbeat(link)
 
-    def check_commands_subscribed(self, *, where: str) -> None:
-        """See that velocity commands have a subscriber, before a mission begins that goes nowhere.
+    def is_simulated(self) -> bool:
+        """Whether it is a simulated one; to be asked after its mission, whose window that would lengthen.
 
         Raises:
-            LinkError: they have none.
+            LinkError: the robot cannot be reached.
+        """
+        return is_simulation(self._link, self._namespace)
+
+    def check_commands_subscribed(self, *, where: str) -> None:
+        """See that velocity commands have a subscriber and reach it, before a mission begins that goes nowhere.
+
+        Raises:
+            LinkError: they have none, or it takes neither type.
         """
         deadline = self._clock.now() + _LISTING_SECONDS
         while self._command_topic not in (topics := self._link.topics()):
@@ -248,28 +259,7 @@ class Robot:
                 fix = "Start the robot's bringup, or correct its namespace."
                 raise missing("topic", self._command_topic, topics, where=where, fix=fix)
             self._clock.sleep(_LOOK_PERIOD)
-
-    def take_control(self, context: RobotRunnerContext, *, sole: bool) -> None:
-        """See that nobody else commands it or tells its pose, now and until it is closed.
-
-        Args:
-            context: of the run.
-            sole: whether the run fails where somebody does; if not, its values are doubtful then.
-
-        Raises:
-            LinkError: somebody does now.
-        """
-        if self._link.is_simulated:  # the embedded robot is alone in its world
-            return
-        findings = self.control.check()
-        errors = [finding for finding in findings if finding.is_error]
-        if errors and sole:
-            raise LinkError.of_findings(errors)
-        for finding in findings:
-            tell = context.doubt if finding.is_error else context.warn
-            tell(finding.problem, fix=finding.fix)
-        fix = "End what else commands or is this robot, and execute the run again."
-        self.control.begin(context.fail if sole else partial(context.doubt, fix=fix))
+        self._wheels.get_ready()
 
     def make_safe(self) -> None:
         """Stop the wheels, and the tasks even if the wheels cannot be reached.
