@@ -89,7 +89,8 @@ def test_a_text_that_nobody_has_is_said_and_the_authors_own_is_taken(experiment,
 
     from tests.replication.small_experiment import home
 
-    from robot_runner.replication.packing import Packing, pack
+    from robot_runner.replication.packing import pack
+    from robot_runner.replication.sealing import Packing
 
     copied = shutil.copytree(experiment, tmp_path / "small")
     asked = Packing(with_wheels=False, licence="X-Lab-1.0")

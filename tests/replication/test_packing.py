@@ -17,7 +17,8 @@ from tests.replication.small_experiment import RUNS, SECRET, home
 from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.lock import ExperimentLock
-from robot_runner.replication.packing import Packing, pack
+from robot_runner.replication.packing import pack
+from robot_runner.replication.sealing import Packing
 
 #: Other versions than the lock's are tried as well (`make lower-bounds`): of these it knows no hash.
 of_the_lock = pytest.mark.skipif(

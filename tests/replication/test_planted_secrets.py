@@ -15,7 +15,8 @@ import yaml
 from tests.replication.planted_secrets import CONFIG, plant
 
 from robot_runner.replication.opening import open_package
-from robot_runner.replication.packing import Packing, pack
+from robot_runner.replication.packing import pack
+from robot_runner.replication.sealing import Packing
 from robot_runner.replication.verification import verify_package
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from robot_runner.replication.redaction import Hits, Redactor, grammar_of, is_binary, secrets_in_code
+from robot_runner.replication.code_secrets import secrets_in_code
+from robot_runner.replication.redaction import Hits, Redactor, grammar_of, is_binary
 
 
 def _clean(text, *, loose=True, secrets=(), home=None):

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from tests.replication.small_experiment import SECRET, execute, own_modules, write_config
 
+from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.growing import Additions
 from robot_runner.core.errors import ConfigError, PackageError
-from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.layout import ExperimentFolder

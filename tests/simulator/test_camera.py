@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import ctypes.util
+import time
+from contextlib import closing
 
 import numpy as np
 import pytest
+from tests.ros.ros1_master import quiet_about_rospy
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Encoding
+from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.simulator import camera as camera_module
 from robot_runner.simulator.graph_robot import GraphRobot
 from robot_runner.simulator.rooms import Cylinder, Room
@@ -85,6 +90,34 @@ def test_on_a_graph_it_renders_only_while_somebody_else_looks(simulation):
     assert link.encoding is Encoding.CDR
     assert "k" in next(each.message for each in link.publications if each.topic == "camera/camera_info")
     robot.close()
+
+
+@needs_rendering
+@quiet_about_rospy
+def test_on_ros1_its_information_has_the_matrices_in_capitals(simulation, master_uri):
+    # A node of ROS itself reads it by the class that sensor_msgs brings, where that is installed.
+    options = {"master": master_uri}
+    with (
+        closing(open_ros1_link(options, SystemClock(), "")) as its,
+        closing(open_ros1_link(options, SystemClock(), "")) as own,
+    ):
+        infos = []
+        own.subscribe("camera/camera_info", "sensor_msgs/CameraInfo", infos.append)
+        robot = GraphRobot(its, simulation, has_camera=True)
+        deadline = time.monotonic() + 30.0
+        while not infos and time.monotonic() < deadline:
+            robot.watch_camera()
+            simulation.clock.sleep(0.5)
+            time.sleep(0.05)
+        robot.close()
+        (focal, _, centre), width = infos[0]["K"][:3], infos[0]["width"]
+        assert (centre, width) == (32.0, 64)
+        assert 2 * np.degrees(np.arctan(centre / focal)) == pytest.approx(62.2)
+        assert len(infos[0]["P"]) == 12
+        assert len(infos[0]["R"]) == 9
+        assert "k" not in infos[0]
+        with pytest.raises(LinkError, match=r"no field 'k' → Did you mean 'K'\?"):
+            own.publish("other_info", "sensor_msgs/CameraInfo", {"k": [0.0] * 9})
 
 
 def _viewer():

@@ -45,26 +45,30 @@ def test_the_simulator_is_imported_once_for_all_forked_runs(program, tmp_path):
     subprocess.run([program, config], check=True, capture_output=True, timeout=60)
     [folder] = tmp_path.glob("out/imports")
     with (folder / "run_table.csv").open(encoding="utf-8", newline="") as file:
-        assert [row["Imported"] for row in csv.DictReader(file)] == ["1", "1"]
+        assert [(row["Before"], row["Anew"]) for row in csv.DictReader(file)] == [("True", "none")] * 2
 
 
 _IMPORTS = """
 import sys
 from pathlib import Path
 from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins.systems import BasicTurtlebot3
 
 
 class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "imports"
     results_output_path = Path(__file__).parent / "out"
     robot = "simulated"
+    plugins = [BasicTurtlebot3()]
 
     def create_run_table(self):
-        return RunTableModel(factors=[Factor("Task", ["a", "b"])], data_columns=["Imported"])
+        return RunTableModel(factors=[Factor("Task", ["Video", "Network"])], data_columns=["Before", "Anew"])
 
     def before_run(self, context):
-        self.imported = "robot_runner.simulator.simulated_link" in sys.modules
+        self.imported = set(sys.modules)
 
     def populate_run_data(self, context):
-        return {"Imported": int(self.imported)}
+        anew = [name for name in sys.modules if name not in self.imported]
+        anew = [name for name in anew if name.startswith(("mujoco", "numpy", "robot_runner.simulator"))]
+        return {"Before": "mujoco" in self.imported, "Anew": " ".join(anew) or "none"}
 """

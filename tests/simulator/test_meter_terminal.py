@@ -7,7 +7,7 @@ import time
 import pytest
 
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.serial_line import SerialPort, port_problem
+from robot_runner.measuring.serial_line import SerialPort, port_problem
 from robot_runner.simulator.simulated_devices import MeterTerminal
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import mujoco
 import numpy as np
@@ -173,3 +174,9 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
     assert len(raised.value.findings) == 4
     with pytest.raises(LinkError, match="there is no such room"):
         read_room(tmp_path / "none.toml")
+
+
+def test_a_named_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "room.toml")
+    with pytest.raises(LinkError, match="the room is no regular file"):
+        read_room(tmp_path / "room.toml")

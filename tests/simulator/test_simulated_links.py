@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.host import HostLink, UtilisationSample, UtilisationSampler
 from robot_runner.core.links.robot import RobotLink, Subscription
-from robot_runner.core.links.serial_line import Chunk, SerialLine
+from robot_runner.measuring.host import HostLink, UtilisationSample, UtilisationSampler
+from robot_runner.measuring.serial_line import Chunk, SerialLine
 from robot_runner.simulator.onboard import Task
 from robot_runner.simulator.simulated_devices import SimulatedHost, SimulatedSerialLine
 from robot_runner.simulator.simulated_link import SimulatedRobotLink

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.authors import Author
     from robot_runner.replication.contents import LeftOut
 
-__all__ = ["About", "readme"]
-
 
 @dataclass(frozen=True, slots=True)
 class About:

@@ -21,8 +21,6 @@ from robot_runner.replication.verification import read_text_of
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["badges_of"]
-
 
 def badges_of(path: Path) -> tuple[str, tuple[BadgeLine, ...]]:
     """Return the name and the checklist of an experiment's folder, or of a package, zipped or unpacked.

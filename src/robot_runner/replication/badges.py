@@ -26,10 +26,8 @@ from robot_runner.replication.contents import (
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from robot_runner.core.storage.table_schema import ColumnDescription
+    from robot_runner.core.storage.table_columns import ColumnDescription
     from robot_runner.replication.about import About
-
-__all__ = ["BadgeFacts", "BadgeLine", "State", "badge_lines", "badges_text"]
 
 _POLICY = "https://www.acm.org/publications/policies/artifact-review-and-badging-current"
 _AVAILABLE = "Artifacts Available"

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     from robot_runner.replication.about import About
 
-__all__ = ["NO_LICENCE", "citation_text", "licence_text", "missing_text", "zenodo_text"]
-
 #: Said wherever a licence would stand.
 NO_LICENCE = (
     "No licence was given: all rights are reserved by the authors. Ask them before you use or share the package."

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["Cleaning", "Replaced", "in_words"]
-
 _BLOCK = 1 << 20
 _Answer = TypeVar("_Answer")
 

@@ -15,8 +15,6 @@ from robot_runner.replication.secret_kinds import Found
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-__all__ = ["found_in_code", "secrets_in_code"]
-
 _SHORTEST = 5
 #: Logins of half of the robots, and words of a default: where they stand elsewhere in the folder, they are no secret.
 _COMMON_TEXT = (

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["ConfigLine", "ConfigLines"]
-
 
 @dataclass(frozen=True, slots=True)
 class ConfigLine:

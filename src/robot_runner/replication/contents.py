@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.errors import PackageError, did_you_mean
+from robot_runner.core.storage.input_files import read_index, shown_input
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.redaction import forbidden_name
 
@@ -50,7 +51,7 @@ DESCRIBED = {
     "runs/": "the raw data and the log of each run",
     "revisions/": "what was printed while revisions of a repository were built",
     "subjects/": "the output of software under test that went on through all runs",
-    "config/": "the config and the local modules that it imports, as executed",
+    "config/": "the config, the local modules that it imports and the files that it reads, as executed",
     "report/": "the report, with its tables and figures, and what computes its numbers again",
     MANIFEST: "the circumstances: host, versions, seed, what was set by hand",
     REGISTRATION: "what was registered before the first run: plan, design, seed, power, with a checksum",
@@ -237,6 +238,11 @@ def choose_contents(folder: ExperimentFolder, run_ids: Sequence[str], raw: Seque
     for name in raw:
         if name not in (known := [ALL, NONE, *counts]):
             raise PackageError(f"no run has raw data of {name!r}", where="--raw", fix=did_you_mean(name, known))
+    left_out += [
+        LeftOut(each["at"], f"a file that the experiment reads, too large for a package: {shown_input(each)}")
+        for each in read_index(folder.config)
+        if each["kept"] is None
+    ]
     left_out += [LeftOut(f"raw data of {owner}", f"not asked for ({count} files)") for owner, count in unwanted.items()]
     return Contents(tuple(sorted(files, key=lambda file: file.name)), tuple(left_out))
 

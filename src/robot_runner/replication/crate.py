@@ -34,12 +34,10 @@ from robot_runner.replication.crate_actions import RunActions, action_outcome, i
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from robot_runner.core.storage.table_schema import ColumnDescription
+    from robot_runner.core.storage.table_columns import ColumnDescription
     from robot_runner.replication.about import About
     from robot_runner.replication.crate_actions import ExecutedRun
     from robot_runner.replication.plain_zip import StoredFile
-
-__all__ = ["Executed", "crate_text", "require_rocrate"]
 
 _PROCESS = ("https://w3id.org/ro/wfrun/process/0.5", "Process Run Crate", "0.5")
 _WORKFLOW = (

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.core.storage.table_schema import ColumnDescription
-
-__all__ = ["ExecutedRun", "RunActions", "action_outcome", "executed_runs", "iso_stamp", "undone_count"]
+    from robot_runner.core.storage.table_columns import ColumnDescription
 
 _FORMAL_PARAMETER = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE"
 

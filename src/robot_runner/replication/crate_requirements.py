@@ -17,8 +17,6 @@ from robot_runner.replication.contents import CRATE
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
 
-__all__ = ["crate_faults"]
-
 _FIX = "Report this: what packing writes is not what RO-Crate asks for."
 _ACTIONS = frozenset({"CreateAction", "ActivateAction", "UpdateAction"})
 _WORKFLOW = frozenset({"File", "SoftwareSourceCode", "ComputationalWorkflow"})

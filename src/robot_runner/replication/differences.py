@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.dialects import stand_in_modules
 from robot_runner.core.errors import Finding
 from robot_runner.core.plugin import described_circumstances
-from robot_runner.core.storage.manifest import describe_host
-from robot_runner.core.storage.system_packages import describe_system, described_programs
+from robot_runner.core.storage.manifest import describe_host, describe_system, described_programs
 from robot_runner.replication.distributions import distributions_in, installed_distributions
 from robot_runner.replication.imported_packages import imported_names, importers
 
@@ -23,15 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from robot_runner.replication.distributions import InstalledDistribution
-
-__all__ = [
-    "Difference",
-    "differing_environment",
-    "differing_packages",
-    "missing_modules",
-    "ranked",
-    "remaining_differences",
-]
 
 _GIBIBYTE = 1 << 30
 _SAME_MEMORY = 0.02  # what the kernel keeps for itself differs from boot to boot

@@ -27,18 +27,6 @@ if TYPE_CHECKING:
 
     from packaging.requirements import Requirement
 
-__all__ = [
-    "InstalledDistribution",
-    "canonical",
-    "closure",
-    "distributions_in",
-    "installed_distributions",
-    "packages_of_extra",
-    "wheel_name",
-    "wheel_of",
-    "write_wheel",
-]
-
 #: Extras for the developers of a package, not for its users.
 _NOT_FOR_USERS = frozenset({"dev", "develop", "doc", "docs", "lint", "test", "testing", "tests", "typing"})
 #: Written by installers, so that they differ from machine to machine.

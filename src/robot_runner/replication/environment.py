@@ -21,13 +21,6 @@ if TYPE_CHECKING:
 
     from robot_runner.replication.distributions import InstalledDistribution
 
-__all__ = [
-    "PLATFORMS",
-    "PackageRecord",
-    "RecordedEnvironment",
-    "record_environment",
-]
-
 _OUR_NAME = "robot-runner"
 _GLIBC = ("manylinux2014", *(f"manylinux_2_{minor}" for minor in (17, 24, 26, 27, 28, 31, 34, 35, 36)))
 #: Where else an experiment is replicated, as pip calls it: the oldest first, whose files fit most machines.

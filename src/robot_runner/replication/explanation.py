@@ -15,8 +15,8 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.registration import read_registration
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
-from robot_runner.core.storage.table_schema import ColumnDescription, read_schema
+from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, TableLayout
+from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_commit, shown_duration
 from robot_runner.replication.config_lines import ConfigLine, ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
@@ -25,8 +25,6 @@ from robot_runner.replication.run_history import RunHistory
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
-
-__all__ = ["Explanation", "RunExplanation", "explain_run"]
 
 _ORCHESTRATED = frozenset({"before_run", "continue"})
 _UNMEASURED = {"simulated": "simulated, not measured", "estimated": "estimated by a model, not measured"}

@@ -17,8 +17,6 @@ from robot_runner.replication.distributions import canonical
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-__all__ = ["imported_names", "importers", "owners_of"]
-
 _LINKS = "links"
 #: What the program is made of whatever is measured: which robot and plugins there are, says nothing of it.
 _FRAME = ("robot_runner.core", "robot_runner.cli", "robot_runner.plugins", "robot_runner.testing")

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from robot_runner.replication.environment import PackageRecord, RecordedEnvironment
 
-__all__ = ["IndexAnswer", "ask_index", "findings_of_hashes", "locked_hashes", "with_known_hashes"]
-
 _DEADLINE_S = 300.0
 #: Of one connection; pip's own retries would make a network that is not there a matter of minutes.
 _CONNECTION_S = 15

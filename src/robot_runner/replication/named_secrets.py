@@ -13,8 +13,6 @@ from robot_runner.replication.secret_kinds import Found
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["NAME_HINTS", "Grammar", "named_secrets", "secret_columns", "secrets_in_columns"]
-
 
 class Grammar(Enum):
     """What a file's text is written in, which its text without the secrets has to be as well."""

@@ -11,8 +11,6 @@ from robot_runner.core.words import counted
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["needed_runs", "runs_for_difference", "runs_for_equivalence"]
-
 #: The probability with which a decision is to be had, as planning takes it where nothing else is said.
 _POWER = 0.8
 #: More cannot be meant: the difference lies at the bound.

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.replication.sealing import Progress
 
-__all__ = ["OpenPackage", "open_package", "unpack"]
-
 _BLOCK = 1 << 20
 #: The directory of some 100,000 files.
 _LARGEST_READ = 12 << 20

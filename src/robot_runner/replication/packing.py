@@ -20,13 +20,14 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.replication.about import About
 from robot_runner.replication.citation_files import missing_text
+from robot_runner.replication.code_secrets import secrets_in_code
 from robot_runner.replication.contents import DESCRIPTION, LICENCE, LeftOut, choose_contents
 from robot_runner.replication.crate import Executed, require_rocrate
 from robot_runner.replication.crate_actions import executed_runs, undone_count
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_known_hashes
 from robot_runner.replication.plain_zip import written_beside
-from robot_runner.replication.redaction import Redactor, secrets_in_code
+from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.sealing import Packing, PackingPlan, Progress, Sealing
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.replication.cleaning import Replaced
-
-__all__ = ["Packed", "Packing", "file_sha256", "pack"]
 
 
 @dataclass(frozen=True, slots=True)

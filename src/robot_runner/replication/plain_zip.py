@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO
 
-__all__ = ["PlainZip", "StoredFile", "written_beside"]
-
 #: The time of every file in a package: the earliest that a zip file can say.
 _STAMP = (1980, 1, 1, 0, 0, 0)
 _LEVEL = 6

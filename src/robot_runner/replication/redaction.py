@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.secret_names import REDACTED
 from robot_runner.core.storage.guarded_files import open_to_read
-from robot_runner.replication.code_secrets import found_in_code, secrets_in_code
+from robot_runner.replication.code_secrets import found_in_code
 from robot_runner.replication.named_secrets import (
     NAME_HINTS,
     Grammar,
@@ -23,8 +23,6 @@ from robot_runner.replication.secret_kinds import HOME_PATH, Found, Kind, kinds,
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
-
-__all__ = ["HOME_PATH", "REDACTED", "Hits", "Redactor", "forbidden_name", "grammar_of", "is_binary", "secrets_in_code"]
 
 _FORBIDDEN = re.compile(
     r"(?i)\.env(\..*)?|id_(rsa|dsa|ecdsa|ed25519)(_sk)?|known_hosts(\.old)?|authorized_keys"

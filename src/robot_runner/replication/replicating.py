@@ -15,6 +15,7 @@ from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
 from robot_runner.core.storage.guarded_files import make_experiment_folder, open_to_read
+from robot_runner.core.storage.input_files import missing_inputs
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -36,15 +37,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.replication.sealing import Progress
-
-__all__ = [
-    "Replication",
-    "Source",
-    "find_source",
-    "original_settings",
-    "prepare_replication",
-    "replicated_folder",
-]
 
 _UNPACKED = "package"
 #: Where the results go is the one setting that a replication never takes from the original.
@@ -181,13 +173,14 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     _refuse_redacted(settings)
     with runs_listed_in(files.run_table):
         preparation = prepare(config, settings)
+    absent = list(missing_inputs(files.config))
     if preparation.experiment is None:
-        raise ConfigError.of_findings(preparation.findings)
+        raise ConfigError.of_findings([*preparation.findings, *absent])
     facts = _facts(files, manifest, deviations)
     # Where its results go, and where its registration is, is no deviation from the original.
     overrides = {name: text for name, text in settings.items() if name not in {_PATH, _REGISTRATION}}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
-    findings = list(preparation.findings)
+    findings = [*preparation.findings, *absent]
     if experiment.folder.manifest.exists():
         _refuse_other(experiment, facts, deviations)
     else:

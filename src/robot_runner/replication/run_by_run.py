@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["Sameness", "identical_values", "is_executed"]
-
 
 @dataclass(frozen=True, slots=True)
 class Sameness:

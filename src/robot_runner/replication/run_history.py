@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.storage.excluded_runs import EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.words import shown_commit, shown_duration
 
@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
     from typing import Self
-
-__all__ = ["RunHistory"]
 
 #: What the runs that follow have in common.
 _OF_EXECUTION = "experiment_started"

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from robot_runner.replication.redaction import Redactor
 
-__all__ = ["Searched", "recoded", "search", "wide_encoding"]
-
 _BLOCK = 1 << 20
 _SNIFFED = 8192
 #: So much of what is packed in an archive is unpacked to look at it, in all: more may be a bomb.

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-__all__ = ["HOME_PATH", "Found", "Kind", "kinds", "literal", "reduced"]
-
 HOME_PATH = "home path"
 
 

@@ -24,8 +24,6 @@ from robot_runner.core.storage.system_refusals import storage_error
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["Signer", "check_signature", "sign", "signature_of"]
-
 #: What it is a signature of: one that was made for a commit or for an e-mail is refused.
 _NAMESPACE = "robot-runner-package"
 #: To read a package of many gigabytes; to type a passphrase.

@@ -15,19 +15,8 @@ from robot_runner.replication.needed_runs import needed_runs
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from robot_runner.core.storage.table_schema import ColumnDescription
+    from robot_runner.core.storage.table_columns import ColumnDescription
     from robot_runner.replication.run_by_run import Sameness
-
-__all__ = [
-    "DEFAULT_BOUND",
-    "Conclusion",
-    "Margin",
-    "MeasureConclusion",
-    "ReplicationVerdict",
-    "margins_of",
-    "reached_verdict",
-    "why_not_primary",
-]
 
 #: What difference does not matter where nobody has said it: a convention, and said to be one wherever it counts.
 DEFAULT_BOUND = "5%"

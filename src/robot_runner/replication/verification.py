@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from robot_runner.replication.opening import OpenPackage
     from robot_runner.replication.sealing import Progress
 
-__all__ = ["Verification", "read_text_of", "refuse_faults", "verify_package"]
-
 #: Of what is read whole: descriptions and checksums.
 _LARGEST_TEXT = 32 << 20
 _MOST_FINDINGS = 20

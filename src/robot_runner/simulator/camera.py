@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     Scene = Callable[[], tuple[mujoco.MjModel, mujoco.MjData]]
 
-__all__ = ["CAMERA_TOPICS", "Camera", "camera_topics", "paint"]
-
 #: Computed only while somebody subscribes: a picture costs a thousand times as much as a laser scan.
 CAMERA_TOPICS = ("camera/image_raw", "camera/camera_info")
 #: How MuJoCo may render without a screen, tried in this order: https://mujoco.readthedocs.io/en/stable/programming/

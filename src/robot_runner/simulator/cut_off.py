@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.simulator.supply import Battery, PowerModel, PowerSupply
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
-__all__ = ["CutOff", "ProtectedDrive"]
-
 _logger = logging.getLogger(__name__)
 
 #: At how many energies it is looked up how low the voltage can be there.

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-__all__ = ["MOVING_WHEEL_SPEED", "DifferentialDrive", "OdometryState", "Pose", "WheelOdometry"]
-
-
 #: A wheel that turns faster than this (rad/s; 1.7 mm/s on the ground) moves.
 MOVING_WHEEL_SPEED = 0.05
 

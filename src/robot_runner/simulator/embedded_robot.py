@@ -10,28 +10,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
+from robot_runner.core.links.robot_name import RobotName
+from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
-    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.events.resources import Resources
-    from robot_runner.core.links.host import HostLink
-    from robot_runner.core.links.robot import RobotLink, RobotName
-    from robot_runner.core.links.serial_line import SerialLine
+    from robot_runner.core.links.robot import RobotLink
+    from robot_runner.measuring.host import HostLink
+    from robot_runner.measuring.serial_line import SerialLine
     from robot_runner.simulator.modelled_robot import RobotModel
     from robot_runner.simulator.rooms import Room
     from robot_runner.simulator.simulated_turtlebot3 import Simulation
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
-__all__ = ["EMBEDDED_ROBOT", "SimulationOptions", "simulation_options"]
-
 _WHERE = "robot"
 _NAME = "simulated"
 _PACKAGES = ("mujoco", "numpy")
-_MODULES = ("robot_runner.simulator.simulated_link", "robot_runner.simulator.simulated_devices")
 _SIMULATION = "robot_runner.simulator.simulated_turtlebot3"  # imports MuJoCo
+#: What a run on it imports; NumPy loads the two parts of its own at their first use only.
+_MODULES = (
+    _SIMULATION,
+    "robot_runner.simulator.room_file",
+    "robot_runner.simulator.simulated_devices",
+    "robot_runner.simulator.simulated_link",
+    "numpy.ma",
+    "numpy.random",
+)
 _REAL_TIME_FACTOR = "real_time_factor"
 _ROOM = "room"
 _MODEL = "model"
@@ -58,6 +66,10 @@ class _EmbeddedRobot:
         except LinkError as error:
             return list(error.findings) or [error.as_finding()]
         return []
+
+    def input_files(self, name: RobotName) -> Iterable[InputFile]:
+        """Return the room and the model that its options name."""
+        return inputs_of(*(Path(name.options[each]) if each in name.options else None for each in (_ROOM, _MODEL)))
 
     def preload(self, name: RobotName) -> None:
         """Import MuJoCo, and what else each run of a simulated robot would import anew; nothing is opened."""
@@ -96,6 +108,25 @@ class _EmbeddedRobot:
 
 #: What the entry point `simulated` names.
 EMBEDDED_ROBOT = _EmbeddedRobot()
+
+
+def inputs_of(room: Path | None, model: Path | None) -> list[InputFile]:
+    """Return what is read for a room and a model, with what the model is made of: included files, meshes, textures."""
+    found = [] if room is None else [InputFile(room)]
+    if model is not None:
+        from robot_runner.simulator.mjcf_interface import parts_of_model  # noqa: PLC0415  # it imports MuJoCo
+
+        found.append(InputFile(model, parts_of_model(input_file(model))))
+    return found
+
+
+def run_simulation(context: RobotRunnerContext) -> Simulation:
+    """Return the simulation that a run with the embedded robot lives in.
+
+    Raises:
+        LinkError: a package is missing, or an option of the robot cannot be.
+    """
+    return _simulation(RobotName.parse(context.robot or _NAME), context.resources, context.run_seed)
 
 
 def _simulation(name: RobotName, resources: Resources, seed: int) -> Simulation:
@@ -181,7 +212,7 @@ def simulation_options(options: Mapping[str, str]) -> SimulationOptions:
     if pace is not None and not 0 < pace < inf:
         problem = f"the simulated robot's {_REAL_TIME_FACTOR} is {pace:g}, which no clock can keep"
         raise LinkError(problem, where=_WHERE, fix="Give 1 for real time, 2 for twice as fast.")
-    room = read_room(values.pop(_ROOM).expanduser()) if _ROOM in values else None
+    room = read_room(input_file(values.pop(_ROOM))) if _ROOM in values else None
     model = _model(values, room)
     return SimulationOptions(Turtlebot3Parameters(**values), pace, room or DEFAULT_ROOM, model)
 
@@ -193,7 +224,7 @@ def _model(values: dict[str, Any], room: Room | None) -> RobotModel | None:
     if path is not None:
         from robot_runner.simulator.modelled_robot import RobotModel  # noqa: PLC0415  # it imports MuJoCo
 
-        return RobotModel(path.expanduser(), room, **wheels)
+        return RobotModel(input_file(path), room, **wheels)
     if wheels:
         problem = f"{', '.join(wheels)} names the joint of a wheel, and no model is named"
         raise LinkError(problem, where=_WHERE, fix="Name the MJCF file: model=robot.xml.")

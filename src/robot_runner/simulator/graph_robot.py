@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.simulator.sensors import Listening
     from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
-__all__ = ["GraphRobot", "stamp"]
-
 _SECOND_NS = 1_000_000_000
 #: It comes with tf2, which the smallest installations of ROS 2 lack.
 _TRANSFORM_TYPE = "tf2_msgs/TFMessage"

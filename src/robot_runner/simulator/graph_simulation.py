@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import RobotName
+from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.simulator.graph_robot import GraphRobot, stamp
 from robot_runner.simulator.modelled_robot import RobotModel
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.simulator.rooms import Room
-
-__all__ = ["GraphSimulation", "SimulatedPlace", "check_pace", "on_graph"]
-
 
 #: How far the simulation moves on between two looks at the real world, simulated s.
 _TICK = 0.01

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -16,11 +17,8 @@ from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-    from pathlib import Path
 
     from robot_runner.simulator.rooms import Obstacle
-
-__all__ = ["ActuatorKind", "Joint", "MjcfInterface", "WheelPair", "read_interface", "read_model"]
 
 _SCANNERS = ("base_scan", "scan", "lidar", "laser")
 _SIDES = ("left", "right")
@@ -123,6 +121,21 @@ def _stand(spec: mujoco.MjSpec, obstacle: Obstacle) -> None:
     turned = [math.cos(obstacle.yaw / 2), 0, 0, math.sin(obstacle.yaw / 2)]
     size = [obstacle.half_x, obstacle.half_y, half]
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=place, size=size, quat=turned)
+
+
+def parts_of_model(path: Path) -> tuple[Path, ...]:
+    """Return the files that a model is made of beside its own: included ones, meshes, textures, height fields.
+
+    Older releases of MuJoCo do not tell them: then all files in the folder of the model count.
+    """
+    told = getattr(mujoco, "mju_getXMLDependencies", None)
+    if told is None:
+        return tuple(each for each in sorted(path.parent.rglob("*")) if each.is_file() and each != path)
+    try:
+        found = map(Path, told(str(path)))
+    except mujoco.FatalError:  # it cannot be read, which its reader tells
+        return ()
+    return tuple(sorted(each for each in found if each != path))
 
 
 def read_interface(model: mujoco.MjModel, *, where: str, left: str = "", right: str = "") -> MjcfInterface:

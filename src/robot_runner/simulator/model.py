@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from robot_runner.simulator.rooms import Obstacle, Pose
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
-__all__ = ["Body", "burger_model", "holding_torque", "rolling_torque", "slope_angle", "world_model"]
-
 
 @dataclass(frozen=True, slots=True)
 class Body:

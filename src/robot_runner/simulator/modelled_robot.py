@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
     Message = Mapping[str, Any]
 
-__all__ = ["ModelledRobot", "RobotModel"]
-
 _TWIST = "geometry_msgs/Twist"
 _JOINTS = "sensor_msgs/JointState"
 
@@ -59,8 +57,13 @@ class RobotModel:
     def __init__(self, path: Path, room: Room | None = None, *, left: str = "", right: str = "") -> None:
         self.path = path
         self.room = room
+        self._left, self._right = left, right
         self.model = read_model(path, () if room is None else room.obstacles)
         self.interface = read_interface(self.model, where=str(path), left=left, right=right)
+
+    def within(self, room: Room) -> RobotModel:
+        """Return the same model, read again, with this room around it."""
+        return RobotModel(self.path, room, left=self._left, right=self._right)
 
 
 class ModelledRobot:

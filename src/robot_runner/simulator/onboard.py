@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-__all__ = ["NO_TASK", "OnboardComputer", "Task", "TaskRunner", "Utilisation"]
-
 
 class Task(Enum):
     """What the on-board computer can be told to do (paper, section II-C)."""

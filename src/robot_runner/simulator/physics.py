@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-__all__ = ["BodyState", "Physics"]
-
-
 _SETTLING_STEPS = 200
 #: How many numbers a robot has in MuJoCo's arrays: seven of its pose (six of its velocity) and two of its wheels.
 _POSITIONS, _VELOCITIES = 9, 8

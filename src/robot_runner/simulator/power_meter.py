@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.simulator.supply import PowerSupply
     from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
 
-__all__ = ["CONFIGURATION", "HELLO_SIZE", "SAMPLE_SIZE", "Arrival", "Ina219Meter", "hello_frame", "sample_frames"]
-
-
 SAMPLE_SIZE = 16
 HELLO_SIZE = 20
 

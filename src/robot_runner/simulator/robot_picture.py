@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-__all__ = ["RobotPicture"]
-
 #: From where it is looked at: m away, degrees around and above.
 _DISTANCE, _AZIMUTH, _ELEVATION = 1.1, 140.0, -30.0
 

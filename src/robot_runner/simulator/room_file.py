@@ -16,8 +16,6 @@ from robot_runner.simulator.rooms import WALL_HEIGHT, Cylinder, Obstacle, Pose, 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = ["read_room", "room_of"]
-
 #: A room of a thousand walls has 100 kB; what is longer is no room.
 _LARGEST = 4 * 1024 * 1024
 _THICKNESS = 0.1
@@ -35,6 +33,8 @@ def read_room(path: Path) -> Room:
     try:
         if path.stat().st_size > _LARGEST:
             raise LinkError("the file is longer than any room", where=str(path), fix=_GUIDE)
+        if not path.is_file():  # whoever opens a named pipe waits until somebody writes
+            raise LinkError("the room is no regular file", where=str(path), fix="Make it a file that can be read.")
         described = tomllib.loads(path.read_text("utf-8"))
     except FileNotFoundError as error:
         fix = f"Give the path of a file, from {Path.cwd()} on."

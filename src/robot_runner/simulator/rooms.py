@@ -16,20 +16,6 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-__all__ = [
-    "ARENA",
-    "DEFAULT_ROOM",
-    "ORIGIN",
-    "WALL_HEIGHT",
-    "Cylinder",
-    "Obstacle",
-    "Pose",
-    "Room",
-    "Wall",
-    "ray_distances",
-]
-
-
 WALL_HEIGHT = 0.5
 
 

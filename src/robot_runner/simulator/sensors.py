@@ -25,24 +25,6 @@ if TYPE_CHECKING:
 
     Listener = Callable[[dict[str, Any]], None]
 
-__all__ = [
-    "RAYS",
-    "Listening",
-    "PublishedTopic",
-    "SensorBoard",
-    "battery_state",
-    "body_outline",
-    "header",
-    "imu",
-    "joint_state",
-    "laser_scan",
-    "odometry",
-    "published_topics",
-    "scan_of",
-    "seen_by_scanner",
-]
-
-
 Message = dict[str, Any]
 
 _SECOND_NS = 1_000_000_000

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.sent_goal import SentGoal
     from robot_runner.simulator.simulated_clock import ClockWorker, SimulatedClock
 
-__all__ = ["SimulatedAction", "SimulatedActions"]
-
 
 class SimulatedActions:
     """The actions of a simulation, which all its links offer and call.

@@ -8,13 +8,11 @@ import time
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.joint_missions import sleep_by, sleep_with_others
 from robot_runner.core.links.goals import ActionCanceled
+from robot_runner.ros.missions.joint_missions import sleep_by, sleep_with_others
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-__all__ = ["STEPS_PER_SECOND", "STEP_NS", "SimulatedClock", "Ticker", "tick_time"]
 
 #: The grid of the simulation: physics, sensors and power are known at its points (5 ms).
 STEP_NS = 5_000_000

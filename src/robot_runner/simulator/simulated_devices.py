@@ -11,19 +11,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.host import UtilisationSample
-from robot_runner.core.links.serial_line import SIMULATED_PORT, Chunk
+from robot_runner.measuring.host import UtilisationSample
+from robot_runner.measuring.serial_line import SIMULATED_PORT, Chunk
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from robot_runner.simulator.simulated_clock import SimulatedClock
+    from collections.abc import Callable
+
+    from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
     from robot_runner.simulator.simulated_turtlebot3 import SimulatedTurtlebot3, Simulation
-
-__all__ = ["MeterTerminal", "SimulatedHost", "SimulatedSerialLine", "SimulatedUtilisationSampler"]
-
 
 _SECOND_NS = 1_000_000_000
 _HIGHEST_RATE = STEPS_PER_SECOND
+#: How often a sample is told to who watches, s of simulated time: a mission of 95 s is over in a second or two.
+_TOLD_EVERY = 0.5
 
 
 class SimulatedSerialLine:
@@ -91,7 +92,18 @@ class SimulatedUtilisationSampler:
         self._rate = rate
         self._started_ns = clock.now_ns
         self._also_ns: list[int] = []
+        self._ticker: Ticker | None = None
         self._samples: list[UtilisationSample] | None = None
+
+    def tell(self, on_sample: Callable[[Callable[[], UtilisationSample]], None]) -> None:
+        """Have samples told now and then, by what returns the one of that moment: the others are made at the end."""
+        self._ticker = self._clock.call_every(_TOLD_EVERY, lambda: on_sample(self._latest))
+
+    def _latest(self) -> UtilisationSample:
+        now_ns = self._clock.now_ns
+        since_ns = max(self._started_ns, now_ns - round(_TOLD_EVERY * _SECOND_NS))
+        taken = self._robot.utilisation(start_ns=since_ns, stop_ns=now_ns, rate=1 / _TOLD_EVERY, also_ns=[now_ns])[-1]
+        return UtilisationSample(taken.time, taken.cpu, taken.memory)
 
     def take_now(self) -> None:
         """Take one more sample at once, out of turn."""
@@ -99,6 +111,8 @@ class SimulatedUtilisationSampler:
 
     def stop(self) -> list[UtilisationSample]:
         """End sampling and return the samples, oldest first; a second call returns the same."""
+        if self._ticker is not None:
+            self._ticker.close()
         if self._samples is None:
             stop_ns = self._clock.now_ns
             taken = self._robot.utilisation(

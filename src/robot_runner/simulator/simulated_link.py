@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.type_catalogue import TypeCatalogue
     from robot_runner.simulator.simulated_turtlebot3 import SimulatedRobot, Simulation
 
-__all__ = ["SimulatedRobotLink", "SimulatedTransport"]
-
 _STEP = STEP_NS / 1e9
 #: The shortest time that a simulated clock knows, s.
 _LEAST = 1e-9

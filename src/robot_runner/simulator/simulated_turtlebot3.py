@@ -31,9 +31,6 @@ if TYPE_CHECKING:
 
     SimulatedRobot: TypeAlias = "SimulatedTurtlebot3 | ModelledRobot"
 
-__all__ = ["COMMAND_TOPICS", "SERVICES", "SimulatedTurtlebot3", "Simulation"]
-
-
 #: The topics that the robot subscribes to, with their types.
 COMMAND_TOPICS = {"cmd_vel": "geometry_msgs/Twist"}
 
@@ -306,6 +303,20 @@ class Simulation:
             self._check_room(full)
             self._make(tuple(self.room.robots) if self.room.is_shared and self.model is None else (full,))
         return self._robots[full]
+
+    def furnish(self, room: Room | None, model: RobotModel | None, *, where: str) -> None:
+        """Have its robots live in another room, or be made of another model; None leaves what it has.
+
+        Raises:
+            LinkError: a robot was made already, or the model cannot be read again with its room.
+        """
+        if self._robots:
+            fix = "List what loads the room before all systems that operate the robot."
+            raise LinkError("the robot was made before its room was loaded", where=where, fix=fix)
+        self.room, self.model = room or self.room, model or self.model
+        # One of them is the plugin's, and the other that of the robot's name or of another plugin.
+        if self.model is not None and self.room is not DEFAULT_ROOM and self.model.room is not self.room:
+            self.model = self.model.within(self.room)
 
     def _make(self, namespaces: Sequence[str]) -> None:
         """Make the robots of one world."""

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-__all__ = ["CELLS", "Battery", "PowerModel", "PowerSupply", "motor_power"]
-
-
 CELLS = 3
 
 # Open-circuit voltage of a cell at states of charge from 0 to 1, for a cell whose nominal voltage is 3.7 V.

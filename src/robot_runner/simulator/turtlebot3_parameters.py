@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-__all__ = ["NoiseStreams", "Turtlebot3Parameters"]
-
-
 _MAY_BE_ZERO = (
     *("_deviation", "cpu_", "memory_", "initial_charge", "rolling_resistance"),
     *("activation_energy", "cold_loss", "cut_off_voltage"),

@@ -25,7 +25,22 @@ def test_several_or_none_are_refused_by_name(robot_runner, experiment, tmp_path)
     for name in ("one", "two"):
         shutil.copytree(experiment, tmp_path / name)
         (tmp_path / f"{name}.zip").touch()
-    assert "more than one experiment here: one, two" in robot_runner("pack").err
+    for command in ("pack", "status", "pause", "continue", "stop", "report", "export"):
+        answer = robot_runner(command)
+        assert (answer.code, "there are 2 experiments here" in answer.err) == (2, True)
+        assert f"robot-runner {command} two" in answer.err
     for command in ("verify", "replicate"):
         answer = robot_runner(command)
-        assert (answer.code, "more than one package here: one.zip, two.zip" in answer.err) == (2, True)
+        assert (answer.code, "there are 2 packages here" in answer.err) == (2, True)
+        assert f"robot-runner {command} one.zip" in answer.err
+
+
+def test_the_only_experiment_here_is_told_of_reported_and_exported(robot_runner, experiment, tmp_path):
+    folder = tmp_path / "study" / "small"
+    shutil.copytree(experiment, folder)
+    (tmp_path / "closed").mkdir(mode=0)
+    assert robot_runner("status").out == robot_runner("status", "study/small").out
+    assert robot_runner("export").code == 0
+    assert (folder / "export" / "datapackage.json").is_file()
+    answer = robot_runner("pause")
+    assert (answer.code, "study/small" in answer.err) == (2, True)

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.replication.explanation import RunExplanation
 
-__all__ = ["add_arguments", "execute"]
-
 _MARKS = {"met": "+", "not met": "-"}
 
 

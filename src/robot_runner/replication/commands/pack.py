@@ -17,11 +17,11 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, complaints, output, print_facts, print_folded, print_json, shown_path
 from robot_runner.cli.findings import as_json, show_findings
+from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import UsageError, add_json, add_set
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.core.words import counted, one_line
-from robot_runner.replication.commands.only_one_here import only_experiment
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from robot_runner.replication.cleaning import Replaced
     from robot_runner.replication.packing import Packed
     from robot_runner.replication.sealing import Progress
-
-__all__ = ["add_arguments", "execute"]
 
 _MEGABYTE = 1_000_000
 #: More lines of one kind in one file are in package.json.
@@ -106,10 +104,11 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Write the package; say what is in it, what is not, and what others will miss."""
-    folder = folder_of_target(arguments.target or only_experiment(), arguments.set).root
+    folder = folder_of_target(arguments.target or only_experiment("pack"), arguments.set).root
     authors, licence = _authors(arguments.author), _licence(arguments.licence)
     from robot_runner.replication.container import as_base  # noqa: PLC0415 - only where a package is made
-    from robot_runner.replication.packing import Packing, pack  # noqa: PLC0415 - takes a while to import
+    from robot_runner.replication.packing import pack  # noqa: PLC0415 - takes a while to import
+    from robot_runner.replication.sealing import Packing  # noqa: PLC0415 - as above
     from robot_runner.replication.signatures import check_signature, sign, signature_of  # noqa: PLC0415 - as above
 
     packing = Packing(

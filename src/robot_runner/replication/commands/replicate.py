@@ -23,16 +23,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.comparison.compared import Bounds
-from robot_runner.cli.console import command_line, no_byte_code, output, print_json, shown_path
+from robot_runner.cli.byte_code import no_byte_code
+from robot_runner.cli.console import command_line, output, print_json, shown_path
 from robot_runner.cli.executing import execute_on_screen, read_or_not
 from robot_runner.cli.guard import SOME_FAILED
+from robot_runner.cli.only_one_here import only_package
 from robot_runner.cli.parser import UsageError, add_json, add_set
 from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.cli.screens.ending import print_verdict
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import did_you_mean
 from robot_runner.core.secret_names import shown_assignments
-from robot_runner.replication.commands.only_one_here import only_package
+from robot_runner.core.storage.input_files import kept_copies
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.replication.commands.replication_plan import (
     make_sure,
     print_container,
@@ -58,8 +61,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.replication.differences import Difference
     from robot_runner.replication.replicating import Source
-
-__all__ = ["add_arguments", "execute"]
 
 _HERE, _VENV, _CONTAINER = _ENVIRONMENTS = ("here", "venv", "container")
 
@@ -125,7 +126,7 @@ def _check_options(arguments: Namespace) -> None:
 
 def _replicate(arguments: Namespace) -> Ending:
     deviations = parse_assignments(arguments.set)
-    arguments.package = arguments.package or only_package()
+    arguments.package = arguments.package or only_package("replicate")
     with byte_progress("verifying") as progress:
         source = find_source(Path(arguments.package).expanduser(), progress)
     target = Path(arguments.to or f"{_harmless(source.experiment)}_replication").expanduser().resolve()
@@ -170,7 +171,7 @@ def _unpacked(source: Source, target: Path) -> Path:
 
 def _execute_here(arguments: Namespace, root: Path, target: Path) -> int:
     """Execute the experiment of the package in this very environment; return the exit code of its execution."""
-    with _no_traces():
+    with _no_traces(), kept_copies(ExperimentFolder.found_at(root).config):
         replication = prepare_replication(root, target, parse_assignments(arguments.set))
         execution = execute_on_screen(replication.experiment, replication.findings, plain=arguments.plain)
     if execution.finished is not None:

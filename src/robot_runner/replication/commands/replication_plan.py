@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from robot_runner.replication.differences import Difference
     from robot_runner.replication.replicating import Source
 
-__all__ = ["agrees", "make_sure", "print_container", "print_made_environment", "print_plan", "wants_own_environment"]
-
 #: So few are named instead of counted.
 _FEW = 5
 

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from robot_runner.replication.run_by_run import Sameness
     from robot_runner.replication.verdicts import Margin, ReplicationVerdict
 
-__all__ = ["Comparing", "Ending", "facts_of"]
-
 _STYLES = {
     Conclusion.IDENTICAL: "green",
     Conclusion.EQUIVALENT: "green",

@@ -13,10 +13,10 @@ from rich.text import Text
 from robot_runner.cli.console import output, print_facts, print_json
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
+from robot_runner.cli.only_one_here import only_package
 from robot_runner.cli.parser import UsageError, add_json
 from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.core.words import counted, one_line
-from robot_runner.replication.commands.only_one_here import only_package
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.replication.signatures import Signer
     from robot_runner.replication.verification import Verification
-
-__all__ = ["add_arguments", "execute"]
 
 _MEGABYTE = 1_000_000
 _DIGITS = 64
@@ -52,7 +50,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Verify the package, and say what is wrong with it."""
-    path = Path(arguments.package or only_package()).expanduser()
+    path = Path(arguments.package or only_package("verify")).expanduser()
     digest = _sha256(path, arguments.sha256) if arguments.sha256 else None
     from robot_runner.replication.opening import open_package  # noqa: PLC0415 - for a quick --help
     from robot_runner.replication.verification import verify_package  # noqa: PLC0415 - as above
@@ -126,7 +124,7 @@ def _signature(signer: Signer | None) -> str:
 def _print(verification: Verification, digest: str | None, signer: Signer | None) -> None:
     console = output()
     console.print(Text(one_line(verification.experiment), style="bold").append("  intact", style="green"))
-    absent = [str(each.get("name")) for each in verification.description.get("left_out", ())]
+    absent = [f"{each.get('name')} ({each.get('why')})" for each in verification.description.get("left_out", ())]
     print_facts(
         console,
         [

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 _ROBOTS = ("turtlebot3",)
 _MODEL = ".xml"
 

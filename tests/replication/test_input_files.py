@@ -1,0 +1,167 @@
+"""Rooms, models and bags that a config names go into the package, and an experiment is repeated by them alone."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import shutil
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.ros.recordings import scans_of_ros2
+from tests.simulator.test_modelled_robot import ROVER
+
+from robot_runner.core.errors import StorageError
+from robot_runner.core.links.robot_name import RobotName
+from robot_runner.core.storage import input_files
+from robot_runner.core.storage.input_files import INDEX, input_file, kept_copies, read_index
+from robot_runner.plugins.systems import PlayBag
+from robot_runner.ros.graph_links import GRAPH_LINKS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_CONFIG = """\
+from pathlib import Path
+
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins import InputFile, Measure, System, connect_robot, treatment
+from robot_runner.plugins.systems import SimulatedWorld
+from robot_runner.ros.recorded_bag import RecordedBag
+
+BAG = Path("{bag}")
+
+
+class Look(System):
+    measures = (Measure("Ahead", "m", "How far it is."), Measure("Messages", "1", "In the bag."))
+
+    def input_files(self):
+        yield InputFile(BAG)
+
+    def launch_mission(self, context):
+        link = connect_robot(context)
+        link.publish("cmd_vel", "geometry_msgs/Twist", {{"linear": {{"x": 0.2}}}})
+        context.clock.sleep(1.0)
+        self.ahead = link.wait_for("scan", "sensor_msgs/LaserScan", timeout=2.0)["ranges"][0]
+
+    def populate_run_data(self, context):
+        context.publish("Ahead", self.ahead)
+        with RecordedBag(BAG) as bag:
+            context.publish("Messages", bag.count)
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    robot = "simulated:room={room}"
+    licence = "CC0-1.0"
+    plugins = [SimulatedWorld(model=treatment("Model"), folder=Path(__file__).parent), Look()]
+
+    def create_run_table(self):
+        models = ["{model}", "models/near.xml"]
+        return RunTableModel([Factor("Model", models)], data_columns=["Ahead", "Messages"])
+"""
+_MESH = '<asset><mesh name="block" file="block.obj"/></asset>'
+_TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """Return the folder of a config with one model below it, and another one and a bag elsewhere."""
+    lab, study = tmp_path / "lab", tmp_path / "study"
+    for folder in (lab / "rover/meshes", lab / "rover/parts", study / "models"):
+        folder.mkdir(parents=True)
+    scans_of_ros2(lab / "hall", count=3)
+    (study / "models/near.xml").write_text(ROVER.replace('pos="2 0 0.5"', 'pos="1 0 0.5"'))
+    (lab / "rover/meshes/block.obj").write_text(_TETRAHEDRON)
+    (lab / "rover/parts/wall.xml").write_text(
+        '<mujocoinclude><worldbody><geom type="mesh" mesh="block" pos="3 -0.3 0"/></worldbody></mujocoinclude>'
+    )
+    far = ROVER.replace("<worldbody>", f'<compiler meshdir="meshes"/>{_MESH}<worldbody>', 1)
+    far = far.replace("</mujoco>", '<include file="parts/wall.xml"/></mujoco>')
+    (lab / "rover/rover.xml").write_text(far)
+    (lab / "room.toml").write_text("[[cylinder]]\nat = [-1.0, 0.0]\nradius = 0.1\n")
+    config = _CONFIG.format(bag=lab / "hall", room="../lab/room.toml", model=lab / "rover/rover.xml")
+    (study / "study.py").write_text(config)
+    return study
+
+
+def _values(table: Path) -> list[tuple[str, ...]]:
+    with table.open() as file:
+        return [(row["Model"], row["Ahead"], row["Messages"]) for row in csv.DictReader(file)]
+
+
+def test_an_experiment_is_repeated_without_the_files_that_it_named(
+    study: Path, robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(study)
+    answer = robot_runner("run", "study.py")
+    assert answer.code == 0, answer.out + answer.err
+    original = _values(study / "results/trial/run_table.csv")
+    assert original[0][1] != original[1][1]
+    assert {row[2] for row in original} == {"3"}
+    answer = robot_runner("pack", "results/trial", "--no-wheels", "--to", tmp_path / "trial.zip")
+    assert answer.code == 0, answer.out + answer.err
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    shutil.move(tmp_path / "trial.zip", elsewhere)
+    monkeypatch.chdir(elsewhere)
+    shutil.rmtree(study)
+    shutil.rmtree(tmp_path / "lab")
+    answer = robot_runner(
+        "replicate", "trial.zip", "--to", "again", "--yes", "--environment", "here", "--without-verdict"
+    )
+    assert answer.code == 0, answer.out + answer.err
+    assert sorted(_values(elsewhere / "again/trial/run_table.csv")) == sorted(original)
+    # What was repeated can be packed and repeated as well.
+    kept = {each["named"]: each["kept"] for each in read_index(elsewhere / "again/trial/config")}
+    assert len(kept) == 4
+    assert None not in kept.values()
+    assert input_file(study / "nothing.toml") == study / "nothing.toml"
+
+
+def test_what_is_too_large_is_left_out_with_its_size_and_checksum(
+    study: Path, robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(study)
+    monkeypatch.setattr(input_files, "_LARGEST", 4000)
+    with (study / "models/near.xml").open("a") as file:
+        file.write(f"<!-- {'far and near' * 400} -->\n")
+    assert robot_runner("run", "study.py").code == 0
+    said = robot_runner("pack", "results/trial", "--no-wheels", "--to", tmp_path / "trial.zip")
+    content = (study / "models/near.xml").read_bytes()
+    told = f"{len(content):,} bytes, SHA-256 {hashlib.sha256(content).hexdigest()}"
+    for answer in (said, robot_runner("verify", tmp_path / "trial.zip")):
+        assert answer.code == 0
+        shown = "".join((answer.out + answer.err).split())
+        assert "near.xml" in shown
+        assert "".join(told.split()) in shown
+    shutil.rmtree(study / "models")
+    answer = robot_runner(
+        "replicate", tmp_path / "trial.zip", "--to", tmp_path / "again", "--yes", "--environment", "here"
+    )
+    assert answer.code == 2
+    shown = "".join((answer.out + answer.err).split())
+    assert "thepackageleavesitout,anditisnothere:" in shown
+    # Others than before are no silent part of the same experiment.
+    (tmp_path / "lab/room.toml").write_text("[[cylinder]]\nat = [-1.2, 0.0]\nradius = 0.1\n")
+    (study / "models").mkdir()
+    (study / "models/near.xml").write_bytes(content)
+    answer = robot_runner("run", "study.py")
+    assert answer.code == 2
+    assert "the file is another one than the runs before have read" in answer.err
+
+
+def test_bags_and_definitions_are_named_and_a_damaged_index_is_refused(tmp_path: Path) -> None:
+    assert [each.path.name for each in PlayBag(tmp_path / "hall.mcap").input_files()] == ["hall.mcap"]
+    (tmp_path / "dig_msgs/msg").mkdir(parents=True)
+    (tmp_path / "dig_msgs/msg/Dig.msg").write_text("float64 depth\n")
+    for robot in (f"dds:types={tmp_path}/dig_msgs", f"rosbridge://127.0.0.1:9090?types={tmp_path}/dig_msgs"):
+        name = RobotName.parse(robot)
+        (found,) = GRAPH_LINKS[name.link].input_files(name)
+        assert (found.path.name, [each.name for each in found.others]) == ("dig_msgs", ["Dig.msg"])
+    entry = '{"named": "a", "at": "/a", "below": null, "others": [], "kept": "../../a", "size": 1, "sha256": null}'
+    for text in ('{"inputs": 3}', f'{{"inputs": [{entry}]}}'):
+        (tmp_path / INDEX).write_text(text)
+        with kept_copies(tmp_path), pytest.raises(StorageError, match="damaged"):
+            input_file(tmp_path / "a")
