@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from robot_runner.legacy.recognition import Recognised
     from robot_runner.legacy.session import Session
 
-__all__ = ["check_file", "check_packages", "check_plugins", "check_subscriptions", "is_robot_operated"]
-
 
 #: How alike two names are before one is taken for a slip of the other (1.0: equal).
 _ALIKE = 0.85

@@ -20,8 +20,6 @@ from robot_runner.legacy.syntax import nodes
 if TYPE_CHECKING:
     from robot_runner.legacy.session import Session
 
-__all__ = ["EarlierFactor", "NamedExclusion", "kept_combinations", "named_exclusions"]
-
 _WHERE = "exclusions"
 _SHOWN = 3
 

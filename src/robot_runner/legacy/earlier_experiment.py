@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.legacy.run_tables import EarlierDesign
     from robot_runner.legacy.stand_ins.modules import StandIns
 
-__all__ = ["EarlierExperiment", "call", "check_callback", "printed_to_log"]
-
 
 #: Events whose callbacks the earlier tools called without a context.
 _WITHOUT_CONTEXT = frozenset(

@@ -12,8 +12,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.loader import LoadedConfig
 
-__all__ = ["EARLIER_TOOLS"]
-
 
 class _EarlierTools:
     """Configs of Robot Runner's and Experiment Runner's earlier versions, told by their syntax tree."""

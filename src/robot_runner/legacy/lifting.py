@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Plugin
     from robot_runner.legacy.recognition import Recognised
 
-__all__ = ["exits_raised", "lift"]
-
 
 @contextmanager
 def exits_raised() -> Iterator[None]:
@@ -150,6 +148,7 @@ class _Lifting:
                 fix=f"Describe the experiment in a class {class_name}.",
             )
         self._apply(config_class)
+        self.session.config_class = config_class
         self._config = config_class()
         for name, value in self._set.items():
             earlier_name = _EARLIER_NAMES.get(name, name)

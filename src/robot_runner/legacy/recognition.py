@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-__all__ = ["EARLIER_PACKAGES", "Dialect", "Recognised", "is_earlier_import", "recognise"]
-
 
 class Dialect(Enum):
     """The earlier tools whose config files are read; the value is the tool's name."""

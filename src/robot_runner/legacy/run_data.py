@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.legacy.run_tables import EarlierDesign
 
-__all__ = ["as_mapping", "publish_row"]
-
 
 def as_mapping(returned: Any) -> Mapping[Any, Any]:
     """Return what a callback returned as a mapping; nothing is an empty one.

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from robot_runner.legacy.recognition import Recognised
 
-__all__ = ["Clone", "Numbering", "clone_around", "numbering_of"]
-
 
 #: Where public forks keep modules of their own: beside the config, in the tool's folder of the same clone, or in a
 #: clone inside the user's own repository.

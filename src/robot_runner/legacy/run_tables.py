@@ -23,17 +23,6 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.table_columns import TableSpelling
     from robot_runner.legacy.session import Session
 
-__all__ = [
-    "PROGRESS",
-    "ColumnNames",
-    "EarlierDesign",
-    "ShownTreatment",
-    "design_of",
-    "named_columns",
-    "shown_treatments",
-    "value_of",
-]
-
 
 #: What headed the progress of a run.
 PROGRESS = ("__run_id", "__done")

@@ -18,16 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.manager import RobotRunnerEvents
     from robot_runner.legacy.recognition import Recognised
 
-__all__ = [
-    "EarlierSubscription",
-    "Session",
-    "active_context",
-    "active_session",
-    "current_run",
-    "current_session",
-    "warn_of_run",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class EarlierSubscription:
@@ -54,6 +44,7 @@ class Session:
         findings: what was found while it was loaded, other than what refuses it at once.
         models: the run-table models that it made, in order.
         context: the context of the run that is being executed, or None.
+        config_class: the class that describes the experiment, when the file has been executed.
     """
 
     recognised: Recognised
@@ -62,6 +53,7 @@ class Session:
     findings: list[Finding] = field(default_factory=list)
     models: list[Any] = field(default_factory=list)
     context: RobotRunnerContext | None = None
+    config_class: type = object
 
     @property
     def path(self) -> Path:

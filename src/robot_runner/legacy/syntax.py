@@ -9,20 +9,6 @@ from typing import TYPE_CHECKING, TypeVar
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-__all__ = [
-    "Edits",
-    "ImportedName",
-    "attributes_of",
-    "bound_names",
-    "classes_of",
-    "has_star_import",
-    "imports_of",
-    "names_of_types",
-    "nodes",
-    "used_names",
-    "walk_bodies",
-]
-
 
 N = TypeVar("N", bound=ast.AST)
 

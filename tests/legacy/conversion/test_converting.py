@@ -14,7 +14,8 @@ from robot_runner.core.config.preparation import prepare as prepare_own
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.legacy.conversion.converting import check_conversion, convert
+from robot_runner.legacy.conversion.comparing_configs import check_conversion
+from robot_runner.legacy.conversion.converting import convert
 from robot_runner.legacy.syntax import Edits
 
 if TYPE_CHECKING:
@@ -142,6 +143,17 @@ def test_several_callbacks_of_one_event_stay_subscribed(
     new = converted(config(table=table, subscribe=subscribe))
     assert "(RobotRunnerEvents.LAUNCH_MISSION, self.work)" in new.read_text()
     assert measures_of(new, ["a", "b"]) == [["1", "2"]]
+
+
+def test_what_is_subscribed_under_a_condition_stays_so(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    path = config("def populate_run_data(self, context): return {'seconds': 2}")
+    text = path.read_text().replace("def __init__(self):", "def __init__(self):\n        if self.name:")
+    path.write_text(text.replace("        Event", "            Event", 1))
+    new = converted(path)
+    assert "if self.experiment_name:\n            EventSubscriptionController.subscribe_to" in new.read_text()
+    assert {value for (value,) in measures_of(new, ["seconds"])} == {"2"}
 
 
 def test_lists_of_callbacks_become_entries(config: Callable[..., Path], converted: Callable[[Path], Path]) -> None:
@@ -393,7 +405,26 @@ def test_a_plugin_of_a_clones_own_is_written_beside_with_public_imports(
     new = converted(config("def populate_run_data(self, context): return {'seconds': Meter().read()}", head=head))
     assert "from ClonesMeter import ClonesMeter as Meter" in new.read_text()
     beside = new.with_name("ClonesMeter.py").read_text()
-    assert "from robot_runner.plugins.earlier import CLISource\nfrom robot_runner.plugins.earlier import Ps\n" in beside
+    assert "from robot_runner.plugins.earlier import CLISource, Ps\n" in beside
+    assert {value for (value,) in measures_of(new, ["seconds"])} == {"4.5"}
+
+
+def test_what_stands_beside_the_main_file_of_a_clone_is_written_beside(
+    config: Callable[..., Path], converted: Callable[[Path], Path], write: Callable[..., Path]
+) -> None:
+    tool = "clone/experiment-runner"
+    write("", f"{tool}/__main__.py")
+    write("", f"{tool}/Plugins/__init__.py")
+    write("def read(): return 4.5\n", f"{tool}/socket_of_clone.py")
+    write(
+        "from ProgressManager.Output.OutputProcedure import OutputProcedure as output\nimport socket_of_clone\n\n\n"
+        "def measured():\n    output.console_log_OK('read')\n    return socket_of_clone.read()\n",
+        f"{tool}/handler_of_clone.py",
+    )
+    head = RUNNER.replace("from pathlib", "from handler_of_clone import measured\nfrom pathlib")
+    methods = "def populate_run_data(self, context): return {'seconds': measured()}"
+    new = converted(config(methods, head=head, name="clone/study/RunnerConfig.py"))
+    assert "print('read')" in new.with_name("handler_of_clone.py").read_text()
     assert {value for (value,) in measures_of(new, ["seconds"])} == {"4.5"}
 
 
@@ -491,7 +522,8 @@ def test_what_has_no_counterpart_is_named_with_its_line(
     config: Callable[..., Path], write: Callable[..., Path], line: str, use: str, problem: str
 ) -> None:
     write(
-        "from ProgressManager.RunTable.Models.RunProgress import RunProgress\nclass OwnMeter: ...\n",
+        "from ProgressManager.RunTable.Models.RunProgress import RunProgress\n"
+        "class OwnMeter: state = RunProgress.TODO\n",
         "Plugins/Profilers/OwnMeter.py",
     )
     path = config(use, head=RUNNER.replace("from pathlib", f"{line}\nfrom pathlib"))
@@ -509,30 +541,12 @@ def test_a_neighbour_that_is_written_for_the_earlier_tool_has_to_be_mended_first
         convert(path)
 
 
-def test_a_config_that_a_config_derives_from_has_to_be_converted_first(
-    config: Callable[..., Path], write: Callable[..., Path]
-) -> None:
-    config(name="base_of_conversion.py")
-    path = write(
-        """
-        import sys
-        from pathlib import Path
-        sys.path.append(str(Path(__file__).parents[2]))
-        from base_of_conversion import *
-
-        class RunnerConfig(RunnerConfig):
-            name = "derived"
-        """,
-        "studies/one/RunnerConfig.py",
-    )
-    with pytest.raises(ConfigError, match=r"base_of_conversion\.py:1: the config imports this module"):
-        convert(path)
-
-
 def test_our_own_spelling_needs_no_converting(write: Callable[..., Path]) -> None:
     path = write("from robot_runner import ExperimentConfig\nclass RobotRunnerConfig(ExperimentConfig): ...\n")
     with pytest.raises(ConfigError, match="the config is written in our own spelling already"):
         convert(path)
+    with pytest.raises(ConfigError, match="the file has no class named RobotRunnerConfig"):
+        convert(write("print(4)\n", "script.py"))
 
 
 def test_a_difference_is_found(config: Callable[..., Path]) -> None:

@@ -1,9 +1,10 @@
-"""Write a config of an earlier tool in our own spelling.
+"""Write configs of an earlier tool in our own spelling.
 
-The earlier tools are Experiment Runner and the first versions of Robot Runner. The old file stays as it is. The new one
-is loaded, and its run table compared with that of the old one.
+The earlier tools are Experiment Runner and the first versions of Robot Runner. The old files stay as they are. A file
+whose class a config derives from is converted with it. Each new config is loaded, and its run table compared with that
+of the old one.
 
-Exit code 0: both plan the same runs; 2: the old file is refused, or the new one has to be mended by hand.
+Exit code 0: both plan the same runs; 2: an old file is refused, or a new one has to be mended by hand.
 """
 
 from __future__ import annotations
@@ -14,41 +15,102 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import command_line, output, print_facts, quiet_loading, shown_path
 from robot_runner.cli.findings import print_findings, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.parser import UsageError, add_config
+from robot_runner.cli.parser import UsageError
 from robot_runner.cli.templating import write_new_file
+from robot_runner.core.errors import Finding, RobotRunnerError, StorageError
 from robot_runner.core.words import counted
-from robot_runner.legacy.conversion.converting import check_conversion, convert
+from robot_runner.legacy.conversion.comparing_configs import check_conversion
+from robot_runner.legacy.conversion.converting import convert, new_file
+from robot_runner.legacy.recognition import recognise
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Collection
 
     from robot_runner.cli.parser import Parser
-
-__all__ = ["add_arguments", "execute"]
 
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_config(parser)
+    parser.add_argument(
+        "configs", metavar="CONFIG", nargs="+", help="a config of an earlier tool, or a folder: all that are in it"
+    )
     parser.add_argument(
         "--out",
-        metavar="FILE",
-        help="the file to write (beside the old one, with _converted in its name, if left out); never overwritten",
+        metavar="PLACE",
+        help="the file to write, or the folder for all of them (each beside the old one, with _converted in its name, "
+        "if left out)",
     )
+    parser.add_argument("--overwrite", action="store_true", help="write over files that are there already")
 
 
 def execute(arguments: Namespace) -> int:
-    """Write the config in our own spelling."""
-    old = Path(arguments.config)
-    new = Path(arguments.out) if arguments.out else old.with_name(f"{old.stem}_converted.py")
-    if new.suffix != ".py":
-        raise UsageError("a config is a Python file", where=str(new), fix=f"Name it {new.name}.py.")
+    """Write the configs in our own spelling; one that is refused does not keep the others from it."""
+    old = list(dict.fromkeys(file for each in arguments.configs for file in _files_in(Path(each))))
+    folder, name = _folder_and_name(arguments.out, arguments.configs)
+    codes, refused, written = [0], {}, set[Path]()
+    for file in old:
+        new = (folder or file.parent) / (name or new_file(file, folder).name)
+        try:
+            codes.append(_convert(file, new, folder, written, overwrites=arguments.overwrite))
+        except RobotRunnerError as error:
+            refused[new] = error
+    # What is no experiment by itself is written where another config derives from it.
+    findings = [each for new, error in refused.items() if new not in written for each in error.findings]
+    if findings:
+        show_findings(findings)
+    return REFUSED if findings else max(codes)
+
+
+def _files_in(place: Path) -> list[Path]:
+    """Return a file itself, and of a folder the configs in it and below it that are an earlier tool's."""
+    if not place.is_dir():
+        return [place]
+    files = [file for file in sorted(place.rglob("*.py")) if _is_earlier(file)]
+    if not files:
+        fix = "Name the folder that has them, or one of the files."
+        raise UsageError("the folder has no config of an earlier tool", where=str(place), fix=fix)
+    return files
+
+
+def _is_earlier(file: Path) -> bool:
+    try:
+        recognised = recognise(file)
+    except RobotRunnerError:  # not a config, or one that says why when it is named
+        return False
+    return recognised is not None
+
+
+def _folder_and_name(out: str | None, configs: list[str]) -> tuple[Path | None, str]:
+    """Return the folder for everything, and the file's name where one is named."""
+    if out is None:
+        return None, ""
+    place = Path(out)
+    is_one = len(configs) == 1 and not Path(configs[0]).is_dir()
+    if place.is_dir() or not (is_one or place.suffix == ".py"):
+        place.mkdir(parents=True, exist_ok=True)
+        return place, ""
+    if place.suffix != ".py":
+        raise UsageError("a config is a Python file", where=str(place), fix=f"Name it {place.name}.py.")
+    if not is_one:
+        raise UsageError("several configs cannot become one file", where=str(place), fix="Name a folder: --out FOLDER")
+    return place.parent, place.name
+
+
+def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, overwrites: bool) -> int:
     with quiet_loading():
-        conversion = convert(old)
-        write_new_file(new, conversion.text, instead="Choose another name: --out NAME.py")
+        conversion = convert(old, folder, new.name)
+        kept = conversion.originals if overwrites else None
+        _write(new, conversion.text, kept, instead="Choose another name: --out NAME.py")
         for name, text in conversion.beside.items():
-            write_new_file(new.with_name(name), text, instead="Convert into a folder of its own: --out FOLDER/NAME.py")
-        findings = check_conversion(conversion, new)
+            _write(new.with_name(name), text, kept, instead="Convert into a folder of its own: --out FOLDER/NAME.py")
+        # A base that another config of this call has brought may not differ; one from before is kept.
+        bases = conversion.bases.items()
+        stale = [
+            _stale(base) for base, text in bases if not _is_written(base, text, kept, may_differ=base not in written)
+        ]
+        written |= set(conversion.bases)
+        findings = (*stale, *check_conversion(conversion, new))
     console = output()
     if any(finding.is_error for finding in findings):
         show_findings(findings)
@@ -60,9 +122,55 @@ def execute(arguments: Namespace) -> int:
     print_facts(
         console,
         [
+            ("Derives from", ", ".join(map(shown_path, conversion.bases))),
             ("Beside it", ", ".join(conversion.beside)),
             ("Check", command_line("check", str(new))),
             ("Execute", command_line(str(new))),
         ],
     )
     return 0
+
+
+def _write(file: Path, text: str, kept: Collection[Path] | None, *, instead: str) -> None:
+    """Write a file; nothing is done where it is there as it would be written.
+
+    Args:
+        file: the file.
+        text: what it is to hold.
+        kept: the files that are not written over; None for all of them.
+        instead: what to do where there is one already.
+
+    Raises:
+        StorageError: another one is there and is kept, or it cannot be written.
+    """
+    if file.is_file():
+        if file.read_text(encoding="utf-8", errors="replace") == text:
+            return
+        if kept is not None and file.resolve() not in kept:
+            file.unlink()
+    write_new_file(file, text, instead=instead)
+
+
+def _is_written(base: Path, text: str, kept: Collection[Path] | None, *, may_differ: bool) -> bool:
+    """Write the file of a class that a config derives from; returns whether it is there as it would be written."""
+    try:
+        _write(
+            base,
+            text,
+            kept if may_differ else None,
+            instead="Convert the configs into folders of their own: --out FOLDER",
+        )
+    except StorageError:
+        if not (may_differ and base.is_file()):
+            raise
+        return False
+    return True
+
+
+def _stale(base: Path) -> Finding:
+    return Finding.warning(
+        str(base),
+        "the config derives from a class in this file, which is there already and is kept, though it would be written "
+        "in another way",
+        "Convert with --overwrite, to write it anew.",
+    )

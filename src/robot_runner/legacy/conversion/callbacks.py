@@ -10,26 +10,15 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RobotRunnerEvents
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
-from robot_runner.legacy.syntax import imports_of, nodes
+from robot_runner.legacy.syntax import attributes_of, imports_of, nodes
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
-    from robot_runner.legacy.conversion.names import ConvertedImports
+    from robot_runner.legacy.conversion.bases import Inherited
+    from robot_runner.legacy.conversion.earlier_imports import ConvertedImports
     from robot_runner.legacy.session import Session
     from robot_runner.legacy.syntax import Edits
-
-__all__ = [
-    "CallbackNames",
-    "convert_contexts",
-    "convert_continue",
-    "convert_decorators",
-    "convert_lists_of_callbacks",
-    "convert_rows_of_before_run",
-    "named_callbacks",
-    "order_findings",
-    "remove_subscriptions",
-]
 
 
 #: What callbacks read from their context, and its name here.
@@ -121,31 +110,44 @@ class CallbackNames:
     Attributes:
         renamed: the new name of a method, by its old one.
         is_by_name: whether every callback is subscribed by its name alone.
+        heard: the events that are heard, each by the name of its callback.
     """
 
     renamed: dict[str, str]
     is_by_name: bool
+    heard: frozenset[str]
 
 
-def named_callbacks(session: Session, methods: set[str]) -> CallbackNames:
+def named_callbacks(session: Session, config: ast.ClassDef, inherited: Inherited) -> CallbackNames:
     """Name each callback after its event, where events and callbacks belong together one to one.
 
     Args:
         session: what the config subscribed when it was loaded.
-        methods: the methods that the config class defines.
+        config: the class; what it subscribes under a condition stays subscribed so.
+        inherited: what it has from converted classes: their methods have their names already.
     """
+    own = {method.name for method in _methods(config)}
+    always = [statement for method in _methods(config) for statement in method.body if _subscribes(statement)]
     heard = [(each.event, _name_of(each.callback)) for each in session.subscriptions]
     events = Counter(event for event, _ in heard)
     names = Counter(name for _, name in heard)
-    is_by_name = all(name in methods for _, name in heard) and all(
-        count == 1 for count in (*events.values(), *names.values())
+    is_always = all(statement in always for statement in nodes(config, ast.Expr) if _subscribes(statement))
+    is_by_name = (
+        is_always
+        and all(
+            (name in own or name in inherited.methods)
+            and inherited.methods.get(name, event.callback_name) == event.callback_name
+            for event, name in heard
+        )
+        and all(count == 1 for count in (*events.values(), *names.values()))
     )
-    renamed = {name: event.callback_name for event, name in heard if name != event.callback_name} if is_by_name else {}
-    subscribed = {name for _, name in heard}
-    for method in methods & set(EVENTS_BY_CALLBACK):
-        if method not in subscribed:
+    renamed = {name: now for name, now in inherited.methods.items() if name != now}
+    if is_by_name:
+        renamed |= {name: event.callback_name for event, name in heard if name != event.callback_name}
+    for method in own & set(EVENTS_BY_CALLBACK) - set(inherited.methods):
+        if method not in names:
             renamed[method] = f"_{method}"  # its name would subscribe it now
-    return CallbackNames(renamed, is_by_name)
+    return CallbackNames(renamed, is_by_name, frozenset(event.callback_name for event in events))
 
 
 def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> None:
@@ -183,21 +185,54 @@ def _convert_pair(pair: ast.Tuple, edits: Edits) -> None:
             pass
 
 
-def convert_continue(config: ast.ClassDef, names: CallbackNames, edits: Edits) -> None:
+def convert_continue(config: ast.ClassDef, names: CallbackNames, inherited: Inherited, edits: Edits) -> None:
     """Have the callback of `continue` return True: it has asked the user itself. So has `before_experiment`."""
     methods = {names.renamed.get(method.name, method.name): method for method in _methods(config)}
-    asking = methods.get("continue_experiment")
+    asking, before = methods.get("continue_experiment"), methods.get("before_experiment")
+    is_asked_by_base = "continue_experiment" in inherited.heard
+    by_itself = "return True  # the first run starts by itself"
+    if before is not None and (asking is not None or is_asked_by_base):
+        edits.insert(edits.end_of(before.body[-1]), _following(before, by_itself))
     if asking is None:
         return
-    indent = " " * (asking.col_offset + _INDENT)
-    said = f"\n{indent}return True  # the user was asked here"
-    by_itself = f"\n{indent}return True  # the first run starts by itself"
-    before = methods.get("before_experiment")
-    if before is not None:
-        edits.insert(edits.end_of(before.body[-1]), by_itself)
-    else:
-        said += f"\n\n{' ' * asking.col_offset}def before_experiment(self):{by_itself}"
-    edits.insert(edits.end_of(asking.body[-1]), said)
+    edits.insert(edits.end_of(asking.body[-1]), _following(asking, "return True  # the user was asked here"))
+    if before is None and not is_asked_by_base:
+        calling = ["super().before_experiment()"] if "before_experiment" in inherited.heard else []
+        lines = "".join(f"\n{' ' * (asking.col_offset + _INDENT)}{line}" for line in (*calling, by_itself))
+        edits.insert(edits.end_of(asking.body[-1]), f"\n\n{' ' * asking.col_offset}def before_experiment(self):{lines}")
+
+
+def _following(method: ast.FunctionDef, statement: str) -> str:
+    """Return a statement as it stands after the last one of a method, which may be written in one line."""
+    is_in_line = method.body[0].lineno == method.lineno
+    return f"; {statement}" if is_in_line else f"\n{' ' * method.body[0].col_offset}{statement}"
+
+
+#: What a config says that does not hear an event of which it has inherited a callback.
+NOTHING = "Do nothing: the class that this one derives from hears the event, and this one does not."
+
+
+def leave_unheard(config: ast.ClassDef, names: CallbackNames, inherited: Inherited, edits: Edits) -> None:
+    """Override the inherited callbacks that would be called by their names, and were not subscribed."""
+    own = {names.renamed.get(method.name, method.name) for method in _methods(config)}
+    indent = " " * config.body[0].col_offset
+    for name in EVENTS_BY_CALLBACK:
+        if name in inherited.heard - names.heard - own:
+            text = f'\n\n{indent}def {name}(self):\n{indent}{" " * _INDENT}"""{NOTHING}"""'
+            edits.insert(edits.end_of(config.body[-1]), text)
+
+
+def taken_over(where: str, config: ast.ClassDef, names: CallbackNames, inherited: Inherited) -> Iterator[Finding]:
+    """Yield the callbacks that would take the place of an inherited one that their class calls by its name."""
+    called = {node.attr for _, node in attributes_of(config, {"self"})}
+    for name, callback in names.renamed.items():
+        before = {old for old, now in inherited.methods.items() if now == callback}
+        if name not in inherited.methods and before & called:
+            yield Finding.error(
+                where,
+                f"{name} is subscribed in the place of {', '.join(sorted(before))}, which this class calls",
+                "Override that one, and call it by super() there; then convert the file.",
+            )
 
 
 def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Edits) -> None:

@@ -13,11 +13,9 @@ from robot_runner.legacy.syntax import nodes
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from robot_runner.legacy.conversion.names import ConvertedImports
+    from robot_runner.legacy.conversion.earlier_imports import ConvertedImports
     from robot_runner.legacy.session import Session
     from robot_runner.legacy.syntax import Edits
-
-__all__ = ["rename_clashing"]
 
 _ROWS = ("run_variation", "execute_run")
 _MODELS = ("RunTableModel", "Factor")

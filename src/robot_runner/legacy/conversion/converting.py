@@ -3,102 +3,72 @@
 from __future__ import annotations
 
 import ast
-import sys
-from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.dialects import prepare
-from robot_runner.core.config.source import CONFIG_CLASS
+from robot_runner.core.config.source import CONFIG_CLASS, read_source, read_tree
 from robot_runner.core.errors import ConfigError, Finding
+from robot_runner.legacy.conversion.bases import (
+    BaseFile,
+    Inherited,
+    base_files,
+    convert_base_imports,
+    imported_files,
+    load_apart,
+    name_whole_modules,
+)
 from robot_runner.legacy.conversion.callbacks import (
     convert_contexts,
     convert_continue,
     convert_decorators,
     convert_lists_of_callbacks,
     convert_rows_of_before_run,
+    leave_unheard,
     named_callbacks,
     order_findings,
     remove_subscriptions,
+    taken_over,
 )
 from robot_runner.legacy.conversion.clashing_names import rename_clashing
-from robot_runner.legacy.conversion.names import (
-    ONLY_FACTOR,
+from robot_runner.legacy.conversion.earlier_imports import (
     ConvertedImports,
+    Taking,
     convert_imports,
-    convert_parameters,
-    convert_run_tables,
+    convert_names,
+    modules_beside,
 )
+from robot_runner.legacy.conversion.names import convert_parameters, convert_run_tables
+from robot_runner.legacy.earlier_experiment import EarlierExperiment
 from robot_runner.legacy.recognition import Recognised, is_earlier_import, recognise
 from robot_runner.legacy.session import active_session
-from robot_runner.legacy.syntax import Edits, attributes_of, classes_of, imports_of, nodes
+from robot_runner.legacy.syntax import (
+    Edits,
+    classes_of,
+    imports_of,
+    names_of_types,
+    nodes,
+    used_names,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
+    from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.legacy.earlier_experiment import EarlierExperiment
     from robot_runner.legacy.session import Session
 
-__all__ = ["Conversion", "check_conversion", "check_neighbours", "convert", "differences"]
 
-
-#: The events that have another name here.
-_RENAMED_EVENTS = {
-    "INTERACT": "LAUNCH_MISSION",
-    "DURING_RUN": "LAUNCH_MISSION",
-    "SIGNAL_SEMI_CONTINUE": "CONTINUE",
-    "VALIDATE_EXPERIMENT": "BEFORE_EXPERIMENT",
-}
-_INSTALLED = frozenset({"dist-packages", "site-packages"})
-
-#: The treatments of a run by factor, as texts.
-Run = tuple[tuple[str, str], ...]
-
-
-def differences(before: Experiment, after: Experiment) -> Iterator[Finding]:
-    """Yield what the run table of one config has and that of the other lacks; ids are each tool's own."""
-    old, new = _runs(before), _runs(after)
-    if not before.model.factors and [factor.name for factor in after.model.factors] == [ONLY_FACTOR]:
-        old = [((ONLY_FACTOR, str(after.model.factors[0].treatments[0])),)] * len(old)
-        yield Finding.warning(
-            "run table",
-            f"nothing is varied, so there is a factor {ONLY_FACTOR!r} with one treatment",
-            "Name what you will compare it with.",
-        )
-    for more, fewer, change in ((old, new, "less"), (new, old, "more")):
-        for run, count in (Counter(more) - Counter(fewer)).items():
-            shown = ", ".join(f"{name}={value}" for name, value in run)
-            yield Finding.error(
-                "run table", f"{shown} is planned {count} times {change} than before", "Mend it by hand."
-            )
-    is_random = before.model.shuffle or after.model.shuffle
-    if Counter(old) == Counter(new) and old != new and not is_random:
-        yield Finding.error("run table", "the order of the runs is another", "Mend it by hand.")
-    lost = set(before.columns.names) - set(after.columns.names)
-    if lost:
-        yield Finding.warning(
-            "run table",
-            f"there is no column {', '.join(map(repr, sorted(lost)))} any more",
-            "Add it to data_columns, unless a plugin has it under another name.",
-        )
-
-
-def _runs(experiment: Experiment) -> list[Run]:
-    return [tuple((name, str(value)) for name, value in run.combination.items()) for run in experiment.model.plan()]
-
-
-def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collection[str]) -> Iterator[Finding]:
+def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collection[str | Path]) -> Iterator[Finding]:
     """Yield which modules that the config imports are written for the earlier tool themselves: they come first.
 
     Args:
         experiment: of the config.
         tree: of the config.
-        written: the names of the files that are converted with it.
+        written: the files that are converted with it, or their names.
     """
-    modules = {*experiment.local_modules, *_imported_files(tree)}
-    for module in sorted(each for each in modules if each.name not in written):
+    modules = {*experiment.local_modules, *imported_files(tree)}
+    for module in sorted(each for each in modules if not {each, each.name} & set(written)):
         for each in imports_of(ast.parse(module.read_text(encoding="utf-8"))):
             if is_earlier_import(each.module):
                 yield Finding.error(
@@ -107,15 +77,6 @@ def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collecti
                     "Write this line with robot_runner, or put what is needed into the config.",
                 )
                 break
-
-
-def _imported_files(tree: ast.Module) -> Iterator[Path]:
-    """Yield the files of what a config imports, wherever it put their folder on the path itself."""
-    for each in imports_of(tree):
-        file = Path(getattr(sys.modules.get(each.module), "__file__", None) or "")
-        is_installed = each.module.partition(".")[0] in sys.stdlib_module_names or _INSTALLED & set(file.parts)
-        if file.suffix == ".py" and not is_installed:
-            yield file
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,129 +88,231 @@ class Conversion:
         before: the experiment of the file that was converted.
         findings: what a user should look at.
         beside: the texts of modules that the file imports and that are to stand beside it, by their files' names.
+        bases: the texts of the files whose config classes it derives from, by where they are to be written.
+        originals: the files that are converted, which are never written over.
     """
 
     text: str
     before: Experiment
     findings: tuple[Finding, ...]
     beside: Mapping[str, str]
+    bases: Mapping[Path, str]
+    originals: frozenset[Path]
 
 
-def convert(path: Path) -> Conversion:
-    """Convert a config file of an earlier tool.
+def convert(path: Path, folder: Path | None = None, name: str = "") -> Conversion:
+    """Convert a config file of an earlier tool, and the files whose config classes it derives from.
+
+    Args:
+        path: the file.
+        folder: where everything is to be written; each beside its original, if left out.
+        name: what the converted file is to be called there.
 
     Raises:
         ConfigError: the file is none, cannot be loaded, or uses what has no counterpart here.
     """
     recognised = recognise(path)
     if recognised is None:
+        read_source(path)  # which refuses what is no config at all
         raise ConfigError(
             "the config is written in our own spelling already", where=str(path), fix=f"Execute it: robot-runner {path}"
         )
-    preparation = prepare(path, is_for_here=False)
-    experiment = preparation.experiment
-    if experiment is None:
-        raise ConfigError.of_findings(preparation.findings)
-    config: EarlierExperiment = experiment.config
-    with config.executing_nothing() as session:
-        converting = _Converting(recognised, session, experiment)
-        text = converting.text()
-    refused = [*converting.imports.findings, *check_neighbours(experiment, recognised.tree, converting.imports.beside)]
-    if any(finding.is_error for finding in refused):
-        raise ConfigError.of_findings([finding for finding in refused if finding.is_error])
-    findings = (*refused, *order_findings(session), *_left_out(session))
-    return Conversion(text, experiment, findings, converting.imports.beside)
+    with load_apart():
+        preparation = prepare(path, is_for_here=False)
+        if preparation.experiment is None:
+            raise ConfigError.of_findings(preparation.findings)
+        return _Chain(recognised, preparation.experiment, folder, name or path.name).converted()
 
 
-def check_conversion(conversion: Conversion, written: Path) -> tuple[Finding, ...]:
-    """Load the file that was written, and compare its run table with that of the file it is from."""
-    preparation = prepare(written, is_for_here=False)
-    if preparation.experiment is None:
-        return preparation.findings
-    return tuple(differences(conversion.before, preparation.experiment))
+def new_file(original: Path, folder: Path | None) -> Path:
+    """Return where a converted file is written: in a folder, or beside its original under a name of its own."""
+    if folder is not None and (folder / original.name).resolve() != original.resolve():
+        return folder / original.name
+    return original.with_name(f"{original.stem}_converted.py")
+
+
+class _Chain:
+    """A config and the files that it derives from, the farthest first: each has its names from those before it."""
+
+    def __init__(self, recognised: Recognised, experiment: Experiment, folder: Path | None, name: str) -> None:
+        self._recognised = recognised
+        self._experiment = experiment
+        self._folder = folder
+        self._taken = {name}
+        self._parts: dict[Path, Inherited] = {}
+        self._texts: dict[Path, str] = {}
+        self._findings: list[Finding] = []
+        self._beside: dict[str, str] = {}
+
+    def converted(self) -> Conversion:
+        """Return what all files become.
+
+        Raises:
+            ConfigError: one of them uses what has no counterpart here.
+        """
+        dialect = self._recognised.dialect
+        with self._experiment.config.executing_nothing() as session:
+            config_class, findings = session.config_class, [*order_findings(session), *_left_out(session)]
+        bases = base_files(self._recognised.path, config_class)
+        for file, base_class in bases.items():
+            text, tree = read_tree(file)
+            name_whole_modules(tree, base_class)
+            self._convert_base(Recognised(dialect, file, text, tree), base_class, set(bases))
+        text = self._convert(self._recognised, config_class, self._experiment, set(bases)).text()
+        if any(finding.is_error for finding in self._findings):
+            raise ConfigError.of_findings([finding for finding in self._findings if finding.is_error])
+        said = tuple(dict.fromkeys([*self._findings, *findings]))
+        return Conversion(
+            text, self._experiment, said, self._beside, self._texts, frozenset({self._recognised.path, *bases})
+        )
+
+    def _convert_base(self, recognised: Recognised, base_class: type, bases: set[Path]) -> None:
+        file = recognised.path
+        new = new_file(file, self._folder)
+        while new.name in self._taken and self._folder is not None:
+            new = new.with_name(f"{new.stem}_base.py")
+        self._taken.add(new.name)
+        converting = self._convert(recognised, base_class, self._by_itself(file), bases)
+        gained = self._inherited(file, base_class).gained_by(recognised.tree)
+        base = BaseFile(new, self._folder is None, converting.classes(), gained)
+        self._parts[file] = Inherited.of_base(file, base, converting.config, converting.members)
+        self._texts[new] = converting.text()
+
+    def _convert(
+        self, recognised: Recognised, config_class: type, experiment: Experiment, bases: set[Path]
+    ) -> _Converting:
+        inherited = self._inherited(recognised.path, config_class)
+        with experiment.config.executing_nothing() as session:
+            converting = _Converting(recognised, config_class.__name__, session, experiment, inherited)
+            converting.convert()
+        self._beside |= converting.imports.beside | modules_beside(recognised.path, imported_files(recognised.tree))
+        self._findings += converting.imports.findings
+        self._findings += check_neighbours(self._experiment, recognised.tree, {*self._beside, *bases})
+        return converting
+
+    def _inherited(self, file: Path, config_class: type) -> Inherited:
+        return Inherited.together(self._parts[base] for base in base_files(file, config_class))
+
+    def _by_itself(self, base: Path) -> Experiment:
+        """Return the experiment that a base is by itself; where it is none, or hears nothing, the one derived from it.
+
+        It then becomes the same file, whichever config it is converted with.
+        """
+        experiment = prepare(base, is_for_here=False).experiment
+        if experiment is None or not isinstance(experiment.config, EarlierExperiment):
+            return self._experiment
+        with experiment.config.executing_nothing() as session:
+            return experiment if session.subscriptions else self._experiment
 
 
 class _Converting:
-    def __init__(self, recognised: Recognised, session: Session, experiment: Experiment) -> None:
+    """One file.
+
+    Attributes:
+        imports: what its imports become.
+        config: its config class, as it was.
+        class_name: what that is called now.
+        members: the new names of its methods.
+    """
+
+    def __init__(
+        self, recognised: Recognised, class_name: str, session: Session, experiment: Experiment, inherited: Inherited
+    ) -> None:
         self._recognised = recognised
         self._session = session
         self._experiment = experiment
+        self._inherited = inherited
         self._tree = recognised.tree
         self._edits = Edits(recognised.text)
         self.imports = ConvertedImports()
-
-    def text(self) -> str:
-        """Return the converted text."""
-        config = classes_of(self._tree).get(self._recognised.dialect.class_name)
+        config = classes_of(self._tree).get(class_name)
         if config is None:
             raise ConfigError(
-                f"the class {self._recognised.dialect.class_name} is not in this file",
-                where=str(self._recognised.path),
+                f"the class {class_name} is not in this file",
+                where=str(recognised.path),
                 fix="Convert the file that has it.",
             )
-        convert_decorators(f"{self._recognised.path}:{config.lineno}", self._tree, config, self.imports, self._edits)
-        convert_imports(self._recognised.path, self._tree, self.imports, self._edits)
-        methods = {node.name for node in config.body if isinstance(node, ast.FunctionDef)}
-        callbacks = named_callbacks(self._session, methods)
+        self.config = config
+        self.class_name = CONFIG_CLASS if class_name == recognised.dialect.class_name else class_name
+        self._callbacks = named_callbacks(session, config, inherited)
+        self.members = self._callbacks.renamed | {"create_run_table_model": "create_run_table"}
+
+    def text(self) -> str:
+        """Return the text with all changes."""
+        return self._edits.applied()
+
+    def classes(self) -> dict[str, str]:
+        """Return what the config classes in the file are called now, its own and those that it imports."""
+        imported = {name: self.imports.names.get(name, name) for name in self.imports.classes if name.isidentifier()}
+        return imported | {self.config.name: self.class_name}
+
+    def convert(self) -> None:
+        """Gather the changes."""
+        config, callbacks, where = self.config, self._callbacks, f"{self._recognised.path}:{self.config.lineno}"
+        convert_decorators(where, self._tree, config, self.imports, self._edits)
+        used, types = used_names(self._tree), names_of_types(self._tree)
+        taking = Taking(self._recognised.path, self.imports, used, types)
+        lines = convert_imports(self._tree, taking, self._edits)
+        lines += convert_base_imports(self._tree, self._inherited, taking, self._edits)
         self.imports.findings += rename_clashing(self._session, self._tree, self.imports, self._edits)
+        self.imports.findings += taken_over(where, config, callbacks, self._inherited)
         self._rename_class(config)
         if callbacks.is_by_name:
             remove_subscriptions(config, self._edits)
             self.imports.ours -= {"EventSubscriptionController", "RobotRunnerEvents"}
         convert_rows_of_before_run(config, self._session, self._edits)
-        convert_continue(config, callbacks, self._edits)
+        convert_continue(config, callbacks, self._inherited, self._edits)
+        leave_unheard(config, callbacks, self._inherited, self._edits)
         convert_contexts(self._tree, self._edits, self._experiment.columns.names)
-        self._rename_members(config, callbacks.renamed | {"create_run_table_model": "create_run_table"})
+        self._rename_members(config)
         convert_run_tables(self._session, self._tree, self.imports, self._edits)
-        self._convert_names()
+        convert_names(self._tree, self.imports, self._edits)
         convert_lists_of_callbacks(config, self._edits)
         convert_parameters(config, self._experiment.parameters.results_output_path, self._edits)
-        self._put_imports()
-        return self._edits.applied()
+        self._edits.insert(self._edits.line_start(min(lines, default=1)), self.imports.lines())
 
     def _rename_class(self, config: ast.ClassDef) -> None:
         start = self._edits.find("class", self._edits.line_start(config.lineno))
-        header_end = self._edits.find(":", max([start, *(self._edits.end_of(base) for base in config.bases)]))
-        own = [self._edits.source(base) for base in config.bases]
-        bases = [base for base in own if self.imports.names.get(base) != "ExperimentConfig"]
-        self._edits.replace_span(start, header_end, f"class {CONFIG_CLASS}({', '.join(['ExperimentConfig', *bases])})")
-        self.imports.ours.add("ExperimentConfig")
-        self.imports.names[self._recognised.dialect.class_name] = CONFIG_CLASS
+        arguments = [*config.bases, *config.keywords]
+        header_end = self._edits.find(":", max([start, *(self._edits.end_of(each) for each in arguments)]))
+        own = [self._edits.edited(each) for each in arguments]
+        parents = [self.imports.names.get(each, each) for each in own]
+        parents = [each for each in parents if each != "ExperimentConfig"]
+        if not self._inherited.files:  # which derive from it
+            parents.insert(0, "ExperimentConfig")
+            self.imports.ours.add("ExperimentConfig")
+        self._edits.replace_span(start, header_end, f"class {self.class_name}({', '.join(parents)})")
+        self.imports.names[config.name] = self.class_name
 
-    def _rename_members(self, config: ast.ClassDef, renamed: dict[str, str]) -> None:
+    def _rename_members(self, config: ast.ClassDef) -> None:
+        names = {**self.members, "name": "experiment_name"}
         for node in config.body:
-            if isinstance(node, ast.FunctionDef) and node.name in renamed:
+            if isinstance(node, ast.FunctionDef) and node.name in self.members:
                 start = self._edits.find(node.name, self._edits.line_start(node.lineno))
-                self._edits.replace_span(start, start + len(node.name.encode()), renamed[node.name])
-        names = {**renamed, "name": "experiment_name"}
-        for owner, member in attributes_of(config, {"self", "cls", "RunnerConfig"}):
+                self._edits.replace_span(start, start + len(node.name.encode()), names[node.name])
+        owners = self._owners(config)
+        for member in nodes(config, ast.Attribute):
+            match member.value:
+                case ast.Name() | ast.Attribute() as owner if ast.unparse(owner) in owners:
+                    pass
+                case ast.Call(func=ast.Name(id="super")):
+                    pass
+                case _:
+                    continue
             if member.attr in names:
-                self._edits.replace_span(
-                    self._edits.end_of(owner), self._edits.end_of(member), f".{names[member.attr]}"
-                )
+                end = self._edits.end_of(member.value)
+                self._edits.replace_span(end, self._edits.end_of(member), f".{names[member.attr]}")
 
-    def _convert_names(self) -> None:
-        for call in nodes(self._tree, ast.Call):
-            match call.func:
-                case ast.Attribute(value=ast.Name(id=name), attr=called) if (
-                    name in self.imports.outputs and called.startswith("console_log") and call.args
-                ):
-                    end = self._edits.end_of(call.args[0])
-                    self._edits.replace_span(self._edits.start_of(call), self._edits.start_of(call.args[0]), "print(")
-                    self._edits.replace_span(end, self._edits.end_of(call), ")")
+    def _owners(self, config: ast.ClassDef) -> set[str]:
+        """Return by what the members of the class, and of those that it derives from, are reached."""
+        owners = {"self", "cls", config.name, *self.imports.classes}
+        for node in self._tree.body:
+            match node:
+                case ast.Assign(targets=[ast.Name(id=name)], value=value) if ast.unparse(value) in owners:
+                    owners.add(name)
                 case _:
                     pass
-        for _, event in attributes_of(self._tree, self.imports.events):
-            if event.attr in _RENAMED_EVENTS:
-                self._edits.replace(event, f"RobotRunnerEvents.{_RENAMED_EVENTS[event.attr]}")
-        for node in nodes(self._tree, ast.Name):
-            if self.imports.names.get(node.id, node.id) != node.id:
-                self._edits.replace(node, self.imports.names[node.id])
-
-    def _put_imports(self) -> None:
-        lines = [each.line for each in imports_of(self._tree) if is_earlier_import(each.module)]
-        first = min(lines, default=1)
-        self._edits.insert(self._edits.line_start(first), self.imports.lines())
+        return owners
 
 
 def _left_out(session: Session) -> Iterator[Finding]:

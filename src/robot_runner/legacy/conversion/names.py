@@ -1,193 +1,21 @@
-"""The names of a config: imports, static parameters, run tables and factors in our spelling."""
+"""The names of a config: static parameters, run tables and factors in our spelling."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import Finding
 from robot_runner.legacy.earlier_exclusions import EarlierFactor, NamedExclusion, named_exclusions
-from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
-from robot_runner.legacy.recognition import is_earlier_import
-from robot_runner.legacy.run_ids import clone_around
-from robot_runner.legacy.stand_ins.modules import MODULES
-from robot_runner.legacy.syntax import Edits, names_of_types, nodes, used_names, walk_bodies
+from robot_runner.legacy.syntax import nodes, walk_bodies
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from robot_runner.legacy.conversion.earlier_imports import ConvertedImports
     from robot_runner.legacy.session import Session
-
-__all__ = ["ONLY_FACTOR", "ConvertedImports", "convert_imports", "convert_parameters", "convert_run_tables"]
-
-_WIDTH = 120
-_OUTPUT = "OutputProcedure"
-_OURS = {
-    "EventSubscriptionController": "EventSubscriptionController",
-    "ExperimentFactorModel": "Factor",
-    "ExperimentModel": "RunTableModel",
-    "FactorModel": "Factor",
-    "OperationType": "OperationType",
-    "RobotRunnerConfig": "ExperimentConfig",
-    "RobotRunnerContext": "RobotRunnerContext",
-    "RobotRunnerEvents": "RobotRunnerEvents",
-    "RunTableModel": "RunTableModel",
-    "RunnerConfig": "ExperimentConfig",
-    "RunnerContext": "RobotRunnerContext",
-    "RunnerEvents": "RobotRunnerEvents",
-    "BaseError": "RobotRunnerError",
-}
-#: What a name becomes that stands in annotations only, and has no counterpart.
-_ANYTHING = "object"
-#: The modules of the earlier tools' profilers that need nothing of the tools around them.
-_KEPT_HOMES = ("command_line", "data_source", "nvidia", "pico")
-#: The door by which a converted config imports from them.
-_KEPT = "robot_runner.plugins.earlier"
-
-
-@dataclass(slots=True)
-class ConvertedImports:
-    """What the imports of a file become.
-
-    Attributes:
-        names: the new name of each name that the file imports.
-        outputs: the names under which the file prints.
-        events: the names under which it has the events.
-        ours: what the converted file imports from `robot_runner`.
-        profilers: what it imports from modules of profilers, by module.
-        beside: modules of the clone's own that are to be written beside the converted file, by their files' names.
-        findings: what has no counterpart.
-    """
-
-    names: dict[str, str] = field(default_factory=dict)
-    outputs: set[str] = field(default_factory=set)
-    events: set[str] = field(default_factory=set)
-    ours: set[str] = field(default_factory=set)
-    profilers: dict[str, set[str]] = field(default_factory=dict)
-    beside: dict[str, str] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
-
-    def lines(self) -> str:
-        """Return the import lines that take the place of the earlier tool's."""
-        ours = sorted(self.ours, key=str.casefold)
-        block = f"from robot_runner import {', '.join(ours)}\n"
-        if len(block) > _WIDTH:
-            block = "\n".join(["from robot_runner import (", *(f"    {name}," for name in ours), ")\n"])
-        others = [f"from {home} import {', '.join(sorted(names))}\n" for home, names in sorted(self.profilers.items())]
-        return (block if ours else "") + "".join(others)
-
-
-def convert_imports(path: Path, tree: ast.Module, converted: ConvertedImports, edits: Edits) -> None:
-    """Remove the earlier tool's import lines; the new ones are put in place by `ConvertedImports.lines`."""
-    used, types = used_names(tree), names_of_types(tree)
-    for node in nodes(tree, ast.ImportFrom):
-        if not node.module or not is_earlier_import(node.module):
-            continue
-        for alias in node.names:
-            bound = alias.asname or alias.name
-            if alias.name == "*" or bound in used or (bound in types and alias.name in _OURS):
-                if not _take_from_clone(converted, path, node.module, alias):
-                    _take(converted, f"{path}:{node.lineno}", node.module, alias.name, bound)
-            elif bound in types:
-                converted.names[bound] = _ANYTHING
-        edits.remove_lines(node.lineno, node.end_lineno or node.lineno)
-    converted.findings += [
-        Finding.error(
-            f"{path}:{node.lineno}",
-            "a module of the earlier tool is imported as a whole",
-            "Import its names: from ... import ...",
-        )
-        for node in nodes(tree, ast.Import)
-        if any(is_earlier_import(alias.name) for alias in node.names)
-    ]
-
-
-def _take(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> None:
-    if plugin_of(f"{module}.{name}") is not None:
-        converted.findings += _take_profiler(converted, where, module, name, bound)
-    elif name == _OUTPUT:
-        converted.outputs.add(bound)
-    elif name in _OURS:
-        converted.names[bound] = _OURS[name]
-        converted.ours.add(_OURS[name])
-        if _OURS[name] == "RobotRunnerEvents":
-            converted.events.add(bound)
-    else:
-        converted.findings.append(Finding.error(where, *_without_counterpart(module, name)))
-
-
-def _take_from_clone(converted: ConvertedImports, config: Path, module: str, alias: ast.alias) -> bool:
-    """Have a plugin of the clone's own stand beside the config; returns whether that can be.
-
-    It cannot where the tool itself had such a module, or where the plugin imports more of the tool than profilers that
-    are kept.
-    """
-    file = clone_around(config).file_of(module)
-    if file is None or module in MODULES or alias.name == "*":
-        return False
-    try:
-        text = _converted_module(file)
-    except (SyntaxError, ValueError, OSError):
-        return False
-    if text is None:
-        return False
-    converted.beside[file.name] = text
-    named = alias.name if alias.asname is None else f"{alias.name} as {alias.asname}"
-    converted.profilers.setdefault(file.stem, set()).add(named)
-    return True
-
-
-def _converted_module(file: Path) -> str | None:
-    """Return the text of a clone's own module with public imports, or None where it needs the tool."""
-    text = file.read_text(encoding="utf-8")
-    tree, edits = ast.parse(text), Edits(text)
-    if any(is_earlier_import(alias.name) for node in nodes(tree, ast.Import) for alias in node.names):
-        return None
-    for node in nodes(tree, ast.ImportFrom):
-        if node.module is None or not is_earlier_import(node.module):
-            continue
-        if not all(is_kept(node.module, alias.name) for alias in node.names):
-            return None
-        names = ", ".join(f"{alias.name} as {alias.asname}" if alias.asname else alias.name for alias in node.names)
-        edits.replace(node, f"from {_KEPT} import {names}")
-    return edits.applied()
-
-
-def _without_counterpart(module: str, name: str) -> tuple[str, str]:
-    if name == "*":
-        return "everything of a module is imported", "Import the names that are used, then convert the file."
-    if name in MODULES.get(module, ()):
-        return f"{name} has no counterpart here", "Write this part by hand, then convert the file."
-    return (
-        f"{module} is a module of the clone that the config stands in",
-        "Put it beside the config under a name of its own, then convert the file.",
-    )
-
-
-def _take_profiler(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> Iterator[Finding]:
-    plugin = plugin_of(f"{module}.{name}")
-    ours = plugin.ours if plugin is not None else ""
-    attribute = MODULES.get(module, {}).get(name, "").partition(":")[2]
-    if not is_kept(module, name):
-        instead = f"List our {ours} in `plugins` instead." if ours else "Measure by hand."
-        yield Finding.error(where, f"{name} cannot be used outside a config of the earlier tool", instead)
-        return
-    imported = attribute if attribute == bound else f"{attribute} as {bound}"
-    converted.profilers.setdefault(_KEPT, set()).add(imported)
-    if ours:
-        yield Finding.warning(
-            where,
-            f"{name} is kept as it was, with its own calls",
-            f"List our {ours} in `plugins` instead: it starts, stops and publishes by itself.",
-        )
-
-
-def is_kept(module: str, name: str) -> bool:
-    """Whether a name of an earlier tool's module works without the tool: `robot_runner.plugins.earlier` has it."""
-    return MODULES.get(module, {}).get(name, "").partition(":")[0].rpartition(".")[2] in _KEPT_HOMES
+    from robot_runner.legacy.syntax import Edits
 
 
 _PATH_PROPERTY = '''

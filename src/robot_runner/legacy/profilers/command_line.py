@@ -19,19 +19,6 @@ from robot_runner.legacy.session import warn_of_run
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = [
-    "EnergiBridge",
-    "PLFormatTypes",
-    "PLOrderTypes",
-    "PMFormatTypes",
-    "PMOrderTypes",
-    "PMSampleTypes",
-    "PowerJoular",
-    "PowerLetrics",
-    "PowerMetrics",
-    "Ps",
-]
-
 _ORDERS = {"PID": "pid", "WAKEUP": "wakeups", "CPU": "cputime", "HYBRID": "composite"}
 _SAMPLERS = {
     "TASKS": "tasks",

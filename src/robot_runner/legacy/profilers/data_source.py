@@ -20,8 +20,6 @@ from typing import Any, ClassVar
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.legacy.profilers.programs import Program
 
-__all__ = ["CLISource", "DataSource", "DeviceSource", "ParameterDict", "ValueRef"]
-
 _CLOSING_S = 5.0
 
 

@@ -13,17 +13,6 @@ from robot_runner.core.errors import PluginError
 from robot_runner.legacy.session import warn_of_run
 from robot_runner.meters.codecarbon import started_tracker, stop_tracker
 
-__all__ = [
-    "DataColumns",
-    "add_co2_data_column",
-    "add_data_columns",
-    "emission_tracker",
-    "populate_co2_data",
-    "populate_data_columns",
-    "start_emission_tracker",
-    "stop_emission_tracker",
-]
-
 _PREFIX = "codecarbon__"
 _EMISSIONS = "__co2_emissions"
 _TRACKER = "__emission_tracker__"

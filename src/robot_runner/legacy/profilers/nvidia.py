@@ -18,25 +18,6 @@ from robot_runner.legacy.stand_ins.machinery import OutputProcedure
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = [
-    "NVML_API_Restriction",
-    "NVML_Arch",
-    "NVML_Clock",
-    "NVML_Compute_Mode",
-    "NVML_Dynamic_Query",
-    "NVML_Enable_State",
-    "NVML_Field",
-    "NVML_GPU_Operation_Mode",
-    "NVML_IDs",
-    "NVML_PowerSource",
-    "NVML_Query",
-    "NVML_Sample",
-    "NVML_Static_Query",
-    "NVML_TempThreshold",
-    "NvidiaML",
-    "library",
-]
-
 
 # Queries by the name of the library's function, `nvmlDeviceGet<name>`: what stays as it is, and what changes.
 _STATIC = (

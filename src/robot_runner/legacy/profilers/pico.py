@@ -16,8 +16,6 @@ from robot_runner.core.errors import LinkError, PluginError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = ["CM3Channels", "CM3DataTypes", "CM3MainsTypes", "PicoCM3"]
-
 # Source of functions and numbers: Pico Technology, PicoLog CM3 Programmer's Guide.
 _CHANNELS = 3
 _USB = 1

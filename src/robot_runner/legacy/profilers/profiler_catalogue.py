@@ -16,8 +16,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = ["PLUGIN_MODULES", "EarlierPlugin", "Need", "plugin_of"]
-
 _HERE = "robot_runner.legacy.profilers"
 
 

@@ -12,15 +12,13 @@ from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.sampling.meter_process import ChildProgram
 from robot_runner.legacy.session import warn_of_run
+from robot_runner.measuring.meter_process import ChildProgram
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from robot_runner.core.sampling.meter_process import Ending
-
-__all__ = ["Program", "Table", "read_table"]
+    from robot_runner.measuring.meter_process import Ending
 
 #: A program that fails at once does so within this time, s.
 _STARTING_S = 0.1

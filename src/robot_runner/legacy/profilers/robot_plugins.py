@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
 
-__all__ = ["BasicTurtleBot3", "BasicTurtleBot3Ros2", "INA219Profiler", "NetworkProfiler", "TopicSubscriber"]
-
 
 #: How long somebody may take to bring the memory card, s.
 _PATIENCE_S = 3600.0

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
 
-__all__ = ["COLUMN", "SelfMeasure"]
-
 #: The column that it fills.
 COLUMN = "self-measure"
 

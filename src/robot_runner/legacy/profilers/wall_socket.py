@@ -6,12 +6,10 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from robot_runner.core.links.connect import open_serial_line
-from robot_runner.core.links.serial_line import port_problem
 from robot_runner.legacy.session import current_run
+from robot_runner.measuring.devices import open_serial_line
+from robot_runner.measuring.serial_line import port_problem
 from robot_runner.meters.watts_up_pro import Recording
-
-__all__ = ["WattsUpPro"]
 
 #: Source: Electronic Educational Devices, Watts up? PRO communications protocol (2009).
 _LOG_TO_LINE = "#L,W,3,{mode},,{interval:d};"

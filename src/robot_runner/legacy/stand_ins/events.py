@@ -19,17 +19,6 @@ if TYPE_CHECKING:
 
     from robot_runner.legacy.session import Session
 
-__all__ = [
-    "CONTEXT_ATTRIBUTES",
-    "EarlierContext",
-    "EventSubscriptionController",
-    "RobotRunnerConfig",
-    "RobotRunnerEvents",
-    "RunnerConfig",
-    "RunnerEvents",
-    "own_event",
-]
-
 
 #: The events of Robot Runner; DURING_RUN and SIGNAL_SEMI_CONTINUE are those of its first months.
 RobotRunnerEvents = Enum(
@@ -235,7 +224,7 @@ class _BesideConfig:
         return current_session().path.parent / self._name
 
 
-def _do_nothing(config: object, context: Any = None) -> None:
+def do_nothing(config: object, context: Any = None) -> None:
     """Do nothing: a callback that a derived config may leave out."""
 
 
@@ -247,8 +236,8 @@ class _Config:
     experiment_path: Path | None = None
     _events: ClassVar[Any]
 
-    before_experiment = before_run = start_run = start_measurement = _do_nothing
-    stop_measurement = stop_run = populate_run_data = after_experiment = _do_nothing
+    before_experiment = before_run = start_run = start_measurement = do_nothing
+    stop_measurement = stop_run = populate_run_data = after_experiment = do_nothing
 
     def __init__(self) -> None:
         names = [(event, event.name.lower()) for event in self._events if "CONTINUE" not in event.name]
@@ -265,7 +254,7 @@ class RobotRunnerConfig(_Config):
     required_ros_distro: Any = "foxy"
     results_output_path: Path = Path("~/Documents/experiments")
     _events = RobotRunnerEvents
-    launch_mission = _do_nothing
+    launch_mission = do_nothing
 
 
 class RunnerConfig(_Config):
@@ -275,4 +264,4 @@ class RunnerConfig(_Config):
     name: str = "new_runner_experiment"
     results_output_path: Any = _BesideConfig("experiments")
     _events = RunnerEvents
-    interact = _do_nothing
+    interact = do_nothing

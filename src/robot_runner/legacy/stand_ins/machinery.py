@@ -14,24 +14,6 @@ from typing import Any, ClassVar, NoReturn, Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import ConfigError, StorageError
 
-__all__ = [
-    "BaseError",
-    "BaseOutputManager",
-    "BashHeaders",
-    "CSVOutputManager",
-    "JSONOutputManager",
-    "Metadata",
-    "OutputProcedure",
-    "RunProgress",
-    "RunTableManager",
-    "Singleton",
-    "SupportsStr",
-    "class_to_dict",
-    "is_path_exists_or_creatable_portable",
-    "pop_from_each_dict_in_list",
-    "processify",
-]
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 

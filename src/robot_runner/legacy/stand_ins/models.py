@@ -16,8 +16,6 @@ from robot_runner.legacy.stand_ins.machinery import RunProgress
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["MISSING", "FactorModel", "RunTableModel", "refuse_unknown"]
-
 
 def refuse_unknown(where: str, unknown: Iterable[str], known: Iterable[str]) -> None:
     """Refuse arguments that no version of a tool knew.

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import ModuleType
 
-__all__ = ["MODULES", "PACKAGES", "StandIns", "names_in"]
-
 Names = dict[str, str]
 
 

@@ -1,0 +1,264 @@
+"""Configs that derive from a config in another file: that file is converted first, and says what it passes on."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.util import resolve_name
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.config.source import read_tree
+from robot_runner.core.errors import ConfigError
+from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+from robot_runner.legacy.recognition import is_earlier_import
+from robot_runner.legacy.syntax import bound_names, imports_of, nodes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from robot_runner.legacy.conversion.earlier_imports import Taking
+    from robot_runner.legacy.syntax import Edits
+
+_INSTALLED = frozenset({"dist-packages", "site-packages"})
+
+
+def _is_installed(file: Path) -> bool:
+    """Return whether a file belongs to an installed package."""
+    return bool(_INSTALLED & set(file.parts))
+
+
+def file_of_module(name: str) -> Path | None:
+    """Return the file of a module that has been imported; None where it has none that is Python."""
+    file = Path(getattr(sys.modules.get(name), "__file__", None) or "")
+    return file.resolve() if file.suffix == ".py" else None
+
+
+def imported_files(tree: ast.Module) -> Iterator[Path]:
+    """Yield the files of what a config imports, wherever it put their folder on the path itself."""
+    for each in imports_of(tree):
+        file = file_of_module(each.module)
+        is_standard = each.module.partition(".")[0] in sys.stdlib_module_names
+        if file is not None and not is_standard and not _is_installed(file):
+            yield file
+
+
+@contextmanager
+def load_apart() -> Iterator[None]:
+    """Forget afterwards what was imported from folders that were not importable before.
+
+    A converted file may be called like its original, and like that of another study.
+    """
+    folders, modules = list(sys.path), set(sys.modules)
+    try:
+        yield
+    finally:
+        added = {Path(folder).resolve() for folder in sys.path if folder not in folders}
+        sys.path[:] = folders
+        for name in set(sys.modules) - modules:
+            # A package without a file of its own has folders.
+            places = [getattr(sys.modules[name], "__file__", None), *getattr(sys.modules[name], "__path__", ())]
+            files = [Path(place).resolve() for place in places if place]
+            if any(added & {file, *file.parents} and not _is_installed(file) for file in files):
+                del sys.modules[name]
+
+
+def base_files(config: Path, config_class: type) -> dict[Path, type]:
+    """Return the files of the config classes that one derives from, the farthest first, each with its class.
+
+    Classes that have nothing to do with the earlier tool are left out, and so are those in the config's own file.
+    """
+    found: dict[Path, type] = {}
+    for each in config_class.__mro__[1:]:
+        file = _file_of(each)
+        is_earlier = any(_imports_earlier(_file_of(parent)) for parent in each.__mro__)
+        if file is not None and file != config and is_earlier:
+            found.setdefault(file, each)
+    return dict(reversed(found.items()))
+
+
+def _file_of(config_class: type) -> Path | None:
+    file = None if is_earlier_import(config_class.__module__) else file_of_module(config_class.__module__)
+    return None if file is None or _is_installed(file) else file
+
+
+def _imports_earlier(file: Path | None) -> bool:
+    try:
+        return file is not None and any(is_earlier_import(each.module) for each in imports_of(read_tree(file)[1]))
+    except ConfigError:  # Python read it in another way
+        return False
+
+
+def name_whole_modules(tree: ast.Module, base_class: type) -> None:
+    """Have the imports of a file that are relative to its package name whole modules, in the tree alone."""
+    package = getattr(sys.modules.get(base_class.__module__), "__package__", None)
+    for node in nodes(tree, ast.ImportFrom):
+        if node.level and package:
+            node.module = resolve_name("." * node.level + (node.module or ""), package)
+            node.level = 0
+
+
+@dataclass(frozen=True, slots=True)
+class BaseFile:
+    """A converted file whose config class another one derives from.
+
+    Attributes:
+        new: where it is written.
+        is_beside: whether it is written beside its original, and not beside the config that derives from it.
+        renamed: the new names of its classes, those among them that it imports from other converted files.
+        gained: the earlier tool's names in it, each as module and name, by what they are called there.
+    """
+
+    new: Path
+    is_beside: bool
+    renamed: dict[str, str]
+    gained: dict[str, tuple[str, str]]
+
+    def module(self, old: str) -> str:
+        """Return what its module is called in an import that called it `old`."""
+        package = old.rpartition(".")[0] if self.is_beside else ""
+        return f"{package}.{self.new.stem}".lstrip(".")
+
+
+@dataclass(slots=True)
+class Inherited:
+    """What a config has from the converted files of the classes that it derives from.
+
+    Attributes:
+        files: those files, by their originals.
+        methods: what their methods are called now, by their old names.
+        heard: the callbacks among them that hear an event by their name.
+    """
+
+    files: dict[Path, BaseFile] = field(default_factory=dict)
+    methods: dict[str, str] = field(default_factory=dict)
+    heard: set[str] = field(default_factory=set)
+
+    @classmethod
+    def of_base(cls, original: Path, base: BaseFile, config: ast.ClassDef, renamed: dict[str, str]) -> Inherited:
+        """Return what one converted file passes on.
+
+        Args:
+            original: the file that it is from.
+            base: what it is now.
+            config: its config class as it was.
+            renamed: the new names of methods.
+        """
+        methods = {name: renamed.get(name, name) for name in bound_names(config.body)}
+        heard = set(methods.values()) & set(EVENTS_BY_CALLBACK)
+        if "continue_experiment" in heard:
+            heard.add("before_experiment")  # which starts the first run by itself
+        return cls({original: base}, methods, heard)
+
+    @classmethod
+    def together(cls, parts: Iterable[Inherited]) -> Inherited:
+        """Return what several files pass on, the farthest first."""
+        inherited = cls()
+        for part in parts:
+            inherited.files |= part.files
+            inherited.methods |= part.methods
+            inherited.heard |= part.heard
+        return inherited
+
+    def gained_by(self, tree: ast.Module) -> dict[str, tuple[str, str]]:
+        """Return the earlier tool's names that a file has: its own imports, and what these files pass on to it."""
+        gained: dict[str, tuple[str, str]] = {}
+        for each in imports_of(tree):
+            base = self.file_of(each.module)
+            if is_earlier_import(each.module) and each.name not in {"", "*"}:
+                gained[each.bound_as] = each.module, each.name
+            elif base is not None and each.name == "*":
+                gained |= base.gained
+            elif base is not None and each.name in base.gained:
+                gained[each.bound_as] = base.gained[each.name]
+        return gained
+
+    def file_of(self, module: str) -> BaseFile | None:
+        """Return the converted file of a module, or None."""
+        return self.files.get(file_of_module(module) or Path())
+
+
+def convert_base_imports(tree: ast.Module, inherited: Inherited, taking: Taking, edits: Edits) -> list[int]:
+    """Have a config import the converted files of the classes that it derives from; returns the lines where it does.
+
+    What it had of the earlier tool through them it imports itself.
+    """
+    lines = []
+    for node in nodes(tree, ast.ImportFrom):
+        module = node.module or ""
+        base = inherited.file_of(module)
+        statements = [] if base is None else [_names_of_base(node, base, taking)]
+        if base is None and any(inherited.file_of(f"{module}.{alias.name}") for alias in node.names):
+            statements = [_modules_of_package(node, alias, tree, inherited, taking, edits) for alias in node.names]
+        if statements:
+            lines.append(node.lineno)
+            edits.replace(node, f"\n{' ' * node.col_offset}".join(filter(None, statements)) or "pass")
+    for imported in nodes(tree, ast.Import):
+        for alias in imported.names:
+            base = inherited.file_of(alias.name)
+            if base is not None:
+                lines.append(imported.lineno)
+                edits.replace(alias, _module_of_base(imported, alias, base, tree, taking, edits))
+    return lines
+
+
+def _names_of_base(node: ast.ImportFrom, base: BaseFile, taking: Taking) -> str:
+    """Return the import of what the converted file still has; the rest is imported from robot_runner."""
+    kept = []
+    for alias in node.names:
+        if alias.name == "*":
+            kept.append("*")
+            taking.converted.names |= base.renamed
+            taking.converted.classes |= base.renamed.keys()
+            for bound, (module, name) in base.gained.items():
+                taking.take(node.lineno, module, ast.alias(name, None if bound == name else bound))
+        elif alias.name in base.gained:
+            module, name = base.gained[alias.name]
+            bound = alias.asname or alias.name
+            taking.take(node.lineno, module, ast.alias(name, None if bound == name else bound))
+        else:
+            name = base.renamed.get(alias.name, alias.name)
+            kept.append(f"{name} as {alias.asname}" if alias.asname else name)
+            if alias.asname is None:
+                taking.converted.names[alias.name] = name
+            if alias.name in base.renamed:
+                taking.converted.classes.add(alias.asname or alias.name)
+    return f"from {base.module(node.module or '')} import {', '.join(kept)}" if kept else ""
+
+
+def _modules_of_package(
+    node: ast.ImportFrom, alias: ast.alias, tree: ast.Module, inherited: Inherited, taking: Taking, edits: Edits
+) -> str:
+    """Return the import of one module of a package (`from studies import base`)."""
+    module = f"{node.module}.{alias.name}"
+    base = inherited.file_of(module)
+    named = f"{alias.name} as {alias.asname}" if alias.asname else alias.name
+    if base is None:
+        return f"from {node.module} import {named}"
+    _refuse_gained(node, alias.asname or alias.name, base, tree, taking, edits)
+    return f"import {base.module(module)} as {alias.asname or alias.name}"
+
+
+def _module_of_base(
+    node: ast.Import, alias: ast.alias, base: BaseFile, tree: ast.Module, taking: Taking, edits: Edits
+) -> str:
+    if "." in alias.name and alias.asname is None:
+        taking.refuse(node.lineno, f"the config derives from a class of {alias.name}, which it imports as a whole")
+        return alias.name
+    bound = alias.asname or alias.name
+    _refuse_gained(node, bound, base, tree, taking, edits)
+    return f"{base.module(alias.name)} as {bound}"
+
+
+def _refuse_gained(node: ast.stmt, bound: str, base: BaseFile, tree: ast.Module, taking: Taking, edits: Edits) -> None:
+    """Rename the classes that are reached through a module, and refuse the earlier tool's names there."""
+    for each in nodes(tree, ast.Attribute):
+        if not (isinstance(each.value, ast.Name) and each.value.id == bound):
+            continue
+        if each.attr in base.renamed:
+            edits.replace(each, f"{bound}.{base.renamed[each.attr]}")
+            taking.converted.classes.add(f"{bound}.{each.attr}")
+        elif each.attr in base.gained:
+            taking.refuse(node.lineno, f"{each.attr} of the earlier tool is used as {bound}.{each.attr}")

@@ -1,0 +1,262 @@
+"""The imports of a config: what it has of the earlier tool, and what it imports instead."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import Finding
+from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
+from robot_runner.legacy.recognition import is_earlier_import
+from robot_runner.legacy.run_ids import clone_around
+from robot_runner.legacy.stand_ins.modules import MODULES
+from robot_runner.legacy.syntax import Edits, attributes_of, imports_of, names_of_types, nodes, used_names
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+    from pathlib import Path
+
+_WIDTH = 120
+_OUTPUT = "OutputProcedure"
+_OURS = {
+    "EventSubscriptionController": "EventSubscriptionController",
+    "ExperimentFactorModel": "Factor",
+    "ExperimentModel": "RunTableModel",
+    "FactorModel": "Factor",
+    "OperationType": "OperationType",
+    "RobotRunnerConfig": "ExperimentConfig",
+    "RobotRunnerContext": "RobotRunnerContext",
+    "RobotRunnerEvents": "RobotRunnerEvents",
+    "RunTableModel": "RunTableModel",
+    "RunnerConfig": "ExperimentConfig",
+    "RunnerContext": "RobotRunnerContext",
+    "RunnerEvents": "RobotRunnerEvents",
+    "BaseError": "RobotRunnerError",
+}
+#: What a name becomes that stands in annotations only, and has no counterpart.
+_ANYTHING = "object"
+#: The modules of the earlier tools' profilers that need nothing of the tools around them.
+_KEPT_HOMES = ("command_line", "data_source", "nvidia", "pico")
+#: The door by which a converted config imports from them.
+_KEPT = "robot_runner.plugins.earlier"
+
+
+@dataclass(slots=True)
+class ConvertedImports:
+    """What the imports of a file become.
+
+    Attributes:
+        names: the new name of each name that the file imports.
+        outputs: the names under which the file prints.
+        events: the names under which it has the events.
+        classes: the names under which it has converted config classes of other files, `base.Common` among them.
+        ours: what the converted file imports from `robot_runner`.
+        profilers: what it imports from modules of profilers, by module.
+        beside: modules of the clone's own that are to be written beside the converted file, by their files' names.
+        findings: what has no counterpart.
+    """
+
+    names: dict[str, str] = field(default_factory=dict)
+    outputs: set[str] = field(default_factory=set)
+    events: set[str] = field(default_factory=set)
+    classes: set[str] = field(default_factory=set)
+    ours: set[str] = field(default_factory=set)
+    profilers: dict[str, set[str]] = field(default_factory=dict)
+    beside: dict[str, str] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+
+    def lines(self) -> str:
+        """Return the import lines that take the place of the earlier tool's."""
+        ours = sorted(self.ours, key=str.casefold)
+        block = f"from robot_runner import {', '.join(ours)}\n"
+        if len(block) > _WIDTH:
+            block = "\n".join(["from robot_runner import (", *(f"    {name}," for name in ours), ")\n"])
+        others = [f"from {home} import {', '.join(sorted(names))}\n" for home, names in sorted(self.profilers.items())]
+        return (block if ours else "") + "".join(others)
+
+
+@dataclass(frozen=True, slots=True)
+class Taking:
+    """Takes over what a file uses of the earlier tool.
+
+    Attributes:
+        path: the file.
+        converted: what its imports become.
+        used: the names that it uses, apart from those in annotations.
+        types: those in its annotations.
+    """
+
+    path: Path
+    converted: ConvertedImports
+    used: Collection[str]
+    types: Collection[str]
+
+    def take(self, line: int, module: str, alias: ast.alias) -> None:
+        """Take over a name that the file has of one of the tool's modules; one that it does not use is left out."""
+        bound = alias.asname or alias.name
+        if alias.name == "*" or bound in self.used or (bound in self.types and alias.name in _OURS):
+            if not _take_from_clone(self.converted, self.path, module, alias):
+                _take(self.converted, f"{self.path}:{line}", module, alias.name, bound)
+        elif bound in self.types:
+            self.converted.names[bound] = _ANYTHING
+
+    def refuse(self, line: int, problem: str) -> None:
+        """Refuse what is not imported by its name."""
+        self.converted.findings.append(
+            Finding.error(f"{self.path}:{line}", problem, "Import its names: from ... import ...")
+        )
+
+
+def convert_imports(tree: ast.Module, taking: Taking, edits: Edits) -> list[int]:
+    """Remove the earlier tool's import lines; the new ones are put in place by `ConvertedImports.lines`.
+
+    Returns the lines where they were.
+    """
+    lines = []
+    for node in nodes(tree, ast.ImportFrom):
+        if not node.module or not is_earlier_import(node.module):
+            continue
+        for alias in node.names:
+            taking.take(node.lineno, node.module, alias)
+        edits.remove_lines(node.lineno, node.end_lineno or node.lineno)
+        lines.append(node.lineno)
+    for imported in nodes(tree, ast.Import):
+        if any(is_earlier_import(alias.name) for alias in imported.names):
+            taking.refuse(imported.lineno, "a module of the earlier tool is imported as a whole")
+    return lines
+
+
+def _take(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> None:
+    if plugin_of(f"{module}.{name}") is not None:
+        converted.findings += _take_profiler(converted, where, module, name, bound)
+    elif name == _OUTPUT:
+        converted.outputs.add(bound)
+    elif name in _OURS:
+        converted.names[bound] = _OURS[name]
+        converted.ours.add(_OURS[name])
+        if _OURS[name] == "RobotRunnerEvents":
+            converted.events.add(bound)
+    else:
+        converted.findings.append(Finding.error(where, *_without_counterpart(module, name)))
+
+
+def _take_from_clone(converted: ConvertedImports, config: Path, module: str, alias: ast.alias) -> bool:
+    """Have a plugin of the clone's own stand beside the config; returns whether that can be.
+
+    It cannot where the tool itself had such a module, or where the plugin imports more of the tool than profilers that
+    are kept.
+    """
+    file = clone_around(config).file_of(module)
+    if file is None or module in MODULES or alias.name == "*":
+        return False
+    text = _converted_module(file, converted.beside)
+    if text is None:
+        return False
+    converted.beside[file.name] = text
+    named = alias.name if alias.asname is None else f"{alias.name} as {alias.asname}"
+    converted.profilers.setdefault(file.stem, set()).add(named)
+    return True
+
+
+def modules_beside(config: Path, imported: Iterable[Path]) -> dict[str, str]:
+    """Return the texts of the modules that a config had from beside its clone's `__main__.py`, by their files' names.
+
+    Those that need more of the tool than profilers that are kept, and its printing, are left out.
+    """
+    entries = [folder.resolve() for folder in clone_around(config).entries if folder.resolve() != config.parent]
+    beside: dict[str, str] = {}
+    left = [file for file in imported if file.parent in entries]
+    while left:
+        file = left.pop()
+        text = _converted_module(file, beside) if file.name not in beside else None
+        if text is not None:
+            beside[file.name] = text
+            names = {each.module.partition(".")[0] for each in imports_of(ast.parse(text))}
+            left += [each for name in names if (each := file.with_name(f"{name}.py")).is_file()]
+    return beside
+
+
+def _converted_module(file: Path, beside: dict[str, str]) -> str | None:
+    """Return the text of a clone's own module with public imports, or None where it needs the tool.
+
+    Args:
+        file: of the module.
+        beside: takes the modules of the clone that this one needs.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+        tree = ast.parse(text)
+    except (SyntaxError, ValueError, OSError):
+        return None
+    edits, converted = Edits(text), ConvertedImports()
+    lines = convert_imports(tree, Taking(file, converted, used_names(tree), names_of_types(tree)), edits)
+    if converted.ours or any(finding.is_error for finding in converted.findings):
+        return None
+    convert_names(tree, converted, edits)
+    edits.insert(edits.line_start(min(lines, default=1)), converted.lines())
+    beside |= converted.beside
+    return edits.applied()
+
+
+#: The events that have another name here.
+_RENAMED_EVENTS = {
+    "INTERACT": "LAUNCH_MISSION",
+    "DURING_RUN": "LAUNCH_MISSION",
+    "SIGNAL_SEMI_CONTINUE": "CONTINUE",
+    "VALIDATE_EXPERIMENT": "BEFORE_EXPERIMENT",
+}
+
+
+def convert_names(tree: ast.Module, converted: ConvertedImports, edits: Edits) -> None:
+    """Rename what a file has of the earlier tool, wherever it uses it; what it printed through the tool, it prints."""
+    for call in nodes(tree, ast.Call):
+        match call.func:
+            case ast.Attribute(value=ast.Name(id=name), attr=called) if (
+                name in converted.outputs and called.startswith("console_log") and call.args
+            ):
+                end = edits.end_of(call.args[0])
+                edits.replace_span(edits.start_of(call), edits.start_of(call.args[0]), "print(")
+                edits.replace_span(end, edits.end_of(call), ")")
+            case _:
+                pass
+    for _, event in attributes_of(tree, converted.events):
+        if event.attr in _RENAMED_EVENTS:
+            edits.replace(event, f"RobotRunnerEvents.{_RENAMED_EVENTS[event.attr]}")
+    for node in nodes(tree, ast.Name):
+        if converted.names.get(node.id, node.id) != node.id:
+            edits.replace(node, converted.names[node.id])
+
+
+def _without_counterpart(module: str, name: str) -> tuple[str, str]:
+    if name == "*":
+        return "everything of a module is imported", "Import the names that are used, then convert the file."
+    if name in MODULES.get(module, ()):
+        return f"{name} has no counterpart here", "Write this part by hand, then convert the file."
+    return (
+        f"{module} is a module of the clone that the config stands in",
+        "Put it beside the config under a name of its own, then convert the file.",
+    )
+
+
+def _take_profiler(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> Iterator[Finding]:
+    plugin = plugin_of(f"{module}.{name}")
+    ours = plugin.ours if plugin is not None else ""
+    attribute = MODULES.get(module, {}).get(name, "").partition(":")[2]
+    if not _is_kept(module, name):
+        instead = f"List our {ours} in `plugins` instead." if ours else "Measure by hand."
+        yield Finding.error(where, f"{name} cannot be used outside a config of the earlier tool", instead)
+        return
+    imported = attribute if attribute == bound else f"{attribute} as {bound}"
+    converted.profilers.setdefault(_KEPT, set()).add(imported)
+    if ours:
+        yield Finding.warning(
+            where,
+            f"{name} is kept as it was, with its own calls",
+            f"List our {ours} in `plugins` instead: it starts, stops and publishes by itself.",
+        )
+
+
+def _is_kept(module: str, name: str) -> bool:
+    """Whether a name of an earlier tool's module works without the tool: `robot_runner.plugins.earlier` has it."""
+    return MODULES.get(module, {}).get(name, "").partition(":")[0].rpartition(".")[2] in _KEPT_HOMES
