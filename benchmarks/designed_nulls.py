@@ -19,16 +19,17 @@ from scipy import stats
 from benchmarks.table import Judged
 from robot_runner.analysis.planning.planned_study import PlannedResults
 from robot_runner.analysis.statistics.analysed_design import design_of
+from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.known_design import PLAIN
 from robot_runner.analysis.statistics.lenth_test import fit_lenth
+from robot_runner.analysis.statistics.listed_cells import incomplete_layout
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.storage.table_schema import ColumnDescription
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 __all__ = ["DESIGNED_NULLS", "DesignedNull", "data_of"]
 
 _ALPHA = 0.05
+#: Draws of the bootstrap, as so many experiments are made of each design.
+_DRAWS = 199
 #: Any of a family is to be found in no more, in percent.
 _FAMILY = 6.5
 
@@ -57,6 +60,7 @@ class DesignedNull:
         rows: the treatments of each run, as texts.
         varying: the standard deviation of what each treatment of these columns adds to its runs; several, as in
             `A x B`, add it together.
+        spreads: how many times as much runs of a treatment of the first column vary as others.
         bounds: between which every single effect is to be found, in percent at alpha = 5 %.
         why: they are others than those of all designs; empty otherwise.
     """
@@ -66,12 +70,14 @@ class DesignedNull:
     names: tuple[str, ...]
     rows: Sequence[tuple[str, ...]]
     varying: Mapping[str, float] = field(default_factory=dict)
+    spreads: Mapping[str, float] = field(default_factory=dict)
     bounds: tuple[float, float] = (3.5, 6.5)
     why: str = ""
 
     def draw(self, random: np.random.Generator, experiments: int) -> Floats:
         """Return the values of all runs, (experiments, runs)."""
-        values: Floats = random.normal(size=(experiments, len(self.rows)))
+        scale = np.array([self.spreads.get(row[0], 1.0) for row in self.rows])
+        values: Floats = scale * random.normal(size=(experiments, len(self.rows)))
         for names, spread in self.varying.items():
             columns = [self.names.index(name) for name in names.split(" x ")]
             texts = [" / ".join(row[column] for column in columns) for row in self.rows]
@@ -123,6 +129,8 @@ def _p_values(data: MeasureData, values: Floats) -> Floats:
     """Return the p-values of the effects of many experiments, (effects, experiments)."""
     with quiet():
         model = designed_model_of(data, Estimand.MEAN, Statistic.COMBINED, values)
+        if model is None and (layout := incomplete_layout(data)) is not None:
+            model = CellMeans.of_values(layout, values, draws=_DRAWS)
         if model is None or isinstance(model, NotComputed):
             raise TypeError(f"no model: {model}")
         return np.stack([np.asarray(each.p_value) for each in model.effects()])
@@ -133,6 +141,8 @@ def _wrongly(data: MeasureData, values: Floats) -> tuple[str, Floats] | None:
     if data.known.columns:
         plain = replace(data, known=replace(PLAIN, kind="independent", terms=data.known.terms))
         return "runs taken as independent", _p_values(plain, values)
+    if data.known.is_plain:
+        return "one variance for all", _of_one_variance(data, values)
     if data.known.is_surface or len(values[0]) > len(data.frame[list(data.factors)].drop_duplicates()):
         return None
     levels = {name: data.levels(name) for name in data.factors}
@@ -145,6 +155,25 @@ def _wrongly(data: MeasureData, values: Floats) -> tuple[str, Floats] | None:
     error = np.sqrt(np.mean(np.sort(effects**2, axis=1)[:, :half], axis=1))[:, None]
     p_values = 2 * stats.t.sf(np.abs(effects[:, : len(model.terms)]) / error, half)
     return "the smaller half of effects taken for error", np.asarray(p_values.T)
+
+
+def _of_one_variance(data: MeasureData, values: Floats) -> Floats:
+    """Return the p-values of main effects of two treatments each, by least squares."""
+    coded = [np.where(data.frame[name] == data.levels(name)[0], 1, -1) for name in data.factors]
+    exog = np.column_stack([np.ones(len(data.frame)), *coded])
+    inverse = np.linalg.pinv(exog)
+    estimates = values @ inverse.T
+    freedom = exog.shape[0] - exog.shape[1]
+    variance = np.sum((values - estimates @ exog.T) ** 2, axis=1) / freedom
+    errors = np.sqrt(variance[:, None] * np.diag(inverse @ inverse.T))
+    return np.asarray(2 * stats.t.sf(np.abs(estimates / errors), freedom))[:, 1:].T
+
+
+def _with_gaps(gaps: Sequence[Sequence[str]], runs: Callable[[tuple[str, ...]], int]) -> Iterator[tuple[str, ...]]:
+    """Yield the runs of a factorial of factors with two treatments, without the combinations that begin as told."""
+    for cell in product("ab", repeat=4):
+        if not any(cell[: len(gap)] == tuple(gap) for gap in gaps):
+            yield from [cell] * runs(cell)
 
 
 def _split_plot(plots: int, hard: int, easy: int, *, replicates: bool) -> Iterator[tuple[str, ...]]:
@@ -199,6 +228,12 @@ _BLOCKS = {"kind": "balanced_incomplete_blocks", "block": "Block"}
 _FRACTION = {"kind": "fractional_factorial"}
 _SURFACE = {"kind": "central_composite", "model": "quadratic"}
 
+#: How many runs a combination has.
+_RUNS: Mapping[str, Callable[[tuple[str, ...]], int]] = {
+    "5": lambda _: 5,
+    "20": lambda _: 20,
+    "12 and 4": lambda cell: 12 if cell[0] == "a" else 4,
+}
 _COMPOSITE = (*product((-1, 1), repeat=2), (0, 0), (0, 0), (0, 0), (1.414, 0), (-1.414, 0), (0, 1.414), (0, -1.414))
 
 _DESIGNS = (
@@ -254,6 +289,18 @@ _DESIGNS = (
         list(_fraction(3, [(0, 1, 2)], 2)),
     ),
     DesignedNull("2^(4-1), 5 runs each", _FRACTION, tuple("ABCD"), list(_fraction(3, [(0, 1, 2)], 5))),
+    *(
+        DesignedNull(
+            f"2 x 2 x 2 x 2 without {of}, sd 1 and {large}, n {words}",
+            {"kind": PLAIN.kind},
+            tuple("ABCD"),
+            list(_with_gaps(gaps, runs)),
+            spreads={"b": large},
+        )
+        for of, gaps in (("2 combinations", ["aab"]), ("3 combinations", ["aab", "bbba"]))
+        for words, runs in _RUNS.items()
+        for large in (1.0, 4.0)
+    ),
     DesignedNull("response surface, 11 runs", _SURFACE, ("X", "Y"), [tuple(map(str, row)) for row in _COMPOSITE]),
 )
 

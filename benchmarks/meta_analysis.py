@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from benchmarks.table import Row, print_table
-from robot_runner.analysis.comparison.pooling import combine
+from robot_runner.analysis.comparison.combined import combine
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

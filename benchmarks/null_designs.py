@@ -198,7 +198,7 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((4, 3), 5),
     NullDesign((4, 3), 5, _one_large(12)),
     NullDesign((4, 3), 10, _one_large(12)),
-    # Complete blocks: t of differences, Greenhouse-Geisser, Huynh-Feldt.
+    # Complete blocks: t of differences, Greenhouse-Geisser, Huynh-Feldt, sign flips.
     *(NullDesign((2,), 1, (1, 3), blocks=blocks) for blocks in (5, 10, 30)),
     *(NullDesign((3,), 1, blocks=blocks) for blocks in (6, 10, 30)),
     *(NullDesign((3,), 1, _one_large(3), blocks=blocks) for blocks in (5, 6, 10, 30)),
@@ -209,6 +209,9 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((3, 3), 1, _one_large(9), blocks=9),
     NullDesign((4,), 1, (1, 2, 3, 4), blocks=15),
     NullDesign((6,), 1, _one_large(6), blocks=20),
+    *(NullDesign((treatments,), 1, blocks=8) for treatments in (5, 6)),
+    NullDesign((6,), 1, _one_large(6), blocks=8),
+    NullDesign((6,), 1, _one_large(6), blocks=10),
     NullDesign((2, 2), 1, _one_large(4), blocks=8),
     NullDesign((3, 2), 1, _one_large(6), blocks=12),
     # Replicated blocks that respond differently.
@@ -240,5 +243,4 @@ NULL_DESIGNS: tuple[NullDesign, ...] = (
     NullDesign((8,), 3, _one_large(8), bounds=(4.0, 7.0), why=_TINY),
     NullDesign((4,), 1, blocks=6, bounds=(2.0, 4.0), why=_FEW_BLOCKS),
     NullDesign((2, 3), 1, blocks=4, between=1, bounds=(2.5, 6.5), why=_FEW_BLOCKS),
-    NullDesign((6,), 1, blocks=8, bounds=(1.5, 3.5), why=_FEW_BLOCKS),
 )

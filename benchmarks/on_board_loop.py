@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 
 from benchmarks.table import Row, print_table
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.local_host import LocalHost
-from robot_runner.core.links.on_board_session import FORMS, REMOTE_COMMAND
-from robot_runner.core.links.ssh_host import SshHost
+from robot_runner.measuring.local_host import LocalHost
+from robot_runner.measuring.on_board_session import FORMS, REMOTE_COMMAND
+from robot_runner.measuring.ssh_host import SshHost
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from robot_runner.core.links.host import HostLink, UtilisationSample
+    from robot_runner.measuring.host import HostLink, UtilisationSample
 
 _RATE = 10.0
 _SECONDS = 20.0

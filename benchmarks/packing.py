@@ -14,9 +14,10 @@ from pathlib import Path
 from benchmarks.table import Row, print_table
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import describe_host, describe_software, write_manifest
-from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.storage.table_schema import ColumnDescription, write_schema
-from robot_runner.replication.packing import Packing, pack
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
+from robot_runner.core.storage.table_schema import write_schema
+from robot_runner.replication.packing import pack
+from robot_runner.replication.sealing import Packing
 
 _MEBIBYTE = 1 << 20
 _RUNS = 8

@@ -16,6 +16,8 @@ from robot_runner.analysis import analyse, load_results, write_report
 from robot_runner.analysis.figures.style import FigureFormat
 from robot_runner.analysis.planning.registered import registered
 from robot_runner.analysis.report.writing import ReportFormat
+from robot_runner.cli.excluding import exclude_runs
+from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.loader import load_config
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.config.registered_config import registration_content
@@ -23,9 +25,7 @@ from robot_runner.core.design.asking import AdaptiveDesign, Told
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.growing import Additions
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.excluding import exclude_runs
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.execution.notices import NextDecided, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
@@ -64,7 +64,7 @@ DYING = """
 import os, signal, sys
 from pathlib import Path
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.execution import progress_manager, table_on_disk
+from robot_runner.core.execution import progress_manager, recovered_table
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.journal import Journal
@@ -81,7 +81,7 @@ def dying(function, is_step):
     return called
 
 Journal.append = dying(Journal.append, lambda given: given[1] in {"decided", "extended"})
-table_on_disk.write_run_table = dying(table_on_disk.write_run_table, lambda given: False)
+recovered_table.write_run_table = dying(recovered_table.write_run_table, lambda given: False)
 progress_manager.write_manifest = dying(progress_manager.write_manifest, lambda given: False)
 execute_experiment(prepare_or_refuse(Path(sys.argv[1])), SilentObserver())
 """

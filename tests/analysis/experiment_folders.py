@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import write_manifest
-from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.storage.table_schema import ColumnDescription, write_schema
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
+from robot_runner.core.storage.table_schema import write_schema
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

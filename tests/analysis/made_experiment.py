@@ -12,8 +12,8 @@ from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import write_manifest
 from robot_runner.core.storage.run_table_rows import RunTableRows, write_run_table
-from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
-from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole, TableLayout
+from robot_runner.core.storage.table_schema import describe_columns, write_schema
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -12,9 +12,9 @@ from robot_runner import AnalysisPlan, Hypothesis
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.figures.style import FigureFormat
 from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.growing import Additions, NewFactor
-from robot_runner.core.execution.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 

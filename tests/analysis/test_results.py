@@ -54,6 +54,15 @@ def test_measures_have_types_and_units(tmp_path):
     assert results.label("Count") == "Count"
 
 
+def test_a_name_that_has_its_unit_gets_no_second_one(tmp_path):
+    names = {"Energy (J)": "J", "Power [W]": "W", "Time": "s"}
+    folder = make_experiment(
+        tmp_path / "e", values=lambda t, r: dict.fromkeys(names, 1.0), measures=list(names), units=names
+    )
+    results = load_results(folder.root)
+    assert [results.label(name) for name in names] == ["Energy (J)", "Power [W]", "Time (s)"]
+
+
 def test_a_missing_value_is_missing(tmp_path):
     folder = make_experiment(tmp_path / "e", values=lambda t, r: {"Energy": None if r == 2 else 1.0})
     energy = load_results(folder.root).runs["Energy"]

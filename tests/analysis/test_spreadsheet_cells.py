@@ -7,7 +7,7 @@ import csv
 import pytest
 from tests.analysis.made_experiment import make_experiment
 
-from robot_runner.analysis.spreadsheet_cells import harmless_cell
+from robot_runner.analysis.exporting import harmless_cell
 from robot_runner.core.design.factor import Factor
 
 FORMULAS = [

@@ -17,19 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.asking import Told
     from robot_runner.core.design.factor import Combination
 
-__all__ = [
-    "Direction",
-    "Explored",
-    "best_of",
-    "confirmation",
-    "count_findings",
-    "direction_findings",
-    "explored",
-    "in_direction",
-    "key_of",
-    "shown",
-]
-
 
 class Direction(Enum):
     """Which values of a measure are better."""

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.factor import Combination, Factor
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["Optimise"]
-
 #: Combinations before there is a model: with two more than twice the factors, and five at least, one of them is near.
 _LEAST_START = 5
 #: How long Optuna may take to answer, in s: it takes one or two.

@@ -11,8 +11,6 @@ import sys
 import warnings
 from typing import Any
 
-__all__ = ["candidates"]
-
 #: How often Optuna is asked for one combination, at most, and how many different ones it may come up with for it.
 _ASKED = 60
 _WANTED = 8

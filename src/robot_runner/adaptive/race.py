@@ -37,8 +37,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.planned_runs import PlannedRun
 
-__all__ = ["Race"]
-
 #: How often the best combination of a race is dropped, at most.
 _ERROR = 0.05
 #: The levels of single comparisons are known to be right for as many combinations as this.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["Places", "SearchedSpace", "baseline_findings", "baseline_of", "settings"]
-
 #: A combination as the place of each factor's treatment.
 Places = tuple[int, ...]
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["AlignedColumn", "AlignedSamples", "Resampling", "align_values", "grid_of", "median_period"]
-
 #: A value is made between samples that are this many of their periods apart at most; beyond that there is a hole.
 _MOST_PERIODS = 3.0
 _ROUNDING = 1e-9

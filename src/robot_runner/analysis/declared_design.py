@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     #: Takes the design, the runs, the factors that vary, and where the design was declared.
     _Check = Callable[["DeclaredDesign", pd.DataFrame, Sequence[str], str], Iterator[Finding]]
 
-__all__ = ["DeclaredDesign", "design_in_words", "parse_design", "structure_findings", "with_declared_design"]
-
 
 class _Kind(NamedTuple):
     """A kind of design: which parts name columns, and which of them are needed."""
@@ -239,14 +237,7 @@ def _unknown(declared: DeclaredDesign, names: Sequence[str], results: Results, w
 def structure_findings(
     declared: DeclaredDesign, runs: pd.DataFrame, factors: Sequence[str], where: str
 ) -> Iterator[Finding]:
-    """Say why runs cannot have been planned by a design of this kind.
-
-    Args:
-        declared: whose columns are there.
-        runs: one row a run, as texts.
-        factors: the columns of the factors that are studied.
-        where: where it was declared.
-    """
+    """Say why runs cannot have been planned by a design of this kind."""
     varied = [name for name in factors if len(set(runs[name])) > 1]
     if not varied:
         fix = "Name a factor of two treatments and more: --factor."

@@ -6,64 +6,82 @@ Table Schema, which every tool can read and validate, and the rest are Parquet f
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import os
+import re
 import shutil
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import pandas as pd
 import pyarrow as pa
 from pyarrow import parquet
 
 from robot_runner.analysis.sample_files import split_unit
-from robot_runner.analysis.spreadsheet_cells import write_for_spreadsheets
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, replace
+from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, read_text, replace
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.analysis.sample_files import SampleFile
-
-__all__ = ["ExportContent", "arrow_table", "export_results"]
 
 _RUNS_AT_ONCE = 50  # so that an export takes no more memory than the samples of so many runs
 _UNIT = b"unit"
 
 
-@dataclass(frozen=True, slots=True)
-class ExportContent:
-    """The content of an export.
+class Exported(Protocol):
+    """What is written of an experiment: `Results` has it."""
 
-    Attributes:
-        name: the experiment's.
-        folder: the experiment's, whose run table is copied with its schema.
-        tables: data frames, by the name of the file that each becomes.
-        sample_files: the kinds of raw samples.
-        samples: reads the samples of one kind of some runs, given by their ids.
-        unit: the unit of a column; empty where there is none or it is not known.
-    """
+    @property
+    def folder(self) -> Path:
+        """The experiment's folder."""
+        ...
 
-    name: str
-    folder: Path
-    tables: Mapping[str, pd.DataFrame]
-    sample_files: Sequence[SampleFile]
-    samples: Callable[[SampleFile, Sequence[str]], pd.DataFrame]
-    unit: Callable[[str], str]
+    @property
+    def name(self) -> str:
+        """The experiment's name."""
+        ...
+
+    @property
+    def all_runs(self) -> pd.DataFrame:
+        """The whole run table."""
+        ...
+
+    @property
+    def sample_files(self) -> tuple[SampleFile, ...]:
+        """The kinds of files with raw samples."""
+        ...
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a column."""
+        ...
+
+    def phases(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
+        """Return the phases of missions."""
+        ...
+
+    def events(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
+        """Return the events of runs."""
+        ...
+
+    def samples(self, plugin: str, *, file: str, runs: Sequence[str]) -> pd.DataFrame:
+        """Return raw samples of one kind."""
+        ...
 
 
 def export_results(
-    content: ExportContent, folder: Path | None = None, *, for_spreadsheets: bool = False
+    results: Exported, folder: Path | None = None, *, for_spreadsheets: bool = False
 ) -> tuple[Path, ...]:
     """Write everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
 
     Args:
-        content: what to write.
+        results: the experiment, all of whose runs are written.
         folder: where to.
         for_spreadsheets: whether the run table, and the report's tables where there is one, are written into
             `spreadsheets/`, too, without cells that a spreadsheet would execute.
@@ -75,38 +93,36 @@ def export_results(
     Raises:
         StorageError: a file cannot be written.
     """
-    target = content.folder / "export" if folder is None else folder.expanduser()
+    target = results.folder / "export" if folder is None else folder.expanduser()
     try:
         if folder is not None:
             target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise storage_error(target, "made", error) from error
-    make_folder(target / "samples", content.folder if folder is None else target)
-    written = list(_copied_table(content, target))
-    for name, frame in content.tables.items():
-        _write_parquet(target / name, [arrow_table(frame, _units(content, frame))])
+    make_folder(target / "samples", results.folder if folder is None else target)
+    written = list(_copied_table(results, target))
+    everything = list(results.all_runs[RUN_ID])
+    tables = {"run_table": results.all_runs, "phases": results.phases(everything), "events": results.events(everything)}
+    for table, frame in tables.items():
+        name = f"{table}.parquet"
+        _write_parquet(target / name, [arrow_table(frame, _units(results, frame))])
         written.append(target / name)
-    for kind in content.sample_files:
+    for kind in results.sample_files:
         path = target / "samples" / f"{kind.plugin}.{kind.name.removesuffix('.csv')}.parquet"
         try:
-            _write_parquet(path, _sample_tables(content, kind))
+            _write_parquet(path, _sample_tables(results, kind))
         except pa.ArrowInvalid:  # whole numbers in some runs, fractions or missing values in others
-            _write_parquet(path, _sample_tables(content, kind, as_floats=True))
+            _write_parquet(path, _sample_tables(results, kind, as_floats=True))
         written.append(path)
-    copies = tuple(_copies_for_spreadsheets(content.folder, target)) if for_spreadsheets else ()
+    copies = tuple(_copies_for_spreadsheets(results.folder, target)) if for_spreadsheets else ()
     package = target / "datapackage.json"
-    text = json.dumps(_package(content, target, written), indent=2, ensure_ascii=False) + "\n"
+    text = json.dumps(_package(results, target, written), indent=2, ensure_ascii=False) + "\n"
     replace(package, text)
     return (*written, *copies, package)
 
 
 def arrow_table(frame: pd.DataFrame, units: Mapping[str, str]) -> pa.Table:
-    """Return a data frame as an Arrow table; treatments that are text as ordered dictionaries (factors, in R).
-
-    Args:
-        frame: the data frame.
-        units: the units of its columns, kept as the fields' metadata.
-    """
+    """Return a data frame as an Arrow table; treatments that are text as ordered dictionaries (factors, in R)."""
     plain = frame.copy(deep=False)
     for name in plain.columns:
         if isinstance(plain[name].dtype, pd.CategoricalDtype):
@@ -128,9 +144,9 @@ def _field(field: pa.Field, unit: str) -> pa.Field:
     return described.with_metadata({_UNIT: unit.encode()}) if unit else described
 
 
-def _copied_table(content: ExportContent, target: Path) -> Iterator[Path]:
+def _copied_table(results: Exported, target: Path) -> Iterator[Path]:
     for name in ("run_table.csv", "run_table.schema.json"):
-        source = content.folder / name
+        source = results.folder / name
         if source.exists():
             with open_to_read(source) as table, open_to_write(target / name) as copied:
                 shutil.copyfileobj(table, copied)
@@ -148,17 +164,17 @@ def _copies_for_spreadsheets(folder: Path, target: Path) -> Iterator[Path]:
         yield into / source.name
 
 
-def _units(content: ExportContent, frame: pd.DataFrame) -> dict[str, str]:
-    return {name: content.unit(name) or split_unit(name)[1] for name in frame.columns}
+def _units(results: Exported, frame: pd.DataFrame) -> dict[str, str]:
+    return {name: results.unit(name) or split_unit(name)[1] for name in frame.columns}
 
 
-def _sample_tables(content: ExportContent, kind: SampleFile, *, as_floats: bool = False) -> Iterator[pa.Table]:
+def _sample_tables(results: Exported, kind: SampleFile, *, as_floats: bool = False) -> Iterator[pa.Table]:
     for start in range(0, len(kind.run_ids), _RUNS_AT_ONCE):
         runs = kind.run_ids[start : start + _RUNS_AT_ONCE]
-        frame = content.samples(kind, runs)
+        frame = results.samples(kind.plugin, file=kind.name, runs=runs)
         whole = frame[list(kind.columns)].select_dtypes("integer").columns
         frame = frame.astype(dict.fromkeys(whole, "float64")) if as_floats else frame
-        yield arrow_table(frame, _units(content, frame))
+        yield arrow_table(frame, _units(results, frame))
 
 
 def _write_parquet(path: Path, tables: Iterator[pa.Table] | Sequence[pa.Table]) -> None:
@@ -174,9 +190,9 @@ def _write_parquet(path: Path, tables: Iterator[pa.Table] | Sequence[pa.Table]) 
                 writer.close()
 
 
-def _package(content: ExportContent, target: Path, files: Sequence[Path]) -> dict[str, Any]:
+def _package(results: Exported, target: Path, files: Sequence[Path]) -> dict[str, Any]:
     listed = [_resource(target, path) for path in files if path.name != "run_table.schema.json"]
-    return data_package(content.name, listed)
+    return data_package(results.name, listed)
 
 
 def _resource(target: Path, path: Path) -> dict[str, Any]:
@@ -188,3 +204,33 @@ def _resource(target: Path, path: Path) -> dict[str, Any]:
         return table_resource(relative, size, sha256, schema="run_table.schema.json" if has_schema else None)
     described = {"type": "file", "mediatype": "application/vnd.apache.parquet", "robot_runner:key": RUN_ID}
     return file_resource(relative, size, sha256) | described
+
+
+_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+#: What makes a formula where a cell begins: also the wide forms that some spreadsheets take for the plain ones, and
+#: what is skipped in front of them. Where a spreadsheet splits at another sign than the comma, a cell begins there.
+_BEGINS_FORMULA = re.compile(r"(^|[;,|\t\r\n])(?=[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20])")
+
+
+def harmless_cell(text: str) -> str:
+    """Return a cell that a spreadsheet shows and does not execute: with `'` in front of what would be a formula.
+
+    Example:
+        >>> harmless_cell("=1+1"), harmless_cell("-1.5"), harmless_cell("Video"), harmless_cell("a;@b")
+        ("'=1+1", '-1.5', 'Video', "a;'@b")
+    """
+    return text if _NUMBER.fullmatch(text) else _BEGINS_FORMULA.sub(r"\1'", text)
+
+
+def write_for_spreadsheets(source: Path, target: Path, root: Path) -> None:
+    """Write a copy of a CSV file with harmless cells, with the mark of UTF-8 that spreadsheets ask for.
+
+    Raises:
+        StorageError: it cannot be read or written.
+    """
+    text = read_text(source, root)
+    written = io.StringIO()
+    rows = csv.writer(written, lineterminator="\r\n")
+    rows.writerows([harmless_cell(cell) for cell in row] for row in csv.reader(io.StringIO(text, newline="")))
+    with open_to_write(target) as file:
+        file.write(written.getvalue().encode("utf-8-sig"))

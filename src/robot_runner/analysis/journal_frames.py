@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["EVENTS", "START", "History", "read_history"]
-
-
 #: The events of a run, in their order (paper, Fig. 2).
 EVENTS = tuple(event.value for event in RobotRunnerEvents if event.belongs_to_run)
 

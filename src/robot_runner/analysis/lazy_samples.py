@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robot_runner.analysis.samples import SampleRequest
-
-__all__ = ["LazySamples"]
 
 #: Bytes of a file that are parsed at once, some 20,000 samples of six columns; Arrow reads some 30 of them ahead.
 _BLOCK = 1 << 20
@@ -134,18 +133,11 @@ class LazySamples:
         return arrays, chosen
 
     def _raw_batches(self, run_id: str, types: Mapping[str, pa.DataType]) -> Iterator[pa.RecordBatch]:
-        path = self.request.file.paths[run_id]
-        try:
-            with sample_source(self.request, run_id) as source:
-                yield from self._opened(run_id, source, types)
-        except pa.ArrowInvalid as error:
-            raise _not_alike(path, error) from error
-        except OSError as error:
-            raise storage_error(path, "read", error) from error
+        with _refusals(self.request.file.paths[run_id]), sample_source(self.request, run_id) as source:
+            yield from self._opened(run_id, source, types)
 
     def _opened(self, run_id: str, source: Any, types: Mapping[str, pa.DataType]) -> arrow_csv.CSVStreamingReader:
-        path = self.request.file.paths[run_id]
-        try:
+        with _refusals(self.request.file.paths[run_id]):
             return arrow_csv.open_csv(
                 source,
                 read_options=arrow_csv.ReadOptions(block_size=_BLOCK),
@@ -157,10 +149,6 @@ class LazySamples:
                     strings_can_be_null=True,
                 ),
             )
-        except pa.ArrowInvalid as error:
-            raise _not_alike(path, error) from error
-        except OSError as error:
-            raise storage_error(path, "read", error) from error
 
 
 class _Labels:
@@ -187,6 +175,19 @@ def _widened(kind: pa.DataType) -> pa.DataType:
     return pa.float64() if is_number else kind if is_kept else pa.string()
 
 
-def _not_alike(path: Path, error: Exception) -> AnalysisError:
-    fix = "Leave the run or the column out, or read the samples with Results.samples, which widens types."
-    return AnalysisError(f"the file does not hold what the first one does: {error}", where=str(path), fix=fix)
+@contextmanager
+def _refusals(path: Path) -> Iterator[None]:
+    """Raise errors of ours for a file that is read.
+
+    Raises:
+        AnalysisError: it does not hold what the first one does.
+        StorageError: it cannot be read.
+    """
+    try:
+        yield
+    except pa.ArrowInvalid as error:
+        fix = "Leave the run or the column out, or read the samples with Results.samples, which widens types."
+        problem = f"the file does not hold what the first one does: {error}"
+        raise AnalysisError(problem, where=str(path), fix=fix) from error
+    except OSError as error:
+        raise storage_error(path, "read", error) from error

@@ -6,8 +6,6 @@ from importlib.util import find_spec
 
 from robot_runner.core.errors import AnalysisError
 
-__all__ = ["MissingLibraryError", "require_libraries"]
-
 #: The packages by the names under which they are imported.
 _NEEDED = ("numpy", "pandas", "pint", "pyarrow", "scipy", "statsmodels", "matplotlib", "jinja2")
 

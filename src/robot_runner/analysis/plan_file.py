@@ -6,7 +6,7 @@ The file may declare the design, too, by which results were planned that were ma
 from __future__ import annotations
 
 import tomllib
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.analysis.declared_design import DeclaredDesign
 from robot_runner.core.design.analysis_plan import AnalysisPlan
@@ -19,21 +19,29 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-__all__ = ["PlanFile", "choices_in_words", "read_plan"]
-
 _DESIGN = "design"
 
 
 class PlanFile(NamedTuple):
-    """What a file of a plan holds.
-
-    Attributes:
-        analysis: None where the file says nothing of it.
-        design: None where the file declares none.
-    """
+    """What a file of a plan holds; None where it says nothing of it."""
 
     analysis: AnalysisPlan | None
     design: DeclaredDesign | None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a TOML file that a user wrote.
+
+    Raises:
+        AnalysisError: the file is no TOML.
+        StorageError: it cannot be read.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise storage_error(path, "read", error) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise AnalysisError(f"the file is not TOML: {error}", where=str(path), fix="Mend this line.") from error
 
 
 def read_plan(path: Path) -> PlanFile:
@@ -44,12 +52,7 @@ def read_plan(path: Path) -> PlanFile:
         DesignError: what it holds is no plan.
         StorageError: it cannot be read.
     """
-    try:
-        plain = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise AnalysisError(f"the file is not TOML: {error}", where=str(path), fix="Mend this line.") from error
+    plain = read_toml(path)
     declared = plain.pop(_DESIGN, None)
     if declared is not None and not isinstance(declared, dict):
         raise AnalysisError(f"design is {declared!r}", where=str(path), fix="Write [design] and its entries below it.")

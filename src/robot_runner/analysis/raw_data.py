@@ -17,6 +17,7 @@ from robot_runner.analysis.sample_files import (
     SampleFile,
     choose_file,
     find_sample_files,
+    noted,
     phase_files,
     phase_spans,
     read_phases,
@@ -25,9 +26,8 @@ from robot_runner.analysis.sample_files import (
 )
 from robot_runner.analysis.samples import SampleRequest, read_samples
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.guarded_files import read_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.alignment import Aligned, Resampling
     from robot_runner.analysis.journal_frames import History
-
-__all__ = ["RawData"]
 
 
 @dataclass(frozen=True)
@@ -94,10 +92,6 @@ class RawData:
         own = [name for name in joined.columns if name not in {RUN_ID, *self.factors}]
         return joined[[RUN_ID, *self.factors, *own]]
 
-    def samples_of(self, kind: SampleFile, runs: Iterable[str]) -> pd.DataFrame:
-        """Return all samples of one kind of some runs."""
-        return read_samples(self.request(kind, runs, None))
-
     def request(
         self,
         kind: SampleFile,
@@ -126,10 +120,6 @@ class RawData:
 
     def with_treatments(self, run_ids: Iterable[str], treatments: Mapping[str, object]) -> list[str]:
         """Return those of the runs that have these treatments.
-
-        Args:
-            run_ids: the runs.
-            treatments: by factor, one or several; as they are, or as the run table has them.
 
         Raises:
             AnalysisError: there is no such factor or treatment.
@@ -260,7 +250,7 @@ class _Source:
 def _noted_uncertainty(path: Path) -> float | None:
     """Return how far the times of a meter with a clock of its own may be wrong, s, as its plugin noted it."""
     try:
-        found = read_json(path)["samples"]["clock_uncertainty"]
-    except (StorageError, KeyError, TypeError):
+        found = noted(path)["samples"]["clock_uncertainty"]
+    except (KeyError, TypeError):
         return None
     return float(found) if isinstance(found, int | float) and math.isfinite(found) else None

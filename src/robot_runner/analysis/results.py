@@ -9,11 +9,11 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.alignment import AlignedSamples, Resampling
-from robot_runner.analysis.experiment_facts import ExperimentFacts
-from robot_runner.analysis.exporting import ExportContent, export_results
+from robot_runner.analysis.exporting import export_results
 from robot_runner.analysis.journal_frames import History, read_history
 from robot_runner.analysis.raw_data import RawData
 from robot_runner.analysis.run_frame import (
+    ExperimentFacts,
     RunFrame,
     column_descriptions,
     excluded_frame,
@@ -25,7 +25,7 @@ from robot_runner.analysis.samples import read_samples
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.excluded_runs import ExcludedRuns
+from robot_runner.core.storage.executed_runs import ExcludedRuns
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.lazy_samples import LazySamples
     from robot_runner.analysis.sample_files import SampleFile
     from robot_runner.core.errors import Finding
-
-__all__ = ["Results", "load_results"]
 
 
 @dataclass(frozen=True)
@@ -323,16 +321,7 @@ class Results(ExperimentFacts):
         Raises:
             StorageError: a file cannot be written.
         """
-        everything = list(self.all_runs[RUN_ID])
-        tables = {
-            "run_table.parquet": self.all_runs,
-            "phases.parquet": self.phases(everything),
-            "events.parquet": self.events(everything),
-        }
-        raw = self._raw
-        content = ExportContent(self.name, self.folder, tables, raw.sample_files, raw.samples_of, self.unit)
-        target = None if folder is None else Path(folder)
-        return export_results(content, target, for_spreadsheets=for_spreadsheets)
+        return export_results(self, None if folder is None else Path(folder), for_spreadsheets=for_spreadsheets)
 
     @property
     def _files(self) -> ExperimentFolder:

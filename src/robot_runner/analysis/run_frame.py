@@ -2,37 +2,114 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.wording import labelled
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
 from robot_runner.core.errors import StorageError
-from robot_runner.core.events.measure import Quality, quality_of_value
+from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
-from robot_runner.core.storage.excluded_runs import ExcludedRuns
+from robot_runner.core.storage.executed_runs import ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.run_table_reading import read_run_table
-from robot_runner.core.storage.table_columns import MARKS, ColumnRole, TableLayout
-from robot_runner.core.storage.table_schema import ColumnDescription, read_schema, type_of_values
+from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, TableLayout
+from robot_runner.core.storage.table_schema import read_schema, type_of_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = [
-    "RunFrame",
-    "column_descriptions",
-    "excluded_frame",
-    "quality_frame",
-    "read_run_frame",
-    "treatment_texts",
-]
+
+@dataclass(frozen=True)
+class ExperimentFacts:
+    """An experiment without its runs.
+
+    Attributes:
+        folder: the experiment's folder.
+        manifest: the circumstances, as in `manifest.json`.
+        columns: what each column of the run table is, by its heading: role, type, unit, owner, origin.
+    """
+
+    folder: Path
+    manifest: Mapping[str, Any] = field(repr=False)
+    columns: Mapping[str, ColumnDescription] = field(repr=False)
+
+    @property
+    def name(self) -> str:
+        """The experiment's name."""
+        return str(self.manifest.get("experiment_name", self.folder.name))
+
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """The factors, without the one that only counts repetitions (as in the paper's Listing 1)."""
+        return tuple(name for name in self._named(ColumnRole.FACTOR) if name != self.repetition)
+
+    @property
+    def repetition(self) -> str | None:
+        """The column that counts the repetitions of a combination (ours, or a factor of that name), if there is one."""
+        counted = self._named(ColumnRole.REPETITION)
+        named = [name for name in self._named(ColumnRole.FACTOR) if name.casefold() == REPETITION.casefold()]
+        return next(iter((*counted, *named)), None)
+
+    @property
+    def block(self) -> str | None:
+        """The column of the blocks within which the order was randomised (a factor, or the repetition), if any."""
+        blocks = self.manifest.get("design", {}).get("blocks")
+        return blocks if blocks in self.columns else None
+
+    @property
+    def batch(self) -> str | None:
+        """The column that says in which batch a run was planned, where the experiment was extended: a stratum."""
+        return next(iter(self._named(ColumnRole.BATCH)), None)
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether the design decided on runs from results: what it searched among is exploratory."""
+        return bool((self.manifest.get("design") or {}).get("facts", {}).get("decides"))
+
+    @property
+    def confirming_batches(self) -> tuple[int, ...]:
+        """The batches that confirm what a design has found that decides on its runs."""
+        batches = (self.manifest.get("design") or {}).get("batches", ())
+        return tuple(each["batch"] for each in batches if each.get("role") == CONFIRMATION)
+
+    @property
+    def measures(self) -> tuple[str, ...]:
+        """The measures that have a column in the run table, in its order; columns of qualities are left out."""
+        named = self._named(ColumnRole.MEASURE)
+        telling = {name + QUALITY_SUFFIX for name in named}
+        return tuple(name for name in named if name not in telling)
+
+    @property
+    def plan(self) -> AnalysisPlan | None:
+        """What was fixed for the analysis before the experiment, or None."""
+        return AnalysisPlan.of_mapping(plain) if (plain := self.manifest.get("analysis")) else None
+
+    @property
+    def seed(self) -> int | None:
+        """What the order of the runs comes from; None where it is not known."""
+        return None if (seed := self.manifest.get("seed")) is None else int(seed)
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a column (SI symbol, `%`, `1`); empty where there is none or it is not known."""
+        return self.columns[name].unit if name in self.columns else ""
+
+    def label(self, name: str) -> str:
+        """Return a heading for an axis or a table: the name with its unit in brackets, as in `Energy (J)`."""
+        return labelled(name, self.unit(name))
+
+    def _named(self, role: ColumnRole) -> tuple[str, ...]:
+        return tuple(column.name for column in self.columns.values() if column.role is role)
 
 
 _ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
@@ -63,12 +140,7 @@ class RunFrame:
         return replace(self, frame=kept)
 
     def of_batches(self, batch: str, numbers: Sequence[int]) -> RunFrame:
-        """Return the table with the runs of these batches alone.
-
-        Args:
-            batch: the column of the batches.
-            numbers: of those whose runs are kept.
-        """
+        """Return the table with the runs of these batches alone."""
         kept = self.frame[self.frame[batch].isin(numbers)].reset_index(drop=True)
         kept.attrs = self.frame.attrs
         return replace(self, frame=kept)
@@ -134,13 +206,7 @@ def excluded_frame(frame: pd.DataFrame, known: ExcludedRuns) -> pd.DataFrame:
 def quality_frame(
     done: pd.DataFrame, measures: Sequence[str], reasons_of: Callable[[str, str], Sequence[str]]
 ) -> pd.DataFrame:
-    """Return how far each value of runs that are done can be trusted, one row a value.
-
-    Args:
-        done: their rows of the run table.
-        measures: the names of the measures.
-        reasons_of: tells what makes the value of a run, by its id, and a measure doubtful or missing.
-    """
+    """Return how far each value of runs that are done can be trusted, one row a value."""
     rows = [
         (run_id, name, quality_of_value(None if pd.isna(value) else value, reasons).value, "; ".join(reasons))
         for name in measures

@@ -22,21 +22,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.storage.layout import ExperimentFolder
 
-__all__ = [
-    "PHASES",
-    "PhaseSpans",
-    "SampleFile",
-    "choose_file",
-    "find_sample_files",
-    "phase_files",
-    "phase_spans",
-    "read_phases",
-    "run_files",
-    "split_unit",
-    "told_windows",
-]
-
-
 # Which raw samples there are: `runs/<run id>/<plugin>/<file>.csv` with a column of times on the run's clock.
 
 #: The name under which systems write the phases of their mission.
@@ -169,6 +154,14 @@ def choose_file(files: Sequence[SampleFile], plugin: str | None, name: str | Non
     return fitting[0]
 
 
+def noted(path: Path, root: Path | None = None) -> Any:
+    """Return what a plugin noted as JSON; None where there is no such file, or it is none that can be trusted."""
+    try:
+        return read_json(path, root)
+    except StorageError:
+        return None
+
+
 def told_windows(file: SampleFile, run_ids: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Return when the measured window of runs began and ended, s on the clock of these samples.
 
@@ -177,9 +170,9 @@ def told_windows(file: SampleFile, run_ids: Iterable[str]) -> dict[str, tuple[fl
     told = {}
     for run_id in run_ids:
         try:
-            noted = read_json(file.paths[run_id].with_name("quality.json"))
-            start, end = (float(noted["window"][edge]) for edge in ("start", "end"))
-        except (StorageError, ValueError, KeyError, TypeError):
+            window = noted(file.paths[run_id].with_name("quality.json"))["window"]
+            start, end = (float(window[edge]) for edge in ("start", "end"))
+        except (ValueError, KeyError, TypeError):
             continue
         if math.isfinite(start) and math.isfinite(end):
             told[run_id] = (start, end)
@@ -269,11 +262,7 @@ def _typed(values: pd.Series, *, must_be_number: bool) -> pd.Series:
 
 
 def phase_spans(phases: pd.DataFrame) -> dict[str, PhaseSpans]:
-    """Return the phases of each run for looking up times; of the first plugin where several wrote phases.
-
-    Args:
-        phases: as `read_phases` returns them.
-    """
+    """Return the phases of each run for looking up times; of the first plugin where several wrote phases."""
     spans = {}
     for run_id, of_run in phases.groupby("run_id", sort=False):
         of_plugin = of_run[of_run["plugin"] == of_run["plugin"].iloc[0]].sort_values("start_s")

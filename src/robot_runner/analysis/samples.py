@@ -25,16 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.sample_files import PhaseSpans, SampleFile
 
-__all__ = [
-    "GrowingColumn",
-    "SampleRequest",
-    "are_within",
-    "checked_columns",
-    "places_of_phases",
-    "read_samples",
-    "sample_source",
-]
-
 
 class GrowingColumn:
     """One column of samples that grows run by run, so that no run's samples are held twice.

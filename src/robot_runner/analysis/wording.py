@@ -13,22 +13,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.tested import Interval
 
-__all__ = [
-    "ALPHA",
-    "MINUS",
-    "MISSING",
-    "NUMBER",
-    "RHO",
-    "TIMES",
-    "listed",
-    "p_in_words",
-    "sentence",
-    "shown_interval",
-    "shown_number",
-    "shown_p",
-    "with_unit",
-]
-
 #: Stands where a value is missing.
 MISSING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
@@ -38,6 +22,7 @@ TIMES = "\N{MULTIPLICATION SIGN}"
 ALPHA = "\N{GREEK SMALL LETTER ALPHA}"
 RHO = "\N{GREEK SMALL LETTER RHO}"
 _SMALLEST_P = 0.001
+_LARGE_STATISTIC = 999.5  # three digits of what is larger are written with an exponent
 _DIGITS = 4
 _LARGE, _SMALL, _HUGE = 1e4, 1e-4, 1e7
 
@@ -63,10 +48,21 @@ def shown_number(value: float | None, digits: int = _DIGITS) -> str:
     return text.replace("-", MINUS, 1) if text.startswith("-") else text
 
 
+def labelled(name: str, unit: str) -> str:
+    """Return a name with its unit, as in `Energy (J)`; a name that ends in it, as imported headings do, is left."""
+    has_it = unit in {"", "1"} or name.endswith((f"({unit})", f"[{unit}]"))
+    return name if has_it else f"{name} ({unit})"
+
+
 def with_unit(value: float | None, unit: str, digits: int = _DIGITS) -> str:
     """Return a number with its unit, as in `877.1 J`."""
     number = shown_number(value, digits)
     return f"{number} {unit}" if unit not in {"", "1"} and number != MISSING else number
+
+
+def difference_unit(unit: str) -> str:
+    """Return the unit of a difference: that of percentages is not a percentage of anything."""
+    return "percentage points" if unit == "%" else unit
 
 
 def shown_p(p_value: float | None) -> str:
@@ -89,6 +85,17 @@ def p_in_words(p_value: float) -> str:
         ('p = 0.016', 'p < 0.001')
     """
     return f"p {'' if p_value < _SMALLEST_P else '= '}{shown_p(p_value)}"
+
+
+def shown_statistic(value: float) -> str:
+    """Return a statistic as it stands in a sentence.
+
+    Example:
+        >>> [shown_statistic(each) for each in (1.8642, 999.7, 1830.2, 2.5e12)]
+        ['1.86', '1,000', '1,830', '2.5e+12']
+    """
+    is_plain = _LARGE_STATISTIC <= abs(value) < _HUGE
+    return f"{value:,.0f}" if is_plain else f"{value:.3g}"
 
 
 def shown_interval(interval: Interval | None, digits: int = _DIGITS) -> str:

@@ -17,8 +17,6 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-__all__ = ["balanced_blocks", "pair_count"]
-
 #: So many partial blocks are tried for one group; those of the published table up to ten replicates need fewer.
 _MOST_TRIED: Final = 60_000
 #: More treatments than this are left to the search for a nearly balanced design.

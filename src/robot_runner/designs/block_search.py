@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["concurrences", "distributed", "efficiency", "efficiency_bound"]
-
 #: So many exchanges of two treatments are tried for each place, in several beginnings, and so many in all (under 1 s).
 _TRIED_PER_PLACE: Final = 60
 _MOST_TRIED: Final = 20_000

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["Blocks"]
-
 #: More runs than this are spread at random and evenly, and not improved: the search would take long.
 _MOST_IMPROVED = 4000
 

@@ -14,18 +14,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.design import IsAllowed
 
-__all__ = [
-    "active_treatments",
-    "at_places",
-    "left_out_warning",
-    "library_findings",
-    "more_than_all",
-    "number_findings",
-    "share_value",
-    "with_conditions",
-    "with_values",
-]
-
 
 def at_places(factors: Sequence[Factor], rows: Iterable[Sequence[int]]) -> list[Combination]:
     """Return the combinations of rows of places of treatments, one place for each factor."""

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["CoveringArray"]
-
 #: More t-tuples than this would take minutes.
 _MOST_TUPLES = 500_000
 #: An exclusion that is a function is asked of each combination, of so many at most.

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["pairwise_array"]
-
 Array = NDArray[np.int64]
 
 #: Moves that a column's search makes at most, moves without gain at most, and how often columns are gone over again.

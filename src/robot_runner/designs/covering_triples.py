@@ -13,8 +13,6 @@ from robot_runner.designs.covering_search import field_of, is_field, pairwise_ar
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["triples_array"]
-
 Array = NDArray[np.intp]
 
 _TRIPLE = 3

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["Crossover", "williams_sequences"]
-
 
 def williams_sequences(treatments: int) -> list[tuple[int, ...]]:
     """Return sequences in which each treatment follows each other one equally often, and comes in each period equally.

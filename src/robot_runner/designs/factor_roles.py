@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.design import IsAllowed
 
-__all__ = ["Roles", "factor_name", "refused", "role_findings", "shuffled", "texts_of_combination"]
-
 
 def factor_name(given: Any) -> Any:
     """Return the name of a factor that was given by it or itself; whatever else was given is returned as it is."""

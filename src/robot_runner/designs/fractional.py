@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["FractionalFactorial", "fraction_rows", "fraction_words"]
-
 _RESOLUTIONS = (3, 4, 5)
 #: Aliases among main effects and two-factor interactions are listed up to so many effects; a study of more screens.
 _MOST_LISTED = 2000

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-__all__ = ["Square", "has_orthogonal_pair", "latin_square", "orthogonal_pair"]
-
 #: The symbol of each cell, by row and column.
 Square = tuple[tuple[int, ...], ...]
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["OneFactorAtATime"]
-
 
 @dataclass(frozen=True, slots=True)
 class OneFactorAtATime:

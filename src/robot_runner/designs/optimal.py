@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-__all__ = ["DOptimal"]
-
 _MODELS = ("main", "interactions", "quadratic")
 #: The best of so many searches from random beginnings is taken; of fewer, where one search is long.
 _STARTS = 8

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
 
-__all__ = ["BoxBehnken", "CentralComposite"]
-
 _INSCRIBED, _FACED = "inscribed", "faced"
 
 

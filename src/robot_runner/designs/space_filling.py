@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Combination, Factor
 
-__all__ = ["LatinHypercube", "Sobol"]
-
 #: So many times the runs that are wanted are drawn where exclusions take some of them away.
 _MOST_DRAWN = 64
 

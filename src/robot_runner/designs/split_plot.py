@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Combination, Factor
 
-__all__ = ["SplitPlot"]
-
 
 @dataclass(frozen=True, slots=True)
 class SplitPlot:

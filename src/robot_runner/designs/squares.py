@@ -24,11 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.factor import Combination, Factor
     from robot_runner.designs.latin_squares import Square
 
-__all__ = ["GraecoLatinSquare", "LatinSquare"]
-
-#: The combinations of the cells of one square, by row and column.
-_Cells = list[list["Combination"]]
-
 
 @dataclass(frozen=True, slots=True)
 class LatinSquare:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
 from typing import TYPE_CHECKING
 
 import pytest
+
+from robot_runner.analysis.commands.power import planned_experiment
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -104,3 +107,13 @@ def test_what_cannot_be_is_refused_with_a_way_out(
     assert problem in answer.err
     assert fix in answer.err
     assert "Traceback" not in answer.err
+
+
+def test_an_order_that_is_not_given_is_drawn_from_the_seed_of_the_simulation(study: Path) -> None:
+    def order(text: str, seed: int) -> object:
+        study.write_text(CONFIG.replace('data_columns=["Energy"]', f'data_columns=["Energy"], shuffle=True{text}'))
+        model = planned_experiment(Namespace(config=str(study), set=[], seed=seed))[1]
+        return [run.run_id for run in model.plan()], [run.combination for run in model.plan()]
+
+    assert order("", 1) == order("", 1) != order("", 2)
+    assert order(", seed=5", 1) == order(", seed=5", 2)

@@ -185,6 +185,18 @@ def test_values_that_are_all_equal_cannot_be_tested(two_tasks):
     assert video.verdict is Verdict.UNDECIDED
 
 
+@pytest.mark.parametrize(("size", "told"), [(1e300, "too large"), (1e-300, "too small")])
+def test_values_that_cannot_be_computed_with_are_not_tested(two_tasks, size, told):
+    odd = two_tasks(video=tuple(size * value for value in (1.0, 3.0, 2.0, 5.0, 4.0)))
+    comparison = compare(odd.root, two_tasks().root, bound="5%")
+    [video, network] = comparison.measure("Energy").differences
+    assert video.p_value is None
+    assert f"{told} to compute with" in video.not_computed
+    assert video.verdict is Verdict.UNDECIDED
+    assert network.p_value is not None
+    json.loads(json_of_comparison(comparison), parse_constant=pytest.fail)
+
+
 def test_experiments_without_a_run_that_is_done_are_undecided(two_tasks):
     nothing = dict.fromkeys(range(10), "-")
     comparison = compare(two_tasks(statuses=nothing).root, two_tasks().root, bound="5%")

@@ -16,7 +16,7 @@ from scipy import stats
 from statsmodels.stats.meta_analysis import combine_effects
 from statsmodels.stats.oneway import anova_oneway
 
-from robot_runner.analysis.comparison.pooling import combine
+from robot_runner.analysis.comparison.combined import combine
 
 #: What `metafor_reference.R` printed with metafor 3.8-1: five data sets of its package metadat, and parts of two.
 REFERENCE = {

@@ -13,8 +13,7 @@ from tests.analysis.comparison.combined_agreement import disagreements_of_two
 from robot_runner.analysis.comparison.compared import Bound, Verdict
 from robot_runner.analysis.comparison.comparing import compare
 from robot_runner.analysis.comparison.comparison_document import comparison_document, json_of_comparison
-from robot_runner.analysis.comparison.equivalence import equivalence_p_value
-from robot_runner.analysis.comparison.practical import Regions, practical_equivalence
+from robot_runner.analysis.comparison.equivalence import Regions, equivalence_p_value, practical_equivalence
 from robot_runner.core.errors import AnalysisError
 
 FIRST = np.array([870.1, 872.4, 869.0, 874.2, 871.3])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.analysis.importing.cell_numbers import plain_cells
+from robot_runner.analysis.importing.units import plain_cells
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,10 @@ from itertools import product
 import pytest
 from tests.analysis.importing.foreign_folder import write
 
+from robot_runner.analysis.importing.column_evidence import Confidence
 from robot_runner.analysis.importing.column_roles import roles_of
 from robot_runner.analysis.importing.description import ImportDescription
 from robot_runner.analysis.importing.foreign_table import read_foreign_table
-from robot_runner.analysis.importing.role_guesses import Confidence
 from robot_runner.core.errors import AnalysisError
 
 TASK = {"task": ["video", "audio", "idle"]}
@@ -262,6 +262,33 @@ SHAPES = {
         "F=task M=energy X=robot ?=robot",
     ),
     "subjects": (made("subject,task,energy", {"subject": ["s1", "s2", "s3"]} | TASK, 2), "F=subject+task M=energy"),
+    "blocks by their name": (
+        made("Block,task,energy", {"Block": ["I", "II", "III", "kitchen"]} | TASK, 1),
+        "block=Block F=task M=energy",
+    ),
+    "two blocks": (made("block,task,energy", {"block": ["1", "2"]} | TASK, 2), "block=block F=task M=energy"),
+    "blocks without some combinations": (
+        "block,task,energy\n"
+        + "".join(f"{n // 4},{('video', 'audio')[n % 2 if n < 20 else 0]},{n * 37 % 101 / 7:.4f}\n" for n in range(24)),
+        "block=block F=task M=energy",
+    ),
+    # What treatments are tried on, as in R's CO2 and nlme's RatPupWeight.
+    "plants that each have one treatment": (
+        "Plant,Type,conc,uptake\n"
+        + "".join(
+            f"p{n // 6},{('north', 'south')[n // 18]},{n % 3 * 100 + 95},{n * 37 % 101 / 7:.4f}\n" for n in range(36)
+        ),
+        "F=Type+conc M=uptake X=Plant ?=Plant",
+    ),
+    "litters that each have one treatment, after the measures": (
+        "weight,sex,litter,Treatment\n"
+        + "".join(
+            f"{n * 37 % 101 / 7:.4f},{'fm'[n % 2]},{litter},{('low', 'high', 'none')[litter % 3]}\n"
+            for litter in range(9)
+            for n in range(12 * litter, 12 * litter + (4 if litter % 3 == 2 else 12))
+        ),
+        "F=sex+Treatment M=weight X=litter ?=litter",
+    ),
 }
 
 

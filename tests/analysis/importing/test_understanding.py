@@ -307,6 +307,14 @@ REFUSED = {
 }
 
 
+def test_a_table_that_is_named_itself_is_refused_with_its_folder(tmp_path):
+    table = tmp_path / "my runs.csv"
+    table.write_text("task,energy\na,1.5\nb,2.5\n", encoding="utf-8")
+    with pytest.raises(StorageError, match="this is a file, not a folder of results") as refused:
+        understand(table, NOTHING)
+    assert f"--table '{table.name}'" in str(refused.value)
+
+
 def test_a_table_of_samples_is_no_run_table(tmp_path, monkeypatch):
     monkeypatch.setattr(foreign_table, "_MOST_RUNS", 1000)
     with pytest.raises(AnalysisError, match="more than 1,000 rows: are they samples rather than runs"):

@@ -209,3 +209,10 @@ def test_the_same_seed_gives_the_same_figures_whatever_is_asked_for() -> None:
     assert all(wide.point(each) == narrow.point(each) for each in shared)
     other = search_repetitions(study, scenario, Search(first=5, last=30, simulations=1000, seed=2))
     assert other.points != wide.points
+
+
+def test_values_that_do_not_vary_find_nothing() -> None:
+    study, repetitions, _ = STUDIES["outliers that are left out"]
+    simulation = Simulation(study, scenario_of(study, "Task=1.2", sd="0"), repetitions, seed=(1,))
+    [found] = simulation.found(0, 2).values()
+    assert not found.any()

@@ -25,9 +25,8 @@ from robot_runner import AnalysisPlan, Estimand
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import _templates
-from robot_runner.analysis.recomputing.notebook import notebook as notebook_of
-from robot_runner.analysis.recomputing.r_script import r_script
-from robot_runner.analysis.recomputing.recomputations import Recomputation, write_recomputations
+from robot_runner.analysis.recomputing.recomputations import Recomputation, r_script, write_recomputations
+from robot_runner.analysis.recomputing.recomputations import notebook as notebook_of
 from robot_runner.analysis.report.document import plain
 from robot_runner.core.design.factor import Factor
 
@@ -77,6 +76,12 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "adjusted for a covariate": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "covariates": ["CPU"]}}),
     "blocks": ([TASKS], 7, set(), {"blocks": "Repetition"}),
     "few blocks, two factors, one lacking": ([TASKS, MAPS], 5, {2}, {"blocks": "Repetition"}),
+    "few blocks of many treatments": (
+        [Factor("Speed", [0.5, 1.0, 1.5, 2.0, 2.5])],
+        8,
+        set(),
+        {"blocks": "Repetition"},
+    ),
     "incomplete blocks": ([TASKS], 8, {1, 5, 9, 13}, {"blocks": "Repetition"}),
     "replicated blocks": ([MAPS, Factor("Room", ["a", "b", "c", "d", "e"])], 2, set(), {"blocks": "Room"}),
     "ranks": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "estimand": "rank"}}),
@@ -87,6 +92,7 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
         set(),
         {"analysis": {"measures": ["Energy"], "statistic": "anova-type"}},
     ),
+    "combinations without runs": ([TASKS, MAPS, Factor("Room", ["a", "b"])], 3, {1, 13, 25}, {}),
     "a run in a cell": ([TASKS, MAPS], 2, {1, 4}, {}),
     "odd names": ([Factor(EVIL, EVILS), Factor("is on", [True, False])], 2, set(), {}),
 }
@@ -238,6 +244,12 @@ def test_no_number_of_the_report_is_left_out(name: str, written: Callable[[str],
     missing = {each for each in numbers(plain(analyse(study.results))) if each not in known}
     assert missing == set()
     assert study.facts.skipped == 0
+
+
+def test_the_notebook_of_values_that_are_all_equal_is_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = make_experiment(tmp_path / "made", [MAPS], lambda treatments, repetition: {"Energy": 7.0}, repetitions=4)
+    (notebook,) = write_recomputations(folder.root, [Recomputation.NOTEBOOK])
+    assert "numbers agree" in executed(notebook, monkeypatch)
 
 
 def test_a_template_cannot_print_a_text_as_it_is() -> None:

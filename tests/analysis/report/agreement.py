@@ -162,7 +162,8 @@ def _of_check(what: str, effect: dict[str, Any], alpha: float) -> Iterator[str]:
 
 def _of_parts(what: str, effect: dict[str, Any]) -> Iterator[str]:
     """A p-value is that of its statistic, or between those of the tests that it combines; the sentence has both."""
-    is_drawn, freedom = "bootstrap" in effect["test"], effect["degrees_of_freedom"]
+    is_drawn = any(how in effect["test"] for how in ("bootstrap", "sign flips"))
+    freedom = effect["degrees_of_freedom"]
     for part in effect["parts"]:
         if abs(stats.f.sf(part["statistic"], *part["degrees_of_freedom"]) - part["p_value"]) > _SAME:
             yield f"{what}: {part['name']} has another p-value than its statistic"

@@ -12,7 +12,7 @@ from tests.analysis.made_experiment import make_experiment
 from tests.analysis.report.agreement import disagreements
 
 from robot_runner.analysis import load_results
-from robot_runner.analysis.report.failed_pairs import failed_pairs
+from robot_runner.analysis.report.outcome_section import failed_pairs
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import Range

@@ -28,14 +28,16 @@ if TYPE_CHECKING:
 FACTORS = (Factor("Task", ["Video", "Idle"]), Factor("Speed", [1, 2]))
 
 
-def made(root: Path, *rules: Precision, least: int = 5, spread: float = 1.0) -> ExperimentFolder:
+def made(root: Path, *rules: Precision, least: int = 5, spread: float = 1.0, values: Any = None) -> ExperimentFolder:
     random = np.random.default_rng(3)
 
-    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+    def usual(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
         mean = 100 + 20 * (treatments["Task"] == "Video") + repetition
         return {"Energy": mean + spread * random.normal(), "Time": random.normal(50, 1)}
 
-    folder = make_experiment(root, FACTORS, values, measures=["Energy", "Time"], units={"Energy": "J"}, repetitions=8)
+    folder = make_experiment(
+        root, FACTORS, values or usual, measures=["Energy", "Time"], units={"Energy": "J"}, repetitions=8
+    )
     manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
     manifest["repeat_until"] = rules_as_mapping(rules, least)
     folder.manifest.write_text(json.dumps(manifest), encoding="utf-8")
@@ -83,11 +85,26 @@ def test_the_report_says_what_was_asked_for_and_what_becomes_of_the_tests(tmp_pa
     page = report(made(tmp_path / "made", Precision("Energy", half_width="5 %", at_most=30)), ReportFormat.MARKDOWN)
     assert "at least 5, at most 30 repetitions; 8 repetitions in the end" in page
     assert "(4 of 4 means precise)" in page
-    assert "up to 8 % (where spreads differ)" in page
+    assert "at 5 %, 3.5 to 6.5 % of experiments without a difference show one" in page
     assert "differences between treatments, compared within repetitions" in page
-    rule = Precision("Energy", half_width="5 %", at_most=30, of="differences")
-    careful = report(made(tmp_path / "careful", rule, least=10), ReportFormat.MARKDOWN)
-    assert "at 5 %, 3.5 to 6.5 % of experiments without a difference show one" in careful
+    assert "skewed" not in page
+    rule = Precision("Energy", half_width="0.1 J", at_most=30, of="differences")
+    early = report(made(tmp_path / "early", rule), ReportFormat.MARKDOWN)
+    assert "up to 9 %, as it ended before the rule was followed to its end, of experiments" in early
+
+
+def test_the_report_says_that_intervals_of_skewed_values_hold_less_often(tmp_path: Path) -> None:
+    random = np.random.default_rng(5)
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        return {"Energy": 10 + random.lognormal(), "Time": random.normal(50, 1)}
+
+    rules = [Precision(measure, half_width="5 %", at_most=30) for measure in ("Energy", "Time")]
+    folder = made(tmp_path / "made", *rules, values=values)
+    energy, time = (each["sentence"] for each in json.loads(report(folder))["precision"])
+    assert "Values are skewed (" in energy
+    assert "the intervals hold in 88 to 95 %" in energy
+    assert "skewed" not in time
 
 
 def test_values_that_the_plan_leaves_out_are_left_out_of_the_precision(tmp_path: Path) -> None:

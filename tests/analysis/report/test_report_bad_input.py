@@ -116,6 +116,28 @@ def test_groups_of_unequal_size_are_told(two_tasks):
     assert p_values(text)
 
 
+def test_groups_of_equal_size_beside_empty_ones_have_one_size(make_folder):
+    rows = [(one, other, 1.0 + 0.1 * each) for one, other in ("ap", "aq", "bp") for each in (1, 3, 2)]
+    text = text_of(make_folder(factors={"A": ["a", "b"], "B": ["p", "q"]}, rows=rows, measures={"Energy": "J"}))
+    assert re.search(r"\b3 runs each of a combination", text)
+    assert "3 to 3" not in text
+
+
+def test_without_moments_the_order_of_the_table_is_not_taken_for_that_of_execution(tmp_path):
+    rows = [(task, 870.0 + place + (task == "b")) for place, task in enumerate("ababababab")]
+    folder = Folder(tmp_path / "trial", {"Task": ["a", "b"]}, rows, {"Energy": "J"})
+    folder.write()
+    text = text_of(folder)
+    assert "Energy over the order of the table: each run less the mean" in text
+    assert "Residuals over the order of the table, which may be another than that of execution" in text
+
+
+def test_values_that_are_too_small_to_compute_with_are_told(two_tasks):
+    text = text_of(two_tasks(video=(1e-300, 3e-300, 2e-300), network=(5e-300, 7e-300, 6e-300)))
+    assert p_values(text) == []
+    assert "too small to compute with" in text
+
+
 def test_a_measure_that_is_no_number_is_shown_and_not_computed(make_folder):
     rows = [("a", "ok", 1.0), ("a", "stuck", 1.1), ("b", "ok", 1.2), ("b", "ok", 1.3)]
     folder = make_folder(

@@ -12,7 +12,7 @@ from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.analysis.report.blocks import Beside, Gallery, Table
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
-from robot_runner.analysis.report.stills_part import stills_part
+from robot_runner.analysis.report.mission_figures import stills_part
 from robot_runner.analysis.results import load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.storage.layout import ExperimentFolder

@@ -9,8 +9,7 @@ import pandas as pd
 
 from robot_runner.analysis.planning.planned_study import PlannedResults
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.storage.table_schema import ColumnDescription
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

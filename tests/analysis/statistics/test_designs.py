@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
-from scipy import special
+from scipy import special, stats
 from tests.analysis.made_experiment import make_experiment
+from tests.analysis.statistics.designed_data import designed
 from tests.analysis.statistics.reference_data import one_factor, split_plot, two_factors
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.contrasts import _unbiased as unbiased_squares
 from robot_runner.analysis.statistics.contrasts import bootstrapped, combined, welch_james
@@ -77,6 +81,11 @@ DESIGNS = {
         lambda values: one_factor(groups(3, values, size=4), in_blocks=True),
         TestMethod.BLOCKS,
         ["Greenhouse-Geisser"],
+    ),
+    "five treatments in few blocks": (
+        lambda values: one_factor(groups(5, values, size=8), in_blocks=True),
+        TestMethod.BLOCKS,
+        ["Greenhouse-Geisser, sign flips"],
     ),
     "two factors in blocks": (
         lambda values: split_plot(in_blocks(values, b="pqr", blocks=14)),
@@ -348,3 +357,52 @@ def test_a_check_that_disagrees_is_told(tmp_path):
     assert not effect.is_significant
     assert effect.check.p_value < 0.05
     assert effect.conclusion.endswith("): the treatments may differ in other ways.")
+
+
+def test_a_factorial_with_gaps_has_a_variance_for_each_combination():
+    # Two of twelve combinations have no run, and the spread of one factor differs four times.
+    random = np.random.default_rng(8)
+    values = {
+        (a, b, c): list(50 + 3 * (a == "y") + (4 if b == "q" else 1) * random.normal(size=4 + (c == "v")))
+        for a, b, c in product("xy", "pq", "uvw")
+        if (a, b) != ("x", "p") or c == "u"
+    }
+    rows = [(*cell, value) for cell, several in values.items() for value in several]
+    data = design_of(designed(rows, "ABC", {"kind": "full_factorial"})).data("y")
+    test = test_of(data)
+    assert test.reason == (
+        "3 factors, of whose combinations 10 have runs, each run by itself: means are compared, with a variance for "
+        "each combination."
+    )
+    (note, *_) = test.notes
+    assert note.startswith("Some combinations have no run: effects are those that least squares estimate")
+    # By hand: what least squares makes of the means of combinations, each with its own squared error.
+    cells = list(values)
+    coded = [{"x": 1, "y": -1}, {"p": 1, "q": -1}]
+    of_c = {"u": (1, 0), "v": (0, 1), "w": (-1, -1)}
+    main = [[coded[0][a], coded[1][b], *of_c[c]] for a, b, c in cells]
+    pairs = [[r[0] * r[1], r[0] * r[2], r[0] * r[3], r[1] * r[2], r[1] * r[3]] for r in main]
+    weights = np.linalg.pinv(np.column_stack([np.ones(len(cells)), main, pairs]))[1]
+    means, errors, counts = (np.array([of(values[cell]) for cell in cells]) for of in (np.mean, stats.sem, len))
+    error = np.sqrt(np.sum((weights * errors) ** 2))
+    freedom = error**4 / np.sum((weights * errors) ** 4 / (counts - 1))
+    effect = test.effects[0]
+    assert effect.test == "Welch's t"
+    assert effect.statistic == pytest.approx(weights @ means / error)
+    assert effect.degrees_of_freedom == pytest.approx((freedom,))
+    assert [each.factors for each in test.effects][3:] == [("A", "B"), ("A", "C"), ("B", "C")]
+
+
+def test_few_blocks_of_many_treatments_are_compared_by_the_signs_of_their_contrasts():
+    random = np.random.default_rng(4)
+    values = random.normal(size=(8, 5)) + np.linspace(0, 2.5, 5)
+    data = one_factor({f"t{place}": list(column) for place, column in enumerate(values.T)}, in_blocks=True)
+    (effect,) = test_of(data).effects
+    # By hand: of all 2^8 patterns of signs of what blocks leave of their means, how many sum up to as much.
+    left = values - values.mean(axis=1, keepdims=True)
+    sums = [np.sum((np.array(signs) @ left) ** 2) for signs in product((1, -1), repeat=8)]
+    assert effect.p_value == pytest.approx(np.mean(np.array(sums) >= sums[0] * (1 - 1e-9)))
+    assert effect.statistic == pytest.approx(
+        8 * 7 * np.sum(left.mean(axis=0) ** 2) / np.sum((left - left.mean(axis=0)) ** 2)
+    )
+    assert effect.p_value < 0.05

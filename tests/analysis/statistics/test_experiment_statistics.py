@@ -213,6 +213,8 @@ def test_an_order_that_was_not_randomised_is_warned_of(tmp_path):
 def test_treatments_that_were_executed_one_after_the_other_are_confounded_with_drift():
     rising = {"a": list(np.arange(10.0)), "b": list(np.arange(10.0, 20.0))}
     assert drift_of(one_factor(rising), 0.05).is_confounded
+    told = drift_of(one_factor(rising), 0.05, is_ordered=False).warning
+    assert "over the order of the table, which may be another than that of execution, by about" in told
 
 
 def test_what_was_planned_is_told_from_what_is_exploratory(tmp_path):

@@ -9,43 +9,35 @@ long as plugins say, as those of the experiment or of --pilot took, or as --run-
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.commands.power import planned_experiment, show_progress
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import (
     Column,
     UserConsole,
     aligned,
-    complaints,
-    is_live_terminal,
     output,
     print_folded,
     print_json,
-    quiet_loading,
 )
-from robot_runner.cli.findings import show_findings
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
 from robot_runner.cli.planning import folder_of_target, plan_of
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.config.preparation import prepare
-from robot_runner.core.design.batches import GrownRunTableModel
 from robot_runner.core.design.listed_runs import ListedRunTableModel
-from robot_runner.core.errors import AnalysisError, ConfigError, did_you_mean
+from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from robot_runner.analysis.planning.candidate_designs import RunTimes
     from robot_runner.analysis.planning.design_comparison import DesignComparison
     from robot_runner.cli.parser import Parser
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.durations import Durations
-
-__all__ = ["add_arguments", "execute"]
 
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)\s*(s|min|h|d)")
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
@@ -95,13 +87,7 @@ def _comparison(arguments: Namespace) -> DesignComparison:
     from robot_runner.analysis.planning.power_analysis import Assumptions  # noqa: PLC0415 - as above
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - as above
 
-    with quiet_loading():
-        preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), is_for_here=False)
-    experiment = preparation.experiment
-    if experiment is None:
-        raise ConfigError.of_findings(preparation.findings)
-    show_findings([each for each in preparation.findings if each.where.startswith("analysis")])
-    model = experiment.model.as_configured if isinstance(experiment.model, GrownRunTableModel) else experiment.model
+    experiment, model, units = planned_experiment(arguments)
     if isinstance(model, ListedRunTableModel):
         fix = "Describe the design with factors and repetitions."
         raise AnalysisError("the runs are listed one by one", where=arguments.config, fix=fix)
@@ -117,7 +103,7 @@ def _comparison(arguments: Namespace) -> DesignComparison:
     asked = Asked(
         experiment.parameters.experiment_name,
         experiment.parameters.analysis,
-        {column.name: column.measure.unit for column in experiment.columns.in_table if not column.tells_of},
+        units,
         Assumptions(
             pilot=load_results(pilot.root) if pilot is not None else None,
             measures=arguments.measure,
@@ -130,7 +116,8 @@ def _comparison(arguments: Namespace) -> DesignComparison:
         arguments.power,
         arguments.seed,
     )
-    return compare_designs(candidates_of(model, list(hard)), times, asked, _progress())
+    candidates = candidates_of(model, list(hard))
+    return compare_designs(candidates, times, asked, lambda name: show_progress(f"Comparing: {name}"))
 
 
 def _times(
@@ -173,22 +160,8 @@ def _seconds(option: str, text: str) -> float:
     return float(match[1]) * _UNITS[match[2]]
 
 
-def _progress() -> Callable[[str], None]:
-    """Return what is told which design is looked at; shown on a terminal alone."""
-    if not is_live_terminal(sys.stderr):
-        return lambda _: None
-    console = complaints()
-
-    def tell(name: str) -> None:
-        console.erase_line()
-        console.print(f"Comparing: {name}", end="")
-
-    return tell
-
-
 def _print(console: UserConsole, comparison: DesignComparison) -> None:
-    if is_live_terminal(sys.stderr):
-        complaints().erase_line()
+    show_progress()
     console.print(f"What can be learnt within {shown_duration(comparison.asked.budget)}", style="bold")
     columns = [
         Column("Design", max(len(each.name) for each in comparison.designs) + 2),

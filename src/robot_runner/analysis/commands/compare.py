@@ -17,12 +17,14 @@ of each pair of treatments, on average over all experiments, how far these diffe
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from rich.text import Text
 
 from robot_runner.analysis.libraries import require_libraries
+from robot_runner.analysis.wording import shown_number
 from robot_runner.cli.console import (
     Column,
     UserConsole,
@@ -41,14 +43,12 @@ from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from robot_runner.analysis.comparison.combined import MetaAnalysis
     from robot_runner.analysis.comparison.compared import Comparison, MeasureComparison
     from robot_runner.analysis.report.blocks import Document, Table
     from robot_runner.cli.parser import Parser
-
-__all__ = ["add_arguments", "execute"]
 
 _STYLES = {"equivalent": "green", "different": "red", "undecided": "yellow"}
 
@@ -106,10 +106,30 @@ def execute(arguments: Namespace) -> int:
     is_meta = bool(arguments.more) or arguments.meta
     _check_options(arguments, is_meta=is_meta)
     require_libraries()
-    folders = _folders([arguments.first, arguments.second, *arguments.more])
-    page, files = (None if each is None else Path(each).expanduser() for each in (arguments.html, arguments.files))
-    written = {"Page": page, "Files": files}
-    return _combine(arguments, folders, written) if is_meta else _compare(arguments, folders, written)
+    from robot_runner.analysis.report.writing import write_page, write_parts  # noqa: PLC0415 - slow, and an extra
+
+    found = (_combined if is_meta else _compared)(arguments, [arguments.first, arguments.second, *arguments.more])
+    written = {}
+    for what, given, write in (("Page", arguments.html, write_page), ("Files", arguments.files, write_parts)):
+        if given is not None:
+            path = Path(given).expanduser()
+            write(found.document, path)
+            written[what] = path
+    if arguments.json:
+        print_json(found.json)
+    else:
+        console = output()
+        found.show(console)
+        print_facts(console, [(what, shown_path(path.resolve())) for what, path in written.items()])
+    return 0
+
+
+class _Found(NamedTuple):
+    """What was found, for each kind of output."""
+
+    document: Document
+    json: str
+    show: Callable[[UserConsole], None]
 
 
 def _check_options(arguments: Namespace, *, is_meta: bool) -> None:
@@ -146,51 +166,35 @@ def _folders(targets: Sequence[str]) -> list[Path]:
     return folders
 
 
-def _compare(arguments: Namespace, folders: Sequence[Path], written: Mapping[str, Path | None]) -> int:
+def _compared(arguments: Namespace, targets: Sequence[str]) -> _Found:
     from robot_runner.analysis.comparison import comparison_document as document  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.comparison.comparing import compare  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.report.writing import made_by  # noqa: PLC0415 - slow, and an extra
 
     comparison = compare(
-        *folders,
+        *_folders(targets),
         measures=arguments.measure,
         bound=arguments.bound,
         alpha=arguments.alpha,
         is_paired=True if arguments.paired else None,
         rope=arguments.rope or (),
     )
-    _write(document.comparison_document(comparison, made=made_by("Comparison", datetime.now(UTC))), written)
-    if arguments.json:
-        print_json(document.json_of_comparison(comparison))
-    else:
-        _print(output(), comparison, written)
-    return 0
+    page = document.comparison_document(comparison, made=made_by("Comparison", datetime.now(UTC)))
+    return _Found(page, document.json_of_comparison(comparison), partial(_print, comparison))
 
 
-def _write(document: Document, written: Mapping[str, Path | None]) -> None:
-    from robot_runner.analysis.report.writing import write_page, write_parts  # noqa: PLC0415 - slow, and an extra
-
-    for what, write in (("Page", write_page), ("Files", write_parts)):
-        path = written[what]
-        if path is not None:
-            write(document, path)
-
-
-def _combine(arguments: Namespace, folders: Sequence[Path], written: Mapping[str, Path | None]) -> int:
+def _combined(arguments: Namespace, targets: Sequence[str]) -> _Found:
     from robot_runner.analysis.comparison import combined_document as document  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.comparison.averaging import meta_analyse  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.report.writing import made_by  # noqa: PLC0415 - slow, and an extra
 
-    found = meta_analyse(*folders, measures=arguments.measure, alpha=arguments.alpha, same=arguments.same or ())
-    _write(document.combined_document(found, made=made_by("Meta-analysis", datetime.now(UTC))), written)
-    if arguments.json:
-        print_json(document.json_of_meta_analysis(found))
-    else:
-        _print_combined(output(), found, written)
-    return 0
+    same, measures = arguments.same or (), arguments.measure
+    found = meta_analyse(*_folders(targets), measures=measures, alpha=arguments.alpha, same=same)
+    page = document.combined_document(found, made=made_by("Meta-analysis", datetime.now(UTC)))
+    return _Found(page, document.json_of_meta_analysis(found), partial(_print_combined, found))
 
 
-def _print(console: UserConsole, comparison: Comparison, written: Mapping[str, Path | None]) -> None:
+def _print(comparison: Comparison, console: UserConsole) -> None:
     console.print(Text(f"{comparison.second.name} compared with {comparison.first.name}", style="bold"))
     print_facts(
         console, [(name, f"{one_line(ours)}; {one_line(theirs)}") for name, ours, theirs in comparison.differing]
@@ -204,11 +208,6 @@ def _print(console: UserConsole, comparison: Comparison, written: Mapping[str, P
         )
     for note in comparison.notes:
         print_folded(console, "  ! ", one_line(note), style="bold yellow")
-    _print_written(console, written)
-
-
-def _print_written(console: UserConsole, written: Mapping[str, Path | None]) -> None:
-    print_facts(console, [(what, shown_path(path.resolve())) for what, path in written.items() if path is not None])
 
 
 def _print_measure(console: UserConsole, comparison: Comparison, measure: MeasureComparison) -> None:
@@ -221,7 +220,7 @@ def _print_measure(console: UserConsole, comparison: Comparison, measure: Measur
     agreement = measure.agreement
     if agreement is not None and agreement.error is not None:
         pairs = counted(sum(map(len, agreement.pairs.values())), "pair")
-        print(f"  relative error {agreement.error:.2f} %, bias {agreement.bias:.4g} ({pairs})")
+        print(f"  relative error {shown_number(agreement.error, 3)} %, bias {shown_number(agreement.bias)} ({pairs})")
     print_folded(console, "  ", one_line(measure.conclusion), style="")
     for missed in measure.not_computed:
         print_folded(console, "  ! ", one_line(f"{missed.what}: {missed.why}"), style="bold yellow")
@@ -239,7 +238,7 @@ def _print_rows(console: UserConsole, table: Table) -> None:
         print(f"  {aligned(columns, row)}")
 
 
-def _print_combined(console: UserConsole, found: MetaAnalysis, written: Mapping[str, Path | None]) -> None:
+def _print_combined(found: MetaAnalysis, console: UserConsole) -> None:
     from robot_runner.analysis.comparison.combined_document import effect_table  # noqa: PLC0415 - slow, and an extra
 
     names = ", ".join(one_line(each.name) for each in found.experiments)
@@ -258,7 +257,6 @@ def _print_combined(console: UserConsole, found: MetaAnalysis, written: Mapping[
         console.print()
     for finding in found.findings:
         print_folded(console, "  ! ", one_line(str(finding)), style="bold yellow")
-    _print_written(console, written)
 
 
 def _origins(measure: MeasureComparison) -> Iterator[str]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_facts, print_json, shown_path
+from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 
@@ -18,12 +19,10 @@ if TYPE_CHECKING:
 
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     add_set(parser)
     parser.add_argument("--to", metavar="FOLDER", help="where to; export/ in the experiment's folder if left out")
     parser.add_argument(
@@ -40,7 +39,7 @@ def execute(arguments: Namespace) -> int:
     require_libraries()
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - takes a second to import
 
-    results = load_results(folder_of_target(arguments.target, arguments.set).root)
+    results = load_results(folder_of_target(arguments.target or only_experiment("export"), arguments.set).root)
     target = Path(arguments.to) if arguments.to else None
     files = results.export(target, for_spreadsheets=arguments.spreadsheets)
     if arguments.json:
@@ -48,7 +47,7 @@ def execute(arguments: Namespace) -> int:
         return 0
     console = output()
     console.print(results.name, style="bold")
-    facts = [("Data package", shown_path(files[-1])), ("Files", f"{len(files)} in {files[-1].parent}")]
+    facts = [("Data package", shown_path(files[-1])), ("Files", f"{len(files)} in {shown_path(files[-1].parent)}")]
     if arguments.spreadsheets:
         facts.append(("Spreadsheets", shown_path(files[-1].parent / "spreadsheets")))
     print_facts(console, facts)

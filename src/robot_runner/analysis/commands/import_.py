@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from robot_runner.analysis.importing.understanding import Understanding
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
+#: Options that say the same as the entry of a description with their name.
+_TEXTS = ("name", "table", "run_id", "status", "repetition", "block", "run_folder", "origin")
 
 
 def add_arguments(parser: Parser) -> None:
@@ -130,21 +131,14 @@ def _said(arguments: Namespace) -> ImportDescription:
     described = read_description(Path(arguments.description)) if arguments.description else ImportDescription()
     return described.with_options(
         ImportDescription(
-            name=arguments.name,
-            table=arguments.table,
-            run_id=arguments.run_id,
-            status=arguments.status,
-            repetition=arguments.repetition,
-            block=arguments.block,
+            **{name: getattr(arguments, name) for name in _TEXTS},
             decimal={"point": ".", "comma": ","}.get(arguments.decimal),
             factors=tuple(arguments.factor) or None,
             measures=tuple(arguments.measure) or None,
             ignore=tuple(arguments.ignore),
             units=dict(_assignment("--unit", each) for each in arguments.unit),
-            run_folder=arguments.run_folder,
             samples=_samples(arguments),
             recipes=tuple(map(parse_recipe, arguments.recompute)),
-            origin=arguments.origin,
             guess=not arguments.no_guess,
             design=parse_design(arguments.design) if arguments.design else None,
         )
@@ -174,22 +168,17 @@ def _samples(arguments: Namespace) -> Any:
     times: dict[str, tuple[str, str | None]] = {}
     for text in arguments.samples:
         file, _, rest = text.partition(":")
-        column, _, unit = rest.partition(":")
-        if not column:
-            raise UsageError(
-                f"{text!r} names no column", where="--samples", fix="Write FILE:COLUMN or FILE:COLUMN:UNIT."
-            )
+        time, _, unit = rest.partition(":")
+        if not time:
+            fix = "Write FILE:COLUMN or FILE:COLUMN:UNIT."
+            raise UsageError(f"{text!r} names no column", where="--samples", fix=fix)
         check_time_unit(unit or None, f"--samples {text}")
-        times[file] = (column, unit or None)
-    return tuple(
-        SamplesDescription(
-            file,
-            time=times.get(file, (None, None))[0],
-            time_unit=times.get(file, (None, None))[1],
-            units=units.get(file, {}),
-        )
-        for file in dict.fromkeys([*times, *units])
-    )
+        times[file] = (time, unit or None)
+    said = []
+    for file in dict.fromkeys([*times, *units]):
+        heading, counted_in = times.get(file, (None, None))
+        said.append(SamplesDescription(file, time=heading, time_unit=counted_in, units=units.get(file, {})))
+    return tuple(said)
 
 
 def _save_description(path: Path, understanding: Understanding) -> None:

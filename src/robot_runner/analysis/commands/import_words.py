@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.importing.adoption import Adoption
     from robot_runner.analysis.importing.understanding import Understanding
 
-__all__ = ["differences_as_json", "print_adoption", "print_understanding", "understanding_as_json"]
-
 _SHOWN_DIFFERENCES = 5
 #: As many rows and columns as one reads before saying yes.
 _SHOWN_ROWS, _SHOWN_COLUMNS = 3, 25
@@ -37,7 +35,7 @@ def print_understanding(console: UserConsole, found: Understanding, target: Path
     facts += [("Repetitions", f"counted by {one_line(repetition)}" if repetition else "")]
     facts += [(f"Samples {each.file}", _samples_words(each)) for each in found.samples]
     recipes = [f"{one_line(each.measure)} = {each.words}{' (guessed)' * each.is_guessed}" for each in found.recipes]
-    questions = [f"{each.problem}. {each.fix}" for each in found.questions]
+    questions = [f"{each.problem}{'' if each.problem.endswith('?') else '.'} {each.fix}" for each in found.questions]
     facts += [*_beneath("Recomputed", recipes), *_beneath("Note", found.notes), *_beneath("Not sure", questions)]
     console.print()
     print_facts(console, [*facts, ("To", shown_path(target))])

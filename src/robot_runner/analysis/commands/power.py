@@ -39,14 +39,13 @@ from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Callable
 
     from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.planning.power_analysis import PowerAnalysis
     from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search
     from robot_runner.cli.parser import Parser
-
-__all__ = ["add_arguments", "add_assumptions", "computed_power", "execute"]
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.run_table_model import RunTableModel
 
 _RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
 _BAR = 30
@@ -140,12 +139,21 @@ def computed_power(arguments: Namespace) -> PowerAnalysis:
         blocks=arguments.block_sd,
         responses=arguments.response_sd,
     )
-    return power_analysis(study, assumptions, search, _progress())
+
+    def tell(repetitions: int, experiments: int) -> None:
+        show_progress(f"{repetitions} repetitions: {experiments:,} experiments")
+
+    return power_analysis(study, assumptions, search, tell)
 
 
-def _study(arguments: Namespace) -> Study:
-    from robot_runner.analysis.planning.planned_study import Study  # noqa: PLC0415 - slow, and an extra
+def planned_experiment(arguments: Namespace) -> tuple[Experiment, RunTableModel, dict[str, str]]:
+    """Return the experiment of a config, its run-table model without what was added later, and its measures' units.
 
+    The order of the runs is drawn from `--seed` where the config gives none.
+
+    Raises:
+        ConfigError: the config is refused.
+    """
     with quiet_loading():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), is_for_here=False)
     experiment = preparation.experiment
@@ -153,7 +161,16 @@ def _study(arguments: Namespace) -> Study:
         raise ConfigError.of_findings(preparation.findings)
     show_findings([each for each in preparation.findings if each.where.startswith("analysis")])
     model = experiment.model.as_configured if isinstance(experiment.model, GrownRunTableModel) else experiment.model
+    if not (model.seed_is_given or model.seed_is_registered):
+        model.take_seed(arguments.seed)  # else figures would differ from call to call, as the order that is drawn does
     units = {column.name: column.measure.unit for column in experiment.columns.in_table if not column.tells_of}
+    return experiment, model, units
+
+
+def _study(arguments: Namespace) -> Study:
+    from robot_runner.analysis.planning.planned_study import Study  # noqa: PLC0415 - slow, and an extra
+
+    experiment, model, units = planned_experiment(arguments)
     study = Study.of_model(experiment.parameters.experiment_name, model, experiment.parameters.analysis, units)
     return replace(study, is_repeated=bool(experiment.parameters.repeat_until))
 
@@ -182,25 +199,17 @@ def _search(arguments: Namespace) -> Search:
     return Search(arguments.power, first, last, tuple(arguments.effect), arguments.simulations, arguments.seed, batch)
 
 
-def _progress() -> Callable[[int, int], None]:
-    """Return what is told how far the simulation is; shown on a terminal alone."""
-    if not is_live_terminal(sys.stderr):
-        return lambda _, __: None
-
-    console = complaints()
-
-    def tell(repetitions: int, experiments: int) -> None:
-        console.erase_line()
-        console.print(f"{repetitions} repetitions: {experiments:,} experiments", end="")
-
-    return tell
+def show_progress(text: str = "") -> None:
+    """Show how far something is in the place of what was shown before; on a terminal alone."""
+    if is_live_terminal(sys.stderr):
+        complaints().erase_line()
+        complaints().print(text, end="")
 
 
 def _print(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPower) -> None:
     from robot_runner.analysis.planning.power_analysis import answer_in_words, share_in_words  # noqa: PLC0415 - slow, and an extra
 
-    if is_live_terminal(sys.stderr):
-        complaints().erase_line()
+    show_progress()
     console.print(f"Power at {scenario.scenario.title}", style="bold")
     columns = [
         Column("Repetitions", 11, is_number=True),
@@ -245,7 +254,7 @@ def _print_claims(console: UserConsole, analysis: PowerAnalysis, scenario: Scena
 
 
 def _write(analysis: PowerAnalysis, folder: Path) -> None:
-    from robot_runner.analysis.figures.power_curve import draw_power  # noqa: PLC0415 - slow, and an extra
+    from robot_runner.analysis.figures.effects import draw_power  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.figures.style import FigureFormat, figure_bytes  # noqa: PLC0415 - as above
 
     curves = {

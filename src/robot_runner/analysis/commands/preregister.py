@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
 
-__all__ = ["add_arguments", "execute"]
-
 #: The exit code where a config differs from its registration.
 _DIFFERS = 1
 

@@ -14,6 +14,7 @@ from robot_runner.analysis.declared_design import with_declared_design
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.analysis.plan_file import PlanFile, read_plan
 from robot_runner.cli.console import output, print_facts, shown_path
+from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import UsageError, add_set, add_target
 from robot_runner.cli.planning import folder_of_target
 from robot_runner.core.errors import did_you_mean
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.writing import WrittenReport
     from robot_runner.cli.parser import Parser
 
-__all__ = ["add_arguments", "execute"]
-
 _FORMATS = ("html", "md", "json")
 _FIGURES = ("svg", "pdf", "png")
 _NO_FIGURES = "none"
@@ -36,7 +35,7 @@ _NO_FIGURES = "none"
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     add_set(parser)
     parser.add_argument("--format", metavar="FORMAT", default="html", help="html, md or json (%(default)s)")
     parser.add_argument("--output", metavar="FOLDER", help="where to write it; report/ in the experiment's folder")
@@ -72,7 +71,7 @@ def execute(arguments: Namespace) -> int:
     require_libraries()
     kind = _one_of(_FORMATS, arguments.format, "--format")
     figures = _figures(arguments.figures)
-    folder = folder_of_target(arguments.target, arguments.set).root
+    folder = folder_of_target(arguments.target or only_experiment("report"), arguments.set).root
     from robot_runner.analysis.recomputing.recomputations import (  # noqa: PLC0415 - slow, and an extra
         Recomputation,
         write_recomputations,

@@ -7,11 +7,10 @@ from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
 from scipy import special, stats
 
-from robot_runner.analysis.comparison.combined import CombinedEffect, CombinedMeasure, EffectIn, MetaAnalysis
-from robot_runner.analysis.comparison.combined_conclusions import conclusion_of_effect
+from robot_runner.analysis.comparison.combined import CombinedEffect, CombinedMeasure, EffectIn, MetaAnalysis, combine
+from robot_runner.analysis.comparison.combined_document import conclusion_of_effect
 from robot_runner.analysis.comparison.compared import Side
 from robot_runner.analysis.comparison.harmonising import (
     Experiment,
@@ -23,10 +22,9 @@ from robot_runner.analysis.comparison.harmonising import (
     value_findings,
 )
 from robot_runner.analysis.comparison.matching import differing_circumstances, names_of
-from robot_runner.analysis.comparison.pooling import combine
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.batch_strata import comparable
-from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.statistics.tests import planned_model_of
@@ -42,14 +40,10 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.tests import AnyModel
 
-__all__ = ["meta_analyse"]
-
 _ALPHA = 0.05
 _FEWEST = 2
 #: More pairs can neither be read nor tested with any power left.
 _MOST_PAIRS = 105
-#: The square of a larger value, summed up, comes near the end of floating-point numbers.
-_LARGEST = 1e100
 
 
 def meta_analyse(
@@ -157,8 +151,8 @@ def _estimated(experiment: Experiment, choice: MeasureChoice) -> _Estimated | No
     data = experiment.data(column, choice.unit)
     if data is None or not len(data.frame):
         return NotComputed(what, "its values are no numbers." if data is None else "no run that is done has a value.")
-    if float(np.max(np.abs(data.values))) > _LARGEST:
-        return NotComputed(what, f"it has values beyond {_LARGEST:g}, too large to compute with.")
+    if odd := out_of_range(data.values):
+        return NotComputed(what, f"it {odd}")
     compared, _, apart = comparable(data)
     if not compared.factors:
         return NotComputed(what, apart[0].why if apart else "all runs that have a value have the same treatments.")

@@ -1,14 +1,13 @@
-"""Several experiments combined: as a document with forest plots, and as JSON."""
+"""Several experiments combined: in sentences, as a document with forest plots, and as JSON."""
 
 from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from robot_runner.analysis.comparison.combined_conclusions import difference_unit
-from robot_runner.analysis.comparison.comparison_document import circumstances_table
-from robot_runner.analysis.figures.forest import ForestLine, draw_forest
+from robot_runner.analysis.comparison.comparison_document import circumstances_table, not_computed
+from robot_runner.analysis.figures.effects import ForestLine, draw_forest
 from robot_runner.analysis.report.blocks import (
     Block,
     Card,
@@ -27,7 +26,15 @@ from robot_runner.analysis.report.blocks import (
 from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.tables import build_table, interval, number, p_value, text
-from robot_runner.analysis.wording import ALPHA, shown_interval, shown_number, with_unit
+from robot_runner.analysis.wording import (
+    ALPHA,
+    difference_unit,
+    labelled,
+    p_in_words,
+    shown_interval,
+    shown_number,
+    with_unit,
+)
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
@@ -35,8 +42,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.comparison.combined import Combined, CombinedEffect, CombinedMeasure, MetaAnalysis
     from robot_runner.analysis.statistics.tested import Interval
-
-__all__ = ["combined_document", "effect_table", "json_of_meta_analysis"]
 
 _FORMAT = 1
 _COMMON, _RANDOM, _FURTHER = "Common effect", "Average (random effects)", "A further experiment"
@@ -49,12 +54,7 @@ def json_of_meta_analysis(found: MetaAnalysis) -> str:
 
 
 def combined_document(found: MetaAnalysis, *, made: str) -> Document:
-    """Return a meta-analysis as a document; its figures are not drawn yet.
-
-    Args:
-        found: what was found.
-        made: when and by what it is made.
-    """
+    """Return a meta-analysis as a document; its figures are not drawn yet."""
     runs = counted(sum(each.runs for each in found.experiments), "run")
     return Document(
         kicker="Experiments combined",
@@ -75,9 +75,9 @@ def _brief(found: MetaAnalysis) -> Iterator[Block]:
     if cards := [_card(measure, effect) for measure, effect in effects[:_MOST_CARDS]]:
         yield Cards(tuple(cards))
     for measure in found.measures:
-        badges = {badge.text: badge for origin in measure.origins.values() for badge in origin_badges(origin)}
+        badges = origin_badges(*measure.origins.values())
         for effect in measure.effects:
-            yield Paragraph(effect.conclusion, lead=f"{measure.name}, {effect.label}", badges=tuple(badges.values()))
+            yield Paragraph(effect.conclusion, lead=f"{measure.name}, {effect.label}", badges=badges)
         if not measure.effects:
             why = measure.not_computed[0].why if measure.not_computed else ""
             yield Paragraph(f"Nothing could be combined: {why}", Tone.WARNING, lead=measure.name)
@@ -132,9 +132,7 @@ def _measures(found: MetaAnalysis) -> Iterator[Part]:
             blocks += [Paragraph(effect.conclusion, lead=effect.label), effect_table(found, measure, effect)]
             if effect.difference is not None:
                 blocks.append(Gallery((_forest(found, measure, effect, effect.difference),)))
-        if measure.not_computed:
-            remarks = tuple(Remark(each.what, each.why, Tone.WARNING, "Note") for each in measure.not_computed)
-            blocks.append(Remarks(remarks))
+        blocks += not_computed(measure.not_computed)
         yield Part(f"effects-{measure.name}", measure.label, tuple(blocks))
 
 
@@ -157,31 +155,19 @@ def _averages(found: MetaAnalysis, measure: CombinedMeasure) -> Table:
     return build_table(f"averages {measure.name}", caption, measure.effects, fields, note)
 
 
-class _Line(NamedTuple):
-    """A line of the table of an effect; `g` is Hedges' g."""
-
-    label: str
-    runs: int | None
-    estimate: float | None
-    interval: Interval | None
-    p_value: float | None
-    weight: float | None
-    g: float | None
-
-
-def _lines(effect: CombinedEffect) -> Iterator[_Line]:
+def _lines(effect: CombinedEffect) -> Iterator[ForestLine]:
     found, sizes = effect.difference, effect.standardised
     weights = [None] * len(effect.experiments) if found is None else found.random_weights
     for each, weight in zip(effect.experiments, weights, strict=True):
-        yield _Line(each.experiment, each.runs, each.estimate, each.interval, each.p_value, weight, each.g)
+        yield ForestLine(each.experiment, each.estimate, each.interval, weight, each.runs, each.p_value, each.g)
     if found is None:
         return
     for label, which in ((_RANDOM, "random"), (_COMMON, "common")):
         pooled = getattr(found, which)
         g = None if sizes is None else getattr(sizes, which).estimate
-        yield _Line(label, None, pooled.estimate, pooled.interval, pooled.p_value, None, g)
+        yield ForestLine(label, pooled.estimate, pooled.interval, p_value=pooled.p_value, g=g)
     if found.prediction is not None:
-        yield _Line(_FURTHER, None, None, found.prediction, None, None, None)
+        yield ForestLine(_FURTHER, interval=found.prediction)
 
 
 def effect_table(found: MetaAnalysis, measure: CombinedMeasure, effect: CombinedEffect) -> Table:
@@ -202,24 +188,89 @@ def effect_table(found: MetaAnalysis, measure: CombinedMeasure, effect: Combined
 
 
 def _forest(found: MetaAnalysis, measure: CombinedMeasure, effect: CombinedEffect, combined: Combined) -> FigureBlock:
-    lines = [
-        ForestLine(
-            line.label,
-            line.estimate,
-            line.interval,
-            line.weight,
-            f"{'' if line.estimate is None else shown_number(line.estimate)} {shown_interval(line.interval)}".strip(),
-        )
-        for line in _lines(effect)
-    ]
-    unit = difference_unit(measure.unit)
-    label = f"Difference of {measure.name}" + (f" ({unit})" if unit not in {"", "1"} else "")
+    label = labelled(f"Difference of {measure.name}", difference_unit(measure.unit))
     return FigureBlock(
         f"forest {measure.name} {effect.label}",
         f"{measure.label}: {effect.label}. Squares: experiments, their area the weight, with "
         f"{100 * (1 - found.alpha):g} % confidence intervals; diamonds: averages over them; bar: where the effect in a "
         "further experiment is expected.",
         f"Forest plot of {effect.label}: {effect.conclusion}",
-        lambda: draw_forest(lines, value_label=label, average=combined.random.estimate),
+        lambda: draw_forest(tuple(_lines(effect)), value_label=label, average=combined.random.estimate),
         is_wide=True,
     )
+
+
+_FEW = 5
+_PAIR = 2
+_WORDS = {3: "Three", 4: "Four"}
+
+
+def conclusion_of_effect(effect: CombinedEffect, measure: str, unit: str, alpha: float) -> str:
+    """Return what an effect is on average, how far experiments differ, and what a further one may find."""
+    found = effect.difference
+    if found is None:
+        return "The experiments could not be combined."
+    return " ".join(_sentences(effect, found, measure, difference_unit(unit), alpha))
+
+
+def _sentences(effect: CombinedEffect, found: Combined, measure: str, unit: str, alpha: float) -> Iterator[str]:
+    yield _average(effect, found, measure, unit)
+    yield _variation(found, unit, alpha)
+    if found.prediction is not None and effect.is_significant and not _leaves_out_zero(found.prediction):
+        between = _between(found.prediction, unit)
+        yield f"A further experiment may find the opposite: its effect is expected between {between}."
+    p_value = found.common.p_value
+    if p_value is not None and effect.is_significant is not None and (p_value < alpha) is not effect.is_significant:
+        verdict = f"{'is' if p_value < alpha else 'is not'} significant ({p_in_words(p_value)})"
+        size = with_unit(found.common.estimate, unit)
+        yield f"If all experiments estimated one and the same effect, it would be {size}, which {verdict}."
+    if len(effect.experiments) < _FEW:
+        yield what_so_many_tell(len(effect.experiments))
+
+
+def _average(effect: CombinedEffect, found: Combined, measure: str, unit: str) -> str:
+    random, count = found.random, counted(len(effect.experiments), "experiment")
+    size = with_unit(random.estimate, unit)
+    if random.interval is None or effect.adjusted_p_value is None:
+        return f"All {count} found the same, {size}, so that chance has no measure."
+    between = f"{100 * random.interval.level:g} % confidence interval {_between(random.interval, unit, 'to')}"
+    facts = f"({size}, {between}, {p_in_words(effect.adjusted_p_value)})"
+    if effect.statement:
+        verdict = "differs from zero" if effect.is_significant else "is not shown to differ from zero"
+        return f'Over {count} the contrast of "{effect.statement}" {verdict} on average {facts}.'
+    first, second = effect.weights
+    if not effect.is_significant:
+        return f"The {count} do not show that {measure} differs between {first} and {second} on average {facts}."
+    direction = "higher" if random.estimate > 0 else "lower"
+    return f"Over {count} the {measure} of {first} is {direction} than that of {second} on average {facts}."
+
+
+def _variation(found: Combined, unit: str, alpha: float) -> str:
+    told = found.heterogeneity
+    facts = f"Q({told.freedom}) = {shown_number(told.q, 3)}, {p_in_words(told.p_value)}, I² = {told.i_squared:.0f} %"
+    tau, low, high = (
+        math.sqrt(each) for each in (told.tau_squared, told.tau_squared_interval.low, told.tau_squared_interval.high)
+    )
+    between = f"{shown_number(low, 3)} to {with_unit(high, unit, 3)}"
+    spread = f"effects vary between experiments by a standard deviation of {with_unit(tau, unit, 3)} ({between})"
+    if told.p_value < alpha:
+        return f"The experiments differ by more than chance explains ({facts}): {spread}."
+    return f"That they differ by more than chance explains is not shown ({facts}), nor that they agree: {spread}."
+
+
+def _between(interval: Interval, unit: str, word: str = "and") -> str:
+    return f"{shown_number(interval.low)} {word} {with_unit(interval.high, unit)}"
+
+
+def _leaves_out_zero(interval: Interval) -> bool:
+    return interval.low > 0 or interval.high < 0
+
+
+def what_so_many_tell(count: int) -> str:
+    """Return what so few experiments can tell, and what they cannot."""
+    if count == _PAIR:
+        return (
+            "Two experiments do not tell how experiments vary: the interval of the average has one degree of freedom, "
+            "which makes it some six times as wide as that of many, and nothing is predicted."
+        )
+    return f"{_WORDS[count]} experiments hardly tell how experiments vary: their standard deviation is rough."

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
+from robot_runner.analysis.wording import labelled
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
@@ -14,19 +15,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.statistics.tested import Interval, NotComputed
-
-__all__ = [
-    "Agreement",
-    "Bound",
-    "Bounds",
-    "Comparison",
-    "Difference",
-    "MeasureComparison",
-    "PracticalEquivalence",
-    "Side",
-    "Verdict",
-]
-
 
 _PERCENT = 100.0
 
@@ -281,7 +269,7 @@ class MeasureComparison:
     @property
     def label(self) -> str:
         """The name with the unit."""
-        return f"{self.name} ({self.unit})" if self.unit not in {"", "1"} else self.name
+        return labelled(self.name, self.unit)
 
 
 @dataclass(frozen=True, slots=True)

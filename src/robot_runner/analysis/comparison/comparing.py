@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.comparison.compared import (
     Bound,
@@ -16,9 +16,12 @@ from robot_runner.analysis.comparison.compared import (
 )
 from robot_runner.analysis.comparison.comparison_document import conclusion_of
 from robot_runner.analysis.comparison.equivalence import (
+    Regions,
     agreement_of,
     difference_test,
     equivalence_p_value,
+    practical_equivalence,
+    spread_of,
     why_not_testable,
 )
 from robot_runner.analysis.comparison.matching import (
@@ -29,7 +32,6 @@ from robot_runner.analysis.comparison.matching import (
     match_runs,
     names_of,
 )
-from robot_runner.analysis.comparison.practical import Regions, practical_equivalence
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import NotComputed
@@ -37,7 +39,7 @@ from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     import numpy as np
@@ -45,11 +47,10 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.comparison.matching import Matching
 
-__all__ = ["compare"]
+    Floats = NDArray[np.float64]
 
 _ALPHA = 0.05
 _PERCENT = 100.0
-_FEWEST = 2
 
 
 def compare(
@@ -93,7 +94,7 @@ def compare(
     regions = _regions(Regions.parse([rope] if isinstance(rope, str) else rope), [name for name, _ in chosen], ours)
     matching = match_runs(ours, theirs, is_paired=paired)
     compared = tuple(
-        _compare_measure(matching, names, bounds.of(names[0]), regions[names[0]], alpha, is_paired=paired)
+        _compare_measure(matching, names, _Asked(bounds.of(names[0]), regions[names[0]], alpha, paired))
         for names in chosen
     )
     is_one = ours.folder == theirs.folder and len(chosen) == 1 and len(set(chosen[0])) > 1
@@ -145,32 +146,22 @@ def _regions(regions: Regions, names: Sequence[str], first: Results) -> dict[str
     return found
 
 
-def _compare_measure(
-    matching: Matching,
-    names: tuple[str, str],
-    bound: Bound | None,
-    region: Bound | None,
-    alpha: float,
-    *,
-    is_paired: bool,
-) -> MeasureComparison:
+class _Asked(NamedTuple):
+    """What is asked of a measure."""
+
+    bound: Bound | None
+    region: Bound | None
+    alpha: float
+    is_paired: bool
+
+
+def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) -> MeasureComparison:
     """Compare a measure in all combinations; p-values are adjusted after Holm for their number."""
     units = matching.first.unit(names[0]), matching.second.unit(names[1])
-    found_values = (group.values(*names, is_paired=is_paired) for group in matching.groups)
+    found_values = (group.values(*names, is_paired=asked.is_paired) for group in matching.groups)
     values = [(one, in_unit(other, units[1], units[0])) for one, other in found_values]
-    pairs = zip(matching.groups, values, strict=True)
-    found = [
-        _tested(Difference(group.treatments, len(one), len(other)), one, other, bound, alpha, is_paired=is_paired)
-        for group, (one, other) in pairs
-    ]
-    if region is not None:
-        found = [
-            each
-            if each.not_computed
-            else replace(each, practical=practical_equivalence(*pair, region, alpha=alpha, is_paired=is_paired))
-            for each, pair in zip(found, values, strict=True)
-        ]
-    differences = tuple(_judged(each, alpha) for each in _adjusted(found))
+    found = [_tested(group.treatments, *pair, asked) for group, pair in zip(matching.groups, values, strict=True)]
+    differences = tuple(_judged(each, asked.alpha) for each in _adjusted(found))
     ours, theirs = matching.first.columns[names[0]], matching.second.columns[names[1]]
     labelled = {each.label: pair for each, pair in zip(differences, values, strict=True)}
     compared = MeasureComparison(
@@ -178,54 +169,47 @@ def _compare_measure(
         unit=ours.unit,
         first_origin=ours.origin,
         second_origin=theirs.origin,
-        bound=bound,
+        bound=asked.bound,
         differences=differences,
-        agreement=agreement_of(labelled, is_paired=is_paired),
+        agreement=agreement_of(labelled, is_paired=asked.is_paired),
         verdict=Verdict.of_all([each.verdict for each in differences]),
         conclusion="",
-        not_computed=tuple(_missed(differences, region, *units)),
-        region=region,
+        not_computed=tuple(_missed(differences, asked.region, *units)),
+        region=asked.region,
     )
     return replace(compared, conclusion=conclusion_of(compared))
 
 
-def _tested(
-    difference: Difference,
-    first: NDArray[np.float64],
-    second: NDArray[np.float64],
-    bound: Bound | None,
-    alpha: float,
-    *,
-    is_paired: bool,
-) -> Difference:
+def _tested(treatments: Mapping[str, str], first: Floats, second: Floats, asked: _Asked) -> Difference:
+    """Compare the values of one combination; p-values are not adjusted yet."""
+    bound, region, alpha, is_paired = asked
     one, other = (float(values.mean()) if len(values) else None for values in (first, second))
-    spreads = (float(values.std(ddof=1)) if len(values) >= _FEWEST else None for values in (first, second))
     size = None if one is None or other is None else other - one
-    described = replace(
-        difference,
-        first_mean=one,
-        second_mean=other,
-        first_sd=next(spreads),
-        second_sd=next(spreads),
-        difference=size,
+    described = Difference(
+        treatments,
+        len(first),
+        len(second),
+        one,
+        other,
+        spread_of(first),
+        spread_of(second),
+        size,
         relative=size / abs(one) * _PERCENT if size is not None and one else None,
         bound=None if bound is None or one is None else bound.in_units(one),
         not_computed=why_not_testable(first, second, is_paired=is_paired),
     )
     if described.not_computed:
         return described
-    test = difference_test(first, second, alpha=alpha, is_paired=is_paired)
-    equivalence = (
-        equivalence_p_value(first, second, bound, is_paired=is_paired)
-        if bound is not None and described.bound
-        else None
-    )
+    test, pair = difference_test(first, second, alpha=alpha, is_paired=is_paired), (first, second)
     return replace(
         described,
         interval=test.interval,
         narrow_interval=test.narrow,
         p_value=test.p_value,
-        equivalence_p_value=equivalence,
+        equivalence_p_value=equivalence_p_value(*pair, bound, is_paired=is_paired)
+        if bound and described.bound
+        else None,
+        practical=practical_equivalence(*pair, region, alpha=alpha, is_paired=is_paired) if region else None,
     )
 
 

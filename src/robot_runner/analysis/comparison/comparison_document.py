@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.comparison.combined_conclusions import difference_unit
 from robot_runner.analysis.comparison.compared import Verdict
 from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences
 from robot_runner.analysis.report.blocks import (
@@ -31,7 +30,7 @@ from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.report.writing import made_by, write_page
-from robot_runner.analysis.wording import ALPHA, listed, shown_number, with_unit
+from robot_runner.analysis.wording import ALPHA, difference_unit, labelled, listed, shown_number, with_unit
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
@@ -39,16 +38,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.comparison.compared import Agreement, Bound, Comparison, Difference, MeasureComparison
-
-__all__ = [
-    "circumstances_table",
-    "comparison_document",
-    "conclusion_of",
-    "difference_table",
-    "json_of_comparison",
-    "shown_bound",
-    "write_comparison",
-]
+    from robot_runner.analysis.statistics.tested import NotComputed
 
 _FORMAT = 1
 _TONES = {Verdict.EQUIVALENT: Tone.GOOD, Verdict.DIFFERENT: Tone.BAD, Verdict.UNDECIDED: Tone.WARNING}
@@ -151,12 +141,7 @@ def _percentage(value: float | None) -> str:
 
 
 def comparison_document(comparison: Comparison, *, made: str) -> Document:
-    """Return the comparison as a document; its figures are not drawn yet.
-
-    Args:
-        comparison: what was found.
-        made: when and by what it is made.
-    """
+    """Return the comparison as a document; its figures are not drawn yet."""
     runs = " and ".join(counted(side.runs, "run") for side in (comparison.first, comparison.second))
     return Document(
         kicker="Two experiments compared",
@@ -219,9 +204,8 @@ def _probability(which: str) -> Field:
 def _brief(comparison: Comparison) -> Iterator[Block]:
     yield Cards(tuple(map(_card, comparison.measures)))
     for measure in comparison.measures:
-        origins = (measure.first_origin, measure.second_origin)
-        badges = {badge.text: badge for origin in origins for badge in origin_badges(origin)}
-        yield Paragraph(measure.conclusion, lead=measure.name, badges=tuple(badges.values()))
+        badges = origin_badges(measure.first_origin, measure.second_origin)
+        yield Paragraph(measure.conclusion, lead=measure.name, badges=badges)
     if any(measure.bound is None for measure in comparison.measures):
         note = "Without a bound, that no difference was found does not mean that there is none: state one with --bound."
         yield Remarks((Remark("No bound was stated", note, Tone.WARNING, "Equivalence"),))
@@ -268,10 +252,14 @@ def _differences(comparison: Comparison) -> Iterator[Part]:
         blocks: list[Block] = [Paragraph(measure.conclusion, Tone.GOOD), difference_table(comparison, measure)]
         if any(each.interval is not None for each in measure.differences):
             blocks.append(Gallery((_estimates(comparison, measure),)))
-        if measure.not_computed:
-            remarks = tuple(Remark(each.what, each.why, Tone.WARNING, "Note") for each in measure.not_computed)
-            blocks.append(Remarks(remarks))
+        blocks += not_computed(measure.not_computed)
         yield Part(f"difference-{measure.name}", measure.label, tuple(blocks), (_verdict(measure.verdict),))
+
+
+def not_computed(several: Sequence[NotComputed]) -> Iterator[Remarks]:
+    """Yield what could not be computed, where anything was."""
+    if several:
+        yield Remarks(tuple(Remark(each.what, each.why, Tone.WARNING, "Note") for each in several))
 
 
 def _estimates(comparison: Comparison, measure: MeasureComparison) -> FigureBlock:
@@ -281,8 +269,7 @@ def _estimates(comparison: Comparison, measure: MeasureComparison) -> FigureBloc
         if each.difference is not None and each.interval is not None
     ]
     shaded = f" Shaded: the bound of {shown_bound(measure)}." if measure.bound is not None else ""
-    unit = difference_unit(measure.unit)
-    label = f"Difference of {measure.name}" + (f" ({unit})" if unit not in {"", "1"} else "")
+    label = labelled(f"Difference of {measure.name}", difference_unit(measure.unit))
     return FigureBlock(
         f"difference {measure.name}",
         f"{measure.label}: {comparison.second.name} less {comparison.first.name}, with {1 - comparison.alpha:.0%} "

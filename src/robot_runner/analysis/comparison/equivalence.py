@@ -1,30 +1,33 @@
-"""Statistics of two experiments: tests of difference and of equivalence within a bound, limits of agreement."""
+"""Statistics of two experiments: tests of difference and equivalence, limits of agreement, practical equivalence.
+
+Of practical equivalence it is told how probable it is that a difference is too small to matter. The prior is the
+reference prior of each mean and standard deviation, p(mean, sd) = 1 / sd: the posterior of a mean is Student's t about
+the mean that was found. Of two independent experiments the difference then has the distribution of Behrens and Fisher,
+of pairs it has Student's t (Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, chapter 2; Kruschke,
+Bayesian estimation supersedes the t test, Journal of Experimental Psychology: General 142, 2013, for the region).
+"""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import integrate, optimize, special, stats
 
-from robot_runner.analysis.comparison.compared import Agreement, Bound
-from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.comparison.compared import Agreement, Bound, PracticalEquivalence
+from robot_runner.analysis.importing.units import known_units, unit_of
+from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
 from robot_runner.analysis.statistics.tested import Interval
+from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-__all__ = [
-    "DifferenceTest",
-    "agreement_of",
-    "difference_test",
-    "equivalence_p_value",
-    "why_not_testable",
-]
-
+    Floats = NDArray[np.float64]
 
 _PERCENT = 100.0
 _FEWEST = 2
@@ -34,11 +37,7 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class DifferenceTest:
-    """A t-test of a difference of means.
-
-    Attributes:
-        interval: at 1 - alpha; `narrow` at 1 - 2 alpha.
-    """
+    """A t-test of a difference of means; its interval is at 1 - alpha, the narrow one at 1 - 2 alpha."""
 
     p_value: float
     interval: Interval
@@ -49,10 +48,17 @@ def why_not_testable(first: NDArray[np.float64], second: NDArray[np.float64], *,
     """Return why nothing can be tested, or nothing where it can."""
     if min(len(first), len(second)) < _FEWEST:
         return f"There are {len(first)} and {len(second)} runs; {_FEWEST} are needed of each."
+    if odd := out_of_range(first) or out_of_range(second):
+        return f"One of the experiments {odd}"
     spread = float(np.ptp(second - first)) if is_paired else float(np.ptp(first)) + float(np.ptp(second))
     if spread <= _ROUNDING * max(float(np.abs(first).max()), float(np.abs(second).max())):
         return "All values are equal, so chance cannot be told from a difference."
     return ""
+
+
+def spread_of(values: Floats) -> float | None:
+    """Return the standard deviation; None of a single value, and of values that cannot be computed with."""
+    return float(values.std(ddof=1)) if len(values) >= _FEWEST and not out_of_range(values) else None
 
 
 def difference_test(
@@ -86,12 +92,7 @@ def equivalence_p_value(
         bound: what would not matter.
         is_paired: whether values belong together.
     """
-    if bound.is_relative:
-        share = bound.value / _PERCENT
-        edges = sorted((first * (1 - share), first * (1 + share)), key=lambda edge: float(np.mean(edge)))
-    else:
-        edges = [first - bound.value, first + bound.value]
-    lower, upper = edges
+    lower, upper = _edges(first, bound)
     above = _t_test(second, lower, is_paired=is_paired, alternative="greater")
     below = _t_test(second, upper, is_paired=is_paired, alternative="less")
     return max(float(above.pvalue), float(below.pvalue))
@@ -128,7 +129,8 @@ def agreement_of(
     if not len(differences):
         return None
     bias = float(differences.mean())
-    spread = float(differences.std(ddof=1)) * _SPREAD if len(differences) >= _FEWEST else None
+    spread = spread_of(differences)
+    reach = None if spread is None else spread * _SPREAD
     references = (
         [pair for several in pairs.values() for pair in several]
         if is_paired
@@ -140,8 +142,8 @@ def agreement_of(
         pairs,
         are_natural=is_paired,
         bias=bias,
-        lower=None if spread is None else bias - spread,
-        upper=None if spread is None else bias + spread,
+        lower=None if reach is None else bias - reach,
+        upper=None if reach is None else bias + reach,
         error=_error(references),
     )
 
@@ -151,3 +153,169 @@ def _error(pairs: Sequence[tuple[float, float]]) -> float | None:
     if any(one == 0 for one, _ in pairs):
         return None
     return float(np.mean([abs(other - one) / abs(one) for one, other in pairs])) * _PERCENT
+
+
+#: Intervals that the integral is cut into at most, where one posterior is much narrower than the other.
+_PARTS = 500
+_NUMBER = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Regions:
+    """Regions of practical equivalence of several measures: differences that do not matter.
+
+    Attributes:
+        general: for every measure, or for every one in a unit, by that unit (empty for any).
+        own: by measure, with the unit.
+
+    Example:
+        >>> Regions.parse(["2%", "Energy=5 J"]).of("Energy", "kJ")
+        Bound(value=0.005, is_relative=False)
+    """
+
+    general: Mapping[str, Bound]
+    own: Mapping[str, tuple[str, Bound]]
+
+    @classmethod
+    def parse(cls, texts: Iterable[str]) -> Regions:
+        """Read regions, each as `2%`, `5` or `5 J`, or of one measure as `Energy=5 J`.
+
+        Raises:
+            AnalysisError: one cannot be read, or a measure has two.
+        """
+        general: dict[str, Bound] = {}
+        own: dict[str, tuple[str, Bound]] = {}
+        for text in texts:
+            name, equals, value = text.rpartition("=")
+            unit, bound = _read(value)
+            if name in own or (not equals and unit in general):
+                raise AnalysisError(f"{text!r} is a second region", where="rope", fix="Leave one of them out.")
+            if equals:
+                own[name] = (unit, bound)
+            else:
+                general[unit] = bound
+        return cls(general, own)
+
+    def of(self, measure: str, unit: str) -> Bound | None:
+        """Return the region of a measure, in its unit; None where it has none.
+
+        Raises:
+            AnalysisError: its own region is in a unit that cannot be converted.
+        """
+        if measure in self.own:
+            given, bound = self.own[measure]
+            found = _in_unit(bound, given, unit)
+            if found is None:
+                fix = f"Give it in {unit or 'the unit of the measure'}, or in percent: --rope {measure}=2%."
+                raise AnalysisError(f"the region of {measure} is in {given}", where="rope", fix=fix)
+            return found
+        matching = (_in_unit(bound, given, unit) for given, bound in self.general.items() if given)
+        return next(filter(None, matching), self.general.get(""))
+
+
+def _read(text: str) -> tuple[str, Bound]:
+    """Return the unit of a region, empty for a percentage or where none is written, and its half-width."""
+    fix = "Give a percentage, or a number with or without a unit: --rope 2%, or --rope '5 J'."
+    found = _NUMBER.fullmatch(text)
+    if found is None:
+        raise AnalysisError(f"{text!r} is not a region of practical equivalence", where="rope", fix=fix)
+    number, unit = found.groups()
+    if unit not in {"", "%"} and unit_of(unit) is None:
+        raise AnalysisError(f"{unit!r} is not a unit", where="rope", fix=did_you_mean(unit, known_units()))
+    try:
+        return ("", Bound(float(number), is_relative=True)) if unit == "%" else (unit, Bound(float(number)))
+    except AnalysisError as error:
+        raise AnalysisError(f"the region is {text.strip()}", where="rope", fix=fix) from error
+
+
+def _in_unit(bound: Bound, given: str, wanted: str) -> Bound | None:
+    if not given or given == wanted:
+        return bound
+    ours, theirs = unit_of(given), unit_of(wanted)
+    if ours is None or theirs is None or ours.si != theirs.si:
+        return None
+    return Bound(bound.value * ours.factor / theirs.factor)  # of a difference, offsets cancel out
+
+
+class _Posterior(NamedTuple):
+    """Student's t of a mean."""
+
+    mean: float
+    scale: float
+    freedom: int
+
+    @classmethod
+    def of(cls, values: Floats) -> _Posterior:
+        return cls(float(values.mean()), float(values.std(ddof=1)) / len(values) ** 0.5, len(values) - 1)
+
+    def below(self, edge: float) -> float:
+        return float(special.stdtr(self.freedom, (edge - self.mean) / self.scale))
+
+    def quantile(self, share: float) -> float:
+        return float(self.mean + self.scale * special.stdtrit(self.freedom, share))
+
+
+def practical_equivalence(
+    first: Floats, second: Floats, bound: Bound, *, alpha: float, is_paired: bool
+) -> PracticalEquivalence | None:
+    """Return how probable it is that the second mean lies below, within and above a region about the first one.
+
+    Args:
+        first: values of the first experiment, two and more.
+        second: values of the second; of pairs in the same order.
+        bound: the half-width of the region; a percentage is of the first mean, which is not known exactly either.
+        alpha: the credible interval of the difference holds 1 - alpha.
+        is_paired: whether values belong together.
+
+    Returns:
+        None where values do not vary, so that there is no posterior.
+    """
+    if is_paired:
+        return _of_pairs(first, second, bound, alpha)
+    one, other = _Posterior.of(first), _Posterior.of(second)
+    if not min(one.scale, other.scale) > 0:
+        return None
+
+    def half(mean: float) -> float:
+        return bound.in_units(mean)
+
+    below = _probability(one, other, lambda mean: mean - half(mean))
+    above = 1 - _probability(one, other, lambda mean: mean + half(mean))
+    low, high = (_quantile(one, other, share) for share in (alpha / 2, 1 - alpha / 2))
+    return _result(first, bound, below, above, Interval(low, high, 1 - alpha, "posterior (Behrens-Fisher)"))
+
+
+def _of_pairs(first: Floats, second: Floats, bound: Bound, alpha: float) -> PracticalEquivalence | None:
+    lower, upper, difference = (_Posterior.of(second - each) for each in (*_edges(first, bound), first))
+    if not min(lower.scale, upper.scale, difference.scale) > 0:
+        return None
+    ends = Interval(difference.quantile(alpha / 2), difference.quantile(1 - alpha / 2), 1 - alpha, "posterior (t)")
+    return _result(first, bound, lower.below(0.0), 1 - upper.below(0.0), ends)
+
+
+def _edges(first: Floats, bound: Bound) -> list[Floats]:
+    """Return the values less the bound and plus it, the lower ones first: a percentage turns negative ones round."""
+    if not bound.is_relative:
+        return [first - bound.value, first + bound.value]
+    share = bound.value / _PERCENT
+    return sorted((first * (1 - share), first * (1 + share)), key=lambda edge: float(np.mean(edge)))
+
+
+def _result(first: Floats, bound: Bound, below: float, above: float, interval: Interval) -> PracticalEquivalence:
+    within = min(1.0, max(0.0, 1 - below - above))
+    return PracticalEquivalence(bound.in_units(float(first.mean())), below, within, above, interval)
+
+
+def _probability(one: _Posterior, other: _Posterior, edge: Callable[[float], float]) -> float:
+    """Return how probable it is that the other mean lies below an edge that depends on the one."""
+    found = integrate.quad(lambda share: other.below(edge(one.quantile(share))), 0.0, 1.0, limit=_PARTS)
+    return min(1.0, max(0.0, float(found[0])))
+
+
+def _quantile(one: _Posterior, other: _Posterior, share: float) -> float:
+    """Return the quantile of the difference, other less one."""
+    # Beyond the sum of two tails of half the probability (Bonferroni), so that they enclose it.
+    part = min(share, 1 - share) / 2
+    low = other.quantile(part) - one.quantile(1 - part)
+    high = other.quantile(1 - part) - one.quantile(part)
+    return float(optimize.brentq(lambda at: _probability(one, other, lambda mean: mean + at) - share, low, high))

@@ -24,17 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
 
-__all__ = [
-    "Experiment",
-    "MeasureChoice",
-    "chosen_measures_of_all",
-    "differing_names",
-    "renamed",
-    "repeated",
-    "unit_findings",
-    "value_findings",
-]
-
 #: Attempts that two experiments share, as a part of the smaller one: a copy that went on, or lost runs, is a copy.
 _COPIED = 0.5
 _PAIR = 2

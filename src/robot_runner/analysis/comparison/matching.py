@@ -20,17 +20,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-__all__ = [
-    "MatchedRuns",
-    "Matching",
-    "can_be_converted",
-    "chosen_measures",
-    "differing_circumstances",
-    "in_unit",
-    "match_runs",
-    "names_of",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class MatchedRuns:
@@ -56,14 +45,7 @@ class MatchedRuns:
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """How the runs of two experiments were matched.
-
-    Attributes:
-        first, second: the experiments.
-        factors: by which.
-        groups: one a combination.
-        notes: what a reader has to know about it.
-    """
+    """How the runs of two experiments were matched: by which factors, one group a combination; notes for readers."""
 
     first: Results
     second: Results
@@ -73,13 +55,7 @@ class Matching:
 
 
 def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
-    """Match the runs that are done by the treatments of the factors that both experiments have.
-
-    Args:
-        first: the experiment that is compared with.
-        second: the other one.
-        is_paired: whether the runs of a combination belong together one by one, by run id or else by repetition.
-    """
+    """Match the runs that are done by the treatments of the factors that both experiments have."""
     factors = tuple(name for name in first.factors if name in second.factors)
     notes = _notes_on_factors(first, second, factors)
     ours, theirs = (_by_combination(each, factors) for each in (first, second))

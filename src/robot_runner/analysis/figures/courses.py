@@ -17,19 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-__all__ = [
-    "Course",
-    "MissionCourses",
-    "PhaseSpan",
-    "bin_width",
-    "course_of_run",
-    "draw_events",
-    "draw_phase_names",
-    "mean_course",
-    "shade_phases",
-    "strip_height",
-]
-
+_MOST_BINS = 500
 _NICE = (1.0, 2.0, 2.5, 5.0, 10.0)
 _FEWEST_FOR_A_BAND = 2
 _SHADE = "#f1f4f7"  # behind a course
@@ -110,32 +98,24 @@ class MissionCourses:
 _NOTHING = (np.empty(0),) * 4
 
 
-def bin_width(duration: float, period: float, *, most: int = 500) -> float:
+def bin_width(duration: float, period: float) -> float:
     """Return a round width of bins in s, so that there are at most so many, each with a sample.
 
     Args:
         duration: s that are to be covered.
         period: s from one sample to the next.
-        most: how many bins there may be.
 
     Example:
         >>> bin_width(95.0, 0.005)
         0.2
     """
-    least = max(duration / most, period, 1e-9)
+    least = max(duration / _MOST_BINS, period, 1e-9)
     power = 10.0 ** math.floor(math.log10(least))
     return next(power * nice for nice in _NICE if power * nice >= least * (1 - 1e-9))
 
 
 def course_of_run(label: str, time: NDArray[np.float64], values: NDArray[np.float64], width: float) -> Course:
-    """Return the course of one run.
-
-    Args:
-        label: the run's id.
-        time: s since the start of the mission, ascending.
-        values: as many as times; NaN where there is no value.
-        width: of a bin, s.
-    """
+    """Return the course of one run, of values at ascending times in s; NaN where there is no value."""
     there = np.isfinite(values) & np.isfinite(time)
     time, values = time[there], values[there]
     if not len(time):
@@ -181,13 +161,7 @@ def shade_phases(axes: Axes, phases: Sequence[PhaseSpan]) -> None:
 
 
 def strip_height(phases: Sequence[PhaseSpan], seconds: float, width: float) -> float:
-    """Return how high the strip of names must be, inches.
-
-    Args:
-        phases: what is named in it.
-        seconds: what the width of the figure stands for, s.
-        width: of the figure, inches.
-    """
+    """Return how high the strip of names must be, inches."""
     upright = [phase.name for phase in phases if not _fits(phase, seconds, width)]
     return 0.14 if not upright else 0.12 + max(map(_inches, upright))
 
@@ -215,13 +189,7 @@ def draw_phase_names(axes: Axes, phases: Sequence[PhaseSpan], seconds: float, wi
 
 
 def draw_events(axes: Axes, events: Mapping[str, float], seconds: float) -> None:
-    """Mark events with dashed lines, and name them beside the lines.
-
-    Args:
-        axes: of a course.
-        events: when they were, s since the start of the mission, by name.
-        seconds: what the width of the figure stands for, s.
-    """
+    """Mark events with dashed lines, and name them beside the lines."""
     for name, moment in events.items():
         axes.axvline(moment, color=GREY, linewidth=0.7, linestyle=(0, (2, 2)), zorder=1)
         is_early, is_high = moment < seconds / 2, _is_high(axes, moment)

@@ -22,7 +22,7 @@ from robot_runner.analysis.figures.style import (
     label_axes,
     looks,
     looks_by,
-    new_figure,
+    new_axes,
     shortened,
     verbatim,
     wrapped,
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
-
-__all__ = ["Group", "draw_distribution", "draw_quantiles", "draw_run_order"]
 
 #: Fewer values than this make a density that says more about the method than about the values.
 _ENOUGH_FOR_A_VIOLIN = 20
@@ -85,17 +83,9 @@ class Group:
 def draw_distribution(
     groups: Sequence[Group], *, value_label: str, group_label: str, outliers: frozenset[str] = frozenset()
 ) -> Figure:
-    """Draw boxes (median, quartiles, Tukey's whiskers) with a point for each run and a diamond for the mean.
-
-    Args:
-        groups: in order; those without values keep their place.
-        value_label: the measure, with its unit.
-        group_label: the factor, or several.
-        outliers: ids of the runs that are named.
-    """
+    """Draw boxes (median, quartiles, Tukey's whiskers) with a point for each run and a diamond for the mean."""
     is_upright = len(groups) <= _MOST_UPRIGHT
-    figure = new_figure(COLUMN, 2.3 if is_upright else min(HIGHEST, 0.6 + _ROW * len(groups)))
-    axes = figure.subplots()
+    figure, axes = new_axes(COLUMN, 2.3 if is_upright else min(HIGHEST, 0.6 + _ROW * len(groups)))
     for place, (group, look) in enumerate(zip(groups, looks(len(groups)), strict=True)):
         if group.size:
             _draw_group(axes, place, group, look, is_upright=is_upright)
@@ -192,18 +182,9 @@ def _name_outliers(axes: Axes, groups: Sequence[Group], outliers: frozenset[str]
 def draw_quantiles(
     theoretical: Sequence[float], observed: Sequence[float], *, slope: float, intercept: float, value_label: str
 ) -> Figure:
-    """Draw residuals against the quantiles of the standard normal distribution; on the line they are normal.
-
-    Args:
-        theoretical: quantiles of the standard normal distribution.
-        observed: the residuals, in ascending order.
-        slope: of the line of reference.
-        intercept: of the line of reference.
-        value_label: the measure, with its unit.
-    """
+    """Draw residuals against the quantiles of the standard normal distribution; on the line they are normal."""
     width = COLUMN * 0.75
-    figure = new_figure(width, width * 0.85)
-    axes = figure.subplots()
+    figure, axes = new_axes(width, width * 0.85)
     ends = [min(theoretical, default=-1.0), max(theoretical, default=1.0)]
     axes.plot(ends, [intercept + slope * end for end in ends], color=GREY, linestyle=DASHED, linewidth=0.9)
     draw_points(axes, theoretical, observed, looks(1)[0])
@@ -219,20 +200,11 @@ def draw_run_order(
     *,
     order: Sequence[str],
     value_label: str,
+    place_label: str = "Place in the order of execution",
     slope: float | None = None,
 ) -> Figure:
-    """Draw what is left of a measure once its group's mean is taken away, over the order of execution.
-
-    Args:
-        places: of each run in the order of execution, from 1.
-        residuals: each run's value less the mean of its combination.
-        labels: each run's treatments.
-        order: the treatments in the order in which all figures show them.
-        value_label: the measure, with its unit.
-        slope: of the line through the medians, in the measure's unit a run.
-    """
-    figure = new_figure(COLUMN, 2.1)
-    axes = figure.subplots()
+    """Draw what is left of a measure once its group's mean is taken away, over the order of execution."""
+    figure, axes = new_axes(COLUMN, 2.1)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     x, y = np.asarray(places, dtype=float), np.asarray(residuals, dtype=float)
     for name, look in looks_by(order).items():
@@ -243,7 +215,7 @@ def draw_run_order(
         middle = float(np.median(y)) - slope * float(np.median(x))
         ends = np.array([x.min(), x.max()])
         axes.plot(ends, middle + slope * ends, color=INK, linestyle=DASHED, linewidth=1.0)
-    label_axes(axes, "Place in the order of execution", grid="y")
+    label_axes(axes, place_label, grid="y")
     axes.set_ylabel(f"{wrapped(value_label)}\nless the mean of its group")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     add_legend(figure, len(order), most=6, handlelength=1.0)

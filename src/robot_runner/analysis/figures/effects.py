@@ -1,4 +1,4 @@
-"""Figures of effects: interactions of two factors, differences between experiments, agreement of two measures."""
+"""Figures of effects: interactions, differences between experiments, agreement, forest plots, curves of power."""
 
 from __future__ import annotations
 
@@ -13,25 +13,27 @@ from robot_runner.analysis.figures.style import (
     GREY,
     HIGHEST,
     INK,
+    PAGE,
     add_legend,
     draw_points,
     figure_style,
     label_axes,
     looks,
     looks_by,
-    new_figure,
+    new_axes,
     shortened,
     verbatim,
 )
+from robot_runner.analysis.wording import shown_interval, shown_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from robot_runner.analysis.figures.distribution import Group
-
-__all__ = ["Estimate", "draw_agreement", "draw_differences", "draw_interaction"]
+    from robot_runner.analysis.statistics.tested import Interval
 
 _MINUS = "\N{MINUS SIGN}"
 _ROW = 0.24  # height of a combination, inches
@@ -46,17 +48,8 @@ def draw_interaction(
     along: str,
     across: str,
 ) -> Figure:
-    """Draw the mean of each combination of two factors; lines that are not parallel hint at an interaction.
-
-    Args:
-        groups: by treatment of the second factor, then of the first; those without a run are left out.
-        treatments: of the first factor, in order.
-        value_label: the measure, with its unit.
-        along: the first factor, along the horizontal axis.
-        across: the second factor, one line for each of its treatments.
-    """
-    figure = new_figure(COLUMN, 2.5)
-    axes = figure.subplots()
+    """Draw the mean of each combination of two factors; lines that are not parallel hint at an interaction."""
+    figure, axes = new_axes(COLUMN, 2.5)
     shift = min(0.06, 0.3 / max(1, len(groups)))  # so that intervals stand beside each other
     for number, (treatment, look) in enumerate(looks_by(groups).items()):
         offset = (number - (len(groups) - 1) / 2) * shift
@@ -100,14 +93,8 @@ class Estimate:
 
 @figure_style()
 def draw_differences(estimates: Sequence[Estimate], *, value_label: str) -> Figure:
-    """Draw a row for each combination: its difference, the confidence interval, and the bound as a shade.
-
-    Args:
-        estimates: in order.
-        value_label: what the difference is of, with its unit.
-    """
-    figure = new_figure(COLUMN, min(HIGHEST, 0.65 + _ROW * len(estimates)))
-    axes = figure.subplots()
+    """Draw a row for each combination: its difference, the confidence interval, and the bound as a shade."""
+    figure, axes = new_axes(COLUMN, min(HIGHEST, 0.65 + _ROW * len(estimates)))
     axes.axvline(0.0, color=GREY, linewidth=0.7)
     for row, (estimate, look) in enumerate(zip(estimates, looks(len(estimates)), strict=True)):
         if estimate.bound is not None:
@@ -131,19 +118,8 @@ def draw_agreement(
     names: tuple[str, str],
     unit: str,
 ) -> Figure:
-    """Draw the difference of each pair over its mean, with bias and limits: Bland and Altman (Lancet 327, 1986).
-
-    Args:
-        pairs: by treatment: value of the first and of the second.
-        bias: mean difference, second less first.
-        lower: lower limit of agreement, where there is one.
-        upper: upper limit of agreement.
-        value_label: the measure, with its unit.
-        names: of the first and the second.
-        unit: of the measure.
-    """
-    figure = new_figure(COLUMN, 2.6)
-    axes = figure.subplots()
+    """Draw the difference of each pair over its mean, with bias and limits: Bland and Altman (Lancet 327, 1986)."""
+    figure, axes = new_axes(COLUMN, 2.6)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     for name, look in looks_by(pairs).items():
         first, second = np.asarray(pairs[name], dtype=float).reshape(-1, 2).T
@@ -166,4 +142,100 @@ def draw_agreement(
     one, other = (shortened(name, 24) for name in names)  # what fits along the axis
     axes.set_ylabel(f"{other} less\n{one}{f' ({verbatim(unit)})' if unit else ''}")
     add_legend(figure, len(pairs), handlelength=1.0)
+    return figure
+
+
+_LINE = 0.26  # height of a line, inches
+_HEAVIEST = 9.0  # the side of the square of an experiment that has all the weight, points
+_LIGHTEST = 2.5
+_HALF = 0.3  # half the height of a diamond, lines
+
+
+@dataclass(frozen=True, slots=True)
+class ForestLine:
+    """A line of a forest plot.
+
+    Attributes:
+        label: the experiment, or which average it is.
+        estimate: None for where the effect in a further experiment is expected, which is an interval alone.
+        interval: None where there is none.
+        weight: the share of an experiment, 0 to 1, as the area of a square; None for an average, which is a diamond.
+        runs, p_value, g: of tables; `g` is Hedges' g.
+    """
+
+    label: str
+    estimate: float | None = None
+    interval: Interval | None = None
+    weight: float | None = None
+    runs: int | None = None
+    p_value: float | None = None
+    g: float | None = None
+
+    @property
+    def shown(self) -> str:
+        """The numbers in words, which stand on the right."""
+        return f"{'' if self.estimate is None else shown_number(self.estimate)} {shown_interval(self.interval)}".strip()
+
+
+@figure_style()
+def draw_forest(lines: Sequence[ForestLine], *, value_label: str, average: float) -> Figure:
+    """Draw a line for each experiment, then for the averages over them."""
+    figure, axes = new_axes(PAGE, min(HIGHEST, 0.6 + _LINE * len(lines)))
+    axes.axvline(0.0, color=GREY, linewidth=0.7)
+    axes.axvline(average, color=GREY, linewidth=0.7, linestyle=DASHED)
+    experiments = sum(line.weight is not None for line in lines)
+    axes.axhline(experiments - 0.5, color=GREY, linewidth=0.5)
+    for row, line in enumerate(lines):
+        _draw_line(axes, row, line)
+    axes.set_yticks(range(len(lines)), [shortened(line.label) for line in lines])
+    axes.set_ylim(len(lines) - 0.4, -0.6)
+    numbers = axes.secondary_yaxis("right")
+    numbers.set_yticks(range(len(lines)), [line.shown for line in lines])
+    numbers.tick_params(length=0)
+    numbers.spines["right"].set_visible(False)
+    label_axes(axes, value_label, grid="x")
+    return figure
+
+
+def _draw_line(axes: Axes, row: int, line: ForestLine) -> None:
+    experiment, average, prediction = looks(3)
+    ends = None if line.interval is None else [line.interval.low, line.interval.high]
+    if line.estimate is None:
+        if ends is not None:
+            axes.plot(ends, [row, row], color=prediction.colour, linewidth=3.0, solid_capstyle="butt")
+    elif line.weight is not None:
+        if ends is not None:
+            axes.plot(ends, [row, row], color=INK, linewidth=1.1)
+        size = max(_LIGHTEST, _HEAVIEST * line.weight**0.5)
+        axes.plot(line.estimate, row, marker="s", color=experiment.colour, markersize=size)
+    elif ends is not None:
+        corners = ([ends[0], line.estimate, ends[1], line.estimate], [row, row - _HALF, row, row + _HALF])
+        axes.fill(*corners, color=average.colour, linewidth=0)
+    else:
+        axes.plot(line.estimate, row, marker="d", color=average.colour, markersize=_HEAVIEST / 2)
+
+
+@figure_style()
+def draw_power(curves: Mapping[str, Sequence[tuple[int, float, float, float]]], target: float) -> Figure:
+    """Draw a curve for each set of assumptions, with the Monte Carlo error of each point."""
+    figure, axes = new_axes(COLUMN, 2.5)
+    axes.axhline(100 * target, color=GREY, linestyle=DASHED, linewidth=0.8)
+    for (name, points), look in zip(curves.items(), looks(len(curves)), strict=True):
+        places = [point[0] for point in points]
+        shares = [100 * point[1] for point in points]
+        errors = [[100 * max(0.0, point[1] - point[2]) for point in points]]
+        errors.append([100 * max(0.0, point[3] - point[1]) for point in points])
+        axes.errorbar(
+            places,
+            shares,
+            yerr=errors,
+            color=look.colour,
+            marker=look.marker,
+            linestyle=look.line,
+            elinewidth=0.6,
+            label=verbatim(name),
+        )
+    axes.set_ylim(0, 102)
+    label_axes(axes, "Repetitions", "Power (%)", grid="both")
+    add_legend(figure, len(curves), columns=2)
     return figure

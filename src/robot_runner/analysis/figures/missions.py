@@ -17,6 +17,7 @@ from robot_runner.analysis.figures.style import (
     figure_style,
     label_axes,
     looks_by,
+    new_axes,
     new_figure,
     verbatim,
     wrapped,
@@ -30,15 +31,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan
-
-__all__ = [
-    "AttemptSpan",
-    "Way",
-    "draw_mean_courses",
-    "draw_single_courses",
-    "draw_timeline",
-    "draw_trajectories",
-]
 
 _PANEL = 1.0  # height of one run's panel, inches
 _HEIGHT = 2.3  # of all means, inches
@@ -153,15 +145,9 @@ class Way:
 
 @figure_style()
 def draw_trajectories(ways: Sequence[Way], *, order: Sequence[str]) -> Figure:
-    """Draw ways at the same scale along both axes; a circle marks each beginning, a cross each end.
-
-    Args:
-        ways: one a run.
-        order: the treatments in the order in which all figures show them.
-    """
+    """Draw ways at the same scale along both axes; a circle marks each beginning, a cross each end."""
     left, right, low, high = _frame(ways)
-    figure = new_figure(COLUMN, min(4.5, max(1.1, (COLUMN - 0.6) * (high - low) / (right - left) + 0.75)))
-    axes = figure.subplots()
+    figure, axes = new_axes(COLUMN, min(4.5, max(1.1, (COLUMN - 0.6) * (high - low) / (right - left) + 0.75)))
     named: dict[str, Any] = {}
     by_name = looks_by(order)
     for way in ways:
@@ -224,16 +210,10 @@ class AttemptSpan:
 
 @figure_style()
 def draw_timeline(spans: Sequence[AttemptSpan], *, order: Sequence[str]) -> Figure:
-    """Draw a line for each run, with a bar for each attempt; what was measured is dark, what failed is hatched.
-
-    Args:
-        spans: in the order of execution.
-        order: the treatments in the order in which all figures show them.
-    """
+    """Draw a line for each run, with a bar for each attempt; what was measured is dark, what failed is hatched."""
     run_ids = list(dict.fromkeys(span.run_id for span in spans))
     rows = {run_id: place for place, run_id in enumerate(run_ids)}
-    figure = new_figure(PAGE, min(7.0, 0.75 + 0.13 * len(rows)))
-    axes = figure.subplots()
+    figure, axes = new_axes(PAGE, min(7.0, 0.75 + 0.13 * len(rows)))
     scale, unit = _scale(max((span.end for span in spans), default=1.0))
 
     def draw_bars(several: Sequence[AttemptSpan], edges: list[tuple[float, float]], **settings: Any) -> None:

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["PdfWorker"]
-
 _MODULE = "robot_runner.analysis.figures.pdf_worker"
 _DEADLINE = 300.0  # s, for what is left when the last figure was handed over
 _COULD_NOT_WRITE = 3

@@ -24,30 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-__all__ = [
-    "COLUMN",
-    "DASHED",
-    "GREY",
-    "HIGHEST",
-    "INK",
-    "PAGE",
-    "FigureFormat",
-    "Look",
-    "add_legend",
-    "draw_points",
-    "figure_bytes",
-    "figure_style",
-    "file_name",
-    "label_axes",
-    "looks",
-    "looks_by",
-    "new_figure",
-    "shortened",
-    "verbatim",
-    "wrapped",
-]
-
-
 #: Widths of a column and of a page of IEEE's transactions and conferences, inches.
 COLUMN = 3.5
 PAGE = 7.16
@@ -126,13 +102,7 @@ _STYLE: dict[Any, Any] = {
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How one treatment is drawn in all figures.
-
-    Attributes:
-        colour: as `#rrggbb`.
-        marker: matplotlib's name of it.
-        line: matplotlib's line style.
-    """
+    """How one treatment is drawn in all figures: its colour as `#rrggbb`, matplotlib's marker and line style."""
 
     colour: str
     marker: str
@@ -182,6 +152,12 @@ def figure_style() -> Iterator[None]:
 def new_figure(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches; it belongs to no window and no global list."""
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def new_axes(width: float, height: float) -> tuple[Figure, Axes]:
+    """Return such a figure with one pair of axes in it."""
+    figure = new_figure(width, height)
+    return figure, figure.subplots()
 
 
 def draw_points(axes: Axes, x: Any, y: Any, look: Look, *, edge: float = 0.3, **settings: Any) -> None:

@@ -17,19 +17,17 @@ from robot_runner.core.storage.journal import Journal, utc_now
 from robot_runner.core.storage.manifest import describe_software, write_manifest
 from robot_runner.core.storage.run_table_rows import RunRow, RunTableRows, write_run_table
 from robot_runner.core.storage.safe_write import write_beside_and_rename
-from robot_runner.core.storage.table_columns import ColumnRole, FactorColumn, TableLayout
-from robot_runner.core.storage.table_schema import ColumnDescription, describe_columns, write_schema
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole, FactorColumn, TableLayout
+from robot_runner.core.storage.table_schema import describe_columns, write_schema
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
     from robot_runner.analysis.importing.recomputation import Difference
-    from robot_runner.analysis.importing.trace_checks import TraceSpan
+    from robot_runner.analysis.importing.sample_times import TraceSpan
     from robot_runner.analysis.importing.understanding import Understanding
     from robot_runner.core.storage.layout import ExperimentFolder
-
-__all__ = ["AdoptedRun", "write_records"]
 
 _STAMPS = ("start_measurement_at", "stop_measurement_at")
 _OWNER = "import"

@@ -15,8 +15,7 @@ from robot_runner.analysis.importing.adopted_records import AdoptedRun, write_re
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, RunSamples, read_run_samples
 from robot_runner.analysis.importing.foreign_table import free_heading
 from robot_runner.analysis.importing.recomputation import Difference, recompute
-from robot_runner.analysis.importing.sample_times import TimeKind
-from robot_runner.analysis.importing.trace_checks import TraceSpan, trace_warnings
+from robot_runner.analysis.importing.sample_times import TimeKind, TraceSpan, trace_warnings
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import quoted
 from robot_runner.core.storage.guarded_files import make_experiment_folder
@@ -24,13 +23,11 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.analysis.importing.foreign_runs import ForeignRun
     from robot_runner.analysis.importing.understanding import Understanding
-
-__all__ = ["Adoption", "adopt"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,13 +47,8 @@ class Adoption:
     warnings: tuple[str, ...] = ()
 
 
-def adopt(understanding: Understanding, target: Path, *, progress: Callable[[int], None] = lambda _: None) -> Adoption:
+def adopt(understanding: Understanding, target: Path) -> Adoption:
     """Write an experiment folder.
-
-    Args:
-        understanding: what was understood of the results.
-        target: the folder to make; it must not exist, or be empty.
-        progress: called with the number of runs that have been read.
 
     Raises:
         StorageError: the target is taken, or cannot be written.
@@ -70,7 +62,7 @@ def adopt(understanding: Understanding, target: Path, *, progress: Callable[[int
     beside = target.with_name(f".{target.name}.{secrets.token_hex(4)}")
     make_experiment_folder(beside)
     try:
-        adopted = _write(understanding, ExperimentFolder(beside), target, progress)
+        adopted = _write(understanding, ExperimentFolder(beside), target)
         beside.replace(target)
     except OSError as error:
         raise storage_error(target, "written", error) from error
@@ -79,14 +71,9 @@ def adopt(understanding: Understanding, target: Path, *, progress: Callable[[int
     return adopted
 
 
-def _write(
-    understanding: Understanding, folder: ExperimentFolder, target: Path, progress: Callable[[int], None]
-) -> Adoption:
+def _write(understanding: Understanding, folder: ExperimentFolder, target: Path) -> Adoption:
     folder.runs.mkdir()
-    runs = []
-    for count, run in enumerate(understanding.runs, start=1):
-        runs.append(_adopted(understanding, folder.run(run.run_id), run))
-        progress(count)
+    runs = [_adopted(understanding, folder.run(run.run_id), run) for run in understanding.runs]
     warnings = trace_warnings(understanding.runs, {run.run_id: run.spans for run in runs}, understanding.units)
     adoption = Adoption(target, tuple(runs), tuple(_differences(understanding, runs)), tuple(warnings))
     write_records(understanding, folder, adoption.runs, adoption.differences, warnings)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from robot_runner.analysis.importing.cell_numbers import MISSING
-from robot_runner.analysis.importing.role_guesses import Confidence
+from robot_runner.analysis.importing.units import MISSING
 from robot_runner.core.storage.cells import RunStatus, number_of
 
 if TYPE_CHECKING:
@@ -21,7 +22,52 @@ if TYPE_CHECKING:
 
     Codes = NDArray[np.int64]
 
-__all__ = ["IN_RUN_ID", "NUMBERING", "STATUSES", "ColumnEvidence", "repetition_number"]
+
+class Role(Enum):
+    """What a column is."""
+
+    RUN_ID = "run id"
+    STATUS = "status"
+    REPETITION = "repetition"
+    BLOCK = "block"
+    FACTOR = "factor"
+    MEASURE = "measure"
+    TEXT = "kept as text"
+
+
+class Confidence(Enum):
+    """How sure a role is: LIKELY has something to say for it and little against, UNSURE needs an answer."""
+
+    SURE = "sure"
+    LIKELY = "likely"
+    UNSURE = "unsure"
+
+
+#: A role, how sure it is, and the reason in words.
+Verdict = tuple[Role, Confidence, str]
+
+
+@dataclass(frozen=True, slots=True)
+class RoleGuess:
+    """What a column is taken for, how sure that is, and why.
+
+    Example:
+        >>> guess = RoleGuess("level", Role.FACTOR, Confidence.UNSURE, "few numbers, which repeat unevenly")
+        >>> guess.question
+        "column 'level' is taken for a factor: few numbers, which repeat unevenly"
+    """
+
+    column: str
+    role: Role
+    confidence: Confidence
+    reason: str
+
+    @property
+    def question(self) -> str:
+        """What is doubtful, in words."""
+        taken = self.role.value if self.role is Role.TEXT else f"taken for a {self.role.value}"
+        return f"column {self.column!r} is {taken}: {self.reason}"
+
 
 #: Run ids that end in a repetition, as the earlier tools and people write them: `run_3_repetition_1`, `slow_rep2`.
 IN_RUN_ID = re.compile(r"(.*?)[_-](?:repetition|rep|trial)[_-]?(\d+)$", re.IGNORECASE)
@@ -55,6 +101,9 @@ NUMBERING = re.compile(r"(.*[_ ])?(id|index|idx|no|nr|number|num|#)\.?|unnamed: 
 #: What treatments are tried on: where each of these has one treatment, they belong to it rather than it to them.
 _UNITS = re.compile(r"subject|participant|person|website|device|robot|room|app|phone|host|machine")
 
+#: What a study compares, whatever it is tried on: where each plant has one treatment, that is the factor.
+TREATMENTS = re.compile(r"treatments?|types?|conditions?|groups?|arms?", re.IGNORECASE)
+
 #: Treatments are planned, so that they come about equally often: the rarest at least half as often as the commonest.
 _EVENLY = 0.5
 #: A repetition tells runs of a combination apart, but for some that were executed again.
@@ -69,11 +118,15 @@ def repetition_number(cell: str) -> int | None:
 
 
 class ColumnEvidence:
-    """What a table's columns show; each is looked at once."""
+    """What a table's columns show; each is looked at once.
+
+    Attributes:
+        count: how many rows the table has.
+    """
 
     def __init__(self, table: ForeignTable) -> None:
-        self._table = table
-        self._count = len(table.rows)
+        self.table = table
+        self.count = len(table.rows)
         self._cache: dict[str, tuple[Codes, tuple[str, ...]]] = {}
         #: Which combination a run has, and which repetition of it, as far as run ids tell.
         self._combination: Codes | None = None
@@ -83,8 +136,8 @@ class ColumnEvidence:
 
     def _codes(self, name: str) -> Codes:
         if name not in self._cache:
-            cells = self._table.column(name)
-            if self._table.is_numeric(name):
+            cells = self.table.column(name)
+            if self.table.is_numeric(name):
                 cells = tuple("" if cell.casefold() in MISSING else cell for cell in cells)
             codes, values = pd.factorize(np.array(cells, dtype=object))
             self._cache[name] = (codes, tuple(values))
@@ -101,7 +154,7 @@ class ColumnEvidence:
 
     def _combined(self, names: Sequence[str]) -> Codes:
         """Return one number for each combination of values."""
-        codes = np.zeros(self._count, dtype=np.int64)
+        codes = np.zeros(self.count, dtype=np.int64)
         for name in names:
             codes = np.unique(codes * self.levels(name) + self._codes(name), return_inverse=True)[1]
         return codes
@@ -122,31 +175,31 @@ class ColumnEvidence:
 
     def differs_everywhere(self, name: str) -> bool:
         """Return whether no value is there twice, and none is missing."""
-        return self.levels(name) == self._count and self.is_filled(name)
+        return self.levels(name) == self.count and self.is_filled(name)
 
     def is_numeric(self, name: str) -> bool:
         """Return whether a column has mostly numbers."""
-        if self._table.is_numeric(name):
+        if self.table.is_numeric(name):
             return True
         filled = [value for value in self.values(name) if value]
         return bool(filled) and 2 * sum(bool(_LIKE_A_NUMBER.fullmatch(value)) for value in filled) >= len(filled)
 
     def is_measurable(self, name: str) -> bool:
         """Return whether values of the column could be a measure's: numbers, truth values, or none so far."""
-        if name in self._table.unnamed:
+        if name in self.table.unnamed:
             return False
-        return self.is_empty(name) or self._table.is_boolean(name) or self.is_numeric(name)
+        return self.is_empty(name) or self.table.is_boolean(name) or self.is_numeric(name)
 
     def is_decimal(self, name: str) -> bool:
         """Return whether a column has numbers that are no whole ones."""
-        numbers = (self._table.number(value) for value in self.values(name))
+        numbers = (self.table.number(value) for value in self.values(name))
         return any(number is not None and number != int(number) for number in numbers)
 
     def are_epochs(self, name: str) -> bool:
         """Return whether numbers count the time since 1970, in a column whose heading speaks of moments."""
         if not _OF_MOMENTS.search(name.casefold()):
             return False
-        numbers = [number for value in self.values(name) if (number := self._table.number(value)) is not None]
+        numbers = [number for value in self.values(name) if (number := self.table.number(value)) is not None]
         return bool(numbers) and min(numbers) >= _THIS_CENTURY
 
     def is_even(self, name: str) -> bool:
@@ -160,7 +213,7 @@ class ColumnEvidence:
 
     def names_measure(self, name: str) -> bool:
         """Return whether the heading speaks of something measured, by a unit or by its words."""
-        unit = self._table.unit(name)
+        unit = self.table.unit(name)
         words = (word.casefold() for word in _WORDS_OF_HEADING.findall(name))
         return (unit is not None and unit.si != "1") or any(map(_MEASURED.fullmatch, words))
 
@@ -168,7 +221,7 @@ class ColumnEvidence:
 
     def read_run_ids(self, run_id: str | None) -> None:
         """Learn from run ids which runs have one combination, where they end in the number of the repetition."""
-        found = [IN_RUN_ID.match(cell) for cell in self._table.column(run_id)] if run_id else []
+        found = [IN_RUN_ID.match(cell) for cell in self.table.column(run_id)] if run_id else []
         if not found or not all(found):
             return
         combination = pd.factorize(np.array([each[1] for each in found if each], dtype=object))[0]
@@ -199,8 +252,8 @@ class ColumnEvidence:
             return False
         if self.differs_everywhere(name):  # it numbers all runs, unless all have one combination
             return not any(
-                1 < self.levels(other) <= self._count // 2
-                for other in self._table.headings
+                1 < self.levels(other) <= self.count // 2
+                for other in self.table.headings
                 if other != name and self.is_filled(other) and self.is_even(other) and not self.names_measure(other)
             )
         return self.levels(name) > 1
@@ -213,18 +266,30 @@ class ColumnEvidence:
 
     def tells_runs_apart(self, name: str, factors: Sequence[str]) -> bool:
         """Return whether the runs of each combination have values of their own in a column."""
-        return _pairs(self._combined(factors), self._codes(name)) >= _TELLING * self._count
+        return _pairs(self._combined(factors), self._codes(name)) >= _TELLING * self.count
 
     def is_part_of(self, name: str, texts: Sequence[str]) -> bool:
         """Return whether a column has a few texts, each of which goes with some of another column's."""
-        if self.is_numeric(name) or not self.is_filled(name) or not 1 < self.levels(name) <= self._count // 2:
+        if self.is_numeric(name) or not self.is_filled(name) or not 1 < self.levels(name) <= self.count // 2:
             return False
         return any(self._follows(self._codes(text), name) for text in texts if self.levels(text) > self.levels(name))
 
     def follow(self, factors: Sequence[str], name: str) -> bool:
         """Return whether all runs of a combination have one value of a column, and combinations have several runs."""
         combined = self._combined(factors)
-        return 2 * _distinct(combined) <= self._count and self._follows(combined, name)
+        return 2 * _distinct(combined) <= self.count and self._follows(combined, name)
+
+    def unit_of(self, name: str, factors: Sequence[str]) -> str | None:
+        """Return the factor of which each number of a column has one treatment, as numbered animals of a litter have.
+
+        Numbers of units are whole, and their rows stand together; measured ones that repeat come here and there.
+        """
+        codes = self._codes(name)
+        stand_together = 1 + np.count_nonzero(np.diff(codes)) == self.levels(name) <= self.count // 2
+        if not stand_together or not self.is_numeric(name) or self.is_decimal(name) or self.names_measure(name):
+            return None
+        found = (each for each in factors if 1 < self.levels(each) < self.levels(name) and self._follows(codes, each))
+        return next(found, None)
 
     def varies(self, name: str) -> bool:
         """Return whether values differ between repetitions of a combination that run ids tell."""
@@ -239,13 +304,13 @@ class ColumnEvidence:
         if which is None:
             return False
         combined = self._combined(others)
-        return _pairs(combined, which) == self._count and not self._follows(combined, name)
+        return _pairs(combined, which) == self.count and not self._follows(combined, name)
 
     # Factors among each other.
 
     def could_be_only_factor(self, name: str) -> bool:
         """Return whether texts that differ in all runs can be the treatments of the one factor."""
-        return name not in self._table.unnamed and self.is_filled(name) and not self.is_numeric(name)
+        return name not in self.table.unnamed and self.is_filled(name) and not self.is_numeric(name)
 
     def crosses(self, name: str, others: Sequence[str]) -> bool:
         """Return whether each value of a column has every combination of the others."""
@@ -255,13 +320,7 @@ class ColumnEvidence:
     def aliases(
         self, factors: Sequence[str], free: Sequence[str], late: Collection[str]
     ) -> Iterator[tuple[str, Confidence, str]]:
-        """Yield each factor that says nothing of its own, how sure that is, and why.
-
-        Args:
-            factors: all factors.
-            free: those that may go.
-            late: those that come after measures.
-        """
+        """Yield each factor that says nothing of its own, how sure that is, and why."""
         left = [name for name in factors if self.levels(name) > 1]
         for name in [each for each in left if each in free]:
             parts = [each for each in left if each != name and self._follows(self._codes(name), each)]
@@ -273,10 +332,11 @@ class ColumnEvidence:
             (each for each in left if each in free), key=lambda each: (not _is_id(each), -left.index(each))
         ):
             for other in left:
-                repeats = 2 * self.levels(other) <= self._count
+                repeats = 2 * self.levels(other) <= self.count
                 if other == name or name not in left or not repeats or not self._follows(self._codes(other), name):
                     continue
-                is_unit = other in free and name not in late and _UNITS.search(other.casefold())
+                is_named = _UNITS.search(other.casefold()) or TREATMENTS.fullmatch(name)
+                is_unit = other in free and name not in late and is_named
                 if is_unit and self.levels(other) > self.levels(name):
                     left.remove(other)
                     yield other, Confidence.UNSURE, f"each {other} has one {name}: which of the two is the factor?"

@@ -6,9 +6,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.importing.column_evidence import IN_RUN_ID, ColumnEvidence
+from robot_runner.analysis.importing.column_evidence import IN_RUN_ID, Confidence, Role, RoleGuess
 from robot_runner.analysis.importing.column_verdicts import ColumnVerdicts
-from robot_runner.analysis.importing.role_guesses import Confidence, Role, RoleGuess
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.importing.description import ImportDescription
     from robot_runner.analysis.importing.foreign_table import ForeignTable
-
-__all__ = ["ColumnRoles", "roles_of"]
 
 # As the earlier tools, the paper's Fig. 3 and people write them; blanks, underscores, dots and case are ignored.
 _RUN_ID = ("runid",)
@@ -34,6 +31,7 @@ _CERTAIN = "repetition"
 # What runs are grouped by rather than compared for. A few robots or rooms of a kind stand for all; what is called a
 # subject or a device is as often what the study is about.
 _BLOCK = re.compile(r"(block|participant|person|operator|day|date|session|room|site|lab|robot|batch)s?(id|no|nr|name)?")
+_SURE_BLOCK = re.compile(r"blocks?(id|no|nr|name)?")
 _MAYBE_BLOCK = re.compile(r"(subject|device|host|machine|node|phone|website|app|vehicle|drone)s?(id|no|nr|name)?")
 _NUMBERED_NAME = re.compile(
     r"(?:[a-z_ -]*[a-z_ -])?\d+|[a-z]|\d{4}-\d\d-\d\d|mon|tue|wed|thu|fri|sat|sun", re.IGNORECASE
@@ -129,8 +127,7 @@ class _Guessing:
         self._table = table
         self._said = said
         self._guesses: dict[str, RoleGuess] = {}
-        self._evidence = ColumnEvidence(table)
-        self._verdicts = ColumnVerdicts(table, self._evidence)
+        self._evidence = ColumnVerdicts(table)
         self._notes: list[str] = []
         self._late: set[str] = set()
 
@@ -261,17 +258,17 @@ class _Guessing:
         evidence = self._evidence
         left = self._left()
         # Texts first: they tell for which runs numbers differ between repetitions of one combination.
-        texts = [name for name in left if self._verdicts.is_treatment_text(name)]
+        texts = [name for name in left if self._evidence.is_treatment_text(name)]
         texts = [name for name in left if name in texts or evidence.is_part_of(name, texts)]
         begun = min(
-            (place for place, name in enumerate(left) if self._verdicts.is_surely_measured(name)), default=len(left)
+            (place for place, name in enumerate(left) if self._evidence.is_surely_measured(name)), default=len(left)
         )
         self._late = set(left[begun:])
         factors = [*self._named(Role.FACTOR), *texts]
         has_measures = False
         for place, name in enumerate(left):
             is_first = (place < begun and not has_measures) or name in texts
-            role, confidence, reason = self._verdicts.verdict(name, factors, repetition, is_first=is_first)
+            role, confidence, reason = self._evidence.verdict(name, factors, repetition, is_first=is_first)
             self._take(name, role, confidence, reason)
             # Without run ids that tell combinations apart, a number that varies begins the measures.
             varies = len(evidence.values(name)) > 1 and not evidence.knows_combinations
@@ -314,12 +311,25 @@ class _Guessing:
             is_numbering = _folded(name) in _NUMBERING or _REPETITION.fullmatch(_folded(name))
             if is_numbering and self._evidence.follow(self._named(Role.FACTOR), name):
                 self._take(name, Role.TEXT, Confidence.LIKELY, "it numbers the combinations")
+            elif name not in (self._said.measures or ()) and (factor := self._evidence.unit_of(name, factors)):
+                reason = f"each {name} has one {factor}, and its rows stand together: is {factor} tried on it?"
+                self._take(name, Role.TEXT, Confidence.UNSURE, reason)
 
     # Blocks.
 
+    def _block_by_name(self) -> str | None:
+        """Return the column that is called block, if it groups runs of several treatments."""
+        said = (*(self._said.factors or ()), *(self._said.measures or ()))
+        factors = [name for name in self._named(Role.FACTOR) if self._evidence.levels(name) > 1]
+        for name in (*factors, *self._named(Role.MEASURE)):
+            groups = 1 < self._evidence.levels(name) <= self._evidence.count // 2 and factors != [name]
+            if _SURE_BLOCK.fullmatch(_folded(name)) and groups and name not in said and self._said.guess:
+                return self._take(name, Role.BLOCK, Confidence.SURE, "its name")
+        return None
+
     def _guessed_block(self) -> str | None:
         """Return the factor that is better taken for a block; others that may be one are noted."""
-        found: str | None = None
+        found = self._block_by_name()
         for name in self._named(Role.FACTOR):
             varied = [each for each in self._named(Role.FACTOR) if len(self._evidence.values(each)) > 1]
             others = [each for each in varied if each != name]

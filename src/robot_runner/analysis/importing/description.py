@@ -4,31 +4,18 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.declared_design import DeclaredDesign
 from robot_runner.analysis.importing.units import TIME_UNITS, known_units, unit_of
+from robot_runner.analysis.plan_file import read_toml
 from robot_runner.core.errors import AnalysisError, did_you_mean
-from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-
-__all__ = [
-    "Aggregation",
-    "ImportDescription",
-    "Recipe",
-    "SamplesDescription",
-    "check_time_unit",
-    "check_unit",
-    "description_text",
-    "parse_recipe",
-    "read_description",
-]
 
 
 class Aggregation(Enum):
@@ -246,13 +233,7 @@ def read_description(path: Path) -> ImportDescription:
         StorageError: it cannot be read.
     """
     where = str(path)
-    try:
-        plain = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise AnalysisError(f"the file is not TOML: {error}", where=where, fix="Mend this line.") from error
-    entries = _checked(plain, "", where)
+    entries = _checked(read_toml(path), "", where)
     for key, choices in (("origin", _ORIGINS), ("decimal", _DECIMALS)):
         if (given := entries.get(key, choices[0])) not in choices:
             fix = did_you_mean(given, choices) or f"Write one of {', '.join(choices)}."

@@ -7,8 +7,8 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.importing.cell_numbers import MISSING
 from robot_runner.analysis.importing.column_evidence import STATUSES, repetition_number
+from robot_runner.analysis.importing.units import MISSING
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import CellValue, RunStatus
 from robot_runner.core.words import counted, listed
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.importing.column_roles import ColumnRoles
     from robot_runner.analysis.importing.foreign_table import ForeignTable
-
-__all__ = ["ForeignRun", "read_runs"]
 
 _UNFIT = re.compile(r"[^A-Za-z0-9_.-]+")
 _LONGEST_ID = 60

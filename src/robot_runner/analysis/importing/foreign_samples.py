@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["ForeignSamples", "RunSamples", "read_run_samples", "understand_samples"]
-
 _NUMBER = re.compile(r"\d+")
 _MISSING = ["", " ", "NA", "N/A", "NaN", "nan", "null", "None", "-"]
 
@@ -103,11 +101,6 @@ def understand_samples(
     folders: Mapping[str, Path], described: Sequence[SamplesDescription], *, guess: bool
 ) -> tuple[list[ForeignSamples], list[str]]:
     """Find out which raw files are samples, and what is in them.
-
-    Args:
-        folders: the folder of each run.
-        described: what the user said of some.
-        guess: whether others are looked at, too.
 
     Returns:
         The samples, and a note for each other file that was looked at.

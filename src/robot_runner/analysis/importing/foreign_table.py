@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.importing.cell_numbers import MISSING, plain_cells
-from robot_runner.analysis.importing.units import split_heading
+from robot_runner.analysis.importing.units import MISSING, plain_cells, split_heading
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import number_of
 from robot_runner.core.storage.system_refusals import storage_error
@@ -19,8 +18,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.importing.units import Unit
-
-__all__ = ["CsvDialect", "ForeignTable", "dialect_of", "free_heading", "read_foreign_table"]
 
 _DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")

@@ -22,18 +22,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.importing.foreign_samples import ForeignSamples, RunSamples
     from robot_runner.analysis.importing.units import Unit
 
-__all__ = [
-    "TOLERANCE",
-    "Agreement",
-    "Difference",
-    "agreements",
-    "check_recipes",
-    "guess_recipes",
-    "recompute",
-    "unit_of_recipe",
-]
-
-
 _MEANS = re.compile(r"^(?:avg|average|mean)[_ ]+|[_ ]+(?:avg|average|mean)$", re.IGNORECASE)
 
 
@@ -186,12 +174,8 @@ class Agreement:
     factor: float | None
 
 
-def agreements(differences: Iterable[Difference], *, tolerance: float = TOLERANCE) -> tuple[Agreement, ...]:
+def agreements(differences: Iterable[Difference]) -> tuple[Agreement, ...]:
     """Return how well each measure agrees, in the order in which measures come.
-
-    Args:
-        differences: all pairs of values.
-        tolerance: a share of the table's value.
 
     Example:
         >>> agreements([Difference("r_1", "Energy", 870.0, 870.1)])[0].differing
@@ -200,12 +184,12 @@ def agreements(differences: Iterable[Difference], *, tolerance: float = TOLERANC
     by_measure: dict[str, list[Difference]] = {}
     for each in differences:
         by_measure.setdefault(each.measure, []).append(each)
-    return tuple(_agreement(measure, found, tolerance) for measure, found in by_measure.items())
+    return tuple(_agreement(measure, found) for measure, found in by_measure.items())
 
 
-def _agreement(measure: str, found: list[Difference], tolerance: float) -> Agreement:
+def _agreement(measure: str, found: list[Difference]) -> Agreement:
     ordered = sorted(found, key=_size, reverse=True)
-    differing = tuple(each for each in ordered if _size(each) > tolerance)
+    differing = tuple(each for each in ordered if _size(each) > TOLERANCE)
     return Agreement(measure, len(found), differing, ordered[0], _factor(found) if differing else None)
 
 

@@ -10,13 +10,13 @@ from math import prod
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.declared_design import structure_findings
+from robot_runner.analysis.importing.column_evidence import Role
 from robot_runner.analysis.importing.column_roles import ColumnRoles, roles_of
 from robot_runner.analysis.importing.description import ImportDescription, SamplesDescription
 from robot_runner.analysis.importing.foreign_runs import ForeignRun, read_runs
 from robot_runner.analysis.importing.foreign_samples import ForeignSamples, understand_samples
 from robot_runner.analysis.importing.foreign_table import ForeignTable, read_foreign_table
 from robot_runner.analysis.importing.recomputation import check_recipes, guess_recipes
-from robot_runner.analysis.importing.role_guesses import Role
 from robot_runner.analysis.importing.sample_times import TimeKind
 from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.core.design.columns import REPETITION, is_fit_for_heading, name_findings
@@ -28,10 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from robot_runner.analysis.importing.column_evidence import RoleGuess
     from robot_runner.analysis.importing.description import Recipe
-    from robot_runner.analysis.importing.role_guesses import RoleGuess
-
-__all__ = ["Understanding", "understand"]
 
 _TABLE = "run_table.csv"
 _SHOWN_TABLES = 10
@@ -91,7 +89,8 @@ class Understanding:
         least, most = min(combinations.values()), max(combinations.values())
         parts = [f"{counts} ({' x '.join(map(one_line, varied))})" if varied else "one combination"]
         parts += [f"{len(combinations)} of {possible} combinations are there"] if len(combinations) < possible else []
-        parts += [f"{least if least == most else f'{least} to {most}'} runs a combination"]
+        each = counted(least, "run") if least == most else f"{least} to {most} runs"
+        parts += [f"{each} a combination"]
         parts += [f"declared as {one_line(self.said.design.in_words)}"] if self.said.design is not None else []
         if block := self.roles.block:
             number = (
@@ -212,6 +211,9 @@ def _check_design(said: ImportDescription, runs: Sequence[ForeignRun], roles: Co
 
 
 def _table_path(root: Path, name: str | None) -> Path:
+    if root.is_file():
+        fix = f"Name the folder that holds it: {shlex.quote(str(root.parent))} --table {shlex.quote(root.name)}"
+        raise StorageError("this is a file, not a folder of results", where=str(root), fix=fix)
     if not root.is_dir():
         raise StorageError("there is no such folder", where=str(root), fix="Name the folder that holds the results.")
     tables = sorted(root.glob("*.csv"))
@@ -235,7 +237,7 @@ def _unit(table: ForeignTable, measure: str, units: Mapping[str, str]) -> Unit |
 
 def _settled_by(guess: RoleGuess) -> str:
     options = [f"--{each} {shlex.quote(guess.column)}" for each in ("factor", "measure", "ignore")]
-    first = {Role.REPETITION: "repetition", Role.BLOCK: "block"}.get(guess.role)
+    first = {Role.REPETITION: "repetition", Role.BLOCK: "block", Role.TEXT: "block"}.get(guess.role)
     options = [f"--{first} {shlex.quote(guess.column)}", *options] if first else options
     return f"Say what it is: {', '.join(options[:-1])} or {options[-1]}."
 

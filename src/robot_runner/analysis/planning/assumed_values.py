@@ -27,17 +27,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = [
-    "AssumedMeasure",
-    "Difference",
-    "Scenario",
-    "assumed_scenario",
-    "differences_of",
-    "means_file",
-    "numbers_of",
-    "with_blocks",
-]
-
 _AND = " x "
 #: The column of a file of means that holds the standard deviation of a measure.
 _SPREAD = ".sd"
@@ -62,14 +51,7 @@ class AssumedMeasure:
     def draw(
         self, random: np.random.Generator, experiments: int, cells: Sequence[Cell], blocks: Sequence[str]
     ) -> Floats:
-        """Return the values of many experiments, (experiments, runs).
-
-        Args:
-            random: what they are drawn from.
-            experiments: how many.
-            cells: the combination of each run.
-            blocks: the block of each run.
-        """
+        """Return the values of many experiments, (experiments, runs)."""
         means = np.array([self.means[cell] for cell in cells])
         spreads = np.array([self.spreads[cell] for cell in cells])
         values = means + spreads * random.normal(size=(experiments, len(cells)))

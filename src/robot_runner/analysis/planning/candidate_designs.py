@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.design import CombinationDesign, Design
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["Candidate", "RunTimes", "candidates_of", "most_repetitions"]
-
 #: The column of the whole plots of a split-plot design that is only compared.
 _PLOT = "Whole plot"
 #: More repetitions are not looked for: the budget is not what limits such a study.
@@ -81,12 +79,7 @@ class Candidate:
 
 
 def candidates_of(model: RunTableModel, hard: Sequence[str]) -> Iterator[Candidate]:
-    """Yield the designs that the factors of a study could have; the config's own comes first.
-
-    Args:
-        model: of the config; its order is randomised in all candidates.
-        hard: the factors that are hard to change.
-    """
+    """Yield the designs that the factors of a study could have; the config's own comes first."""
     if not model.is_full_factorial:
         kind = str(model.design_facts.get("kind", "design")).replace("_", " ")
         yield Candidate(f"the config's own ({kind})", model.repeated)

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.run_table_model import RunTableModel
 
-__all__ = ["Asked", "ComparedDesign", "DesignComparison", "compare_designs"]
-
 #: Simulated experiments of each design: the standard error of a power of 80 % is 1.3 points.
 _EXPERIMENTS = 2 * AT_ONCE
 #: Powers that differ by less than three standard errors of the simulation are taken to be alike.

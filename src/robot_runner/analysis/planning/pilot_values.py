@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.analysed_design import Design
 
-__all__ = ["Pilot", "pilot_values"]
-
 #: Of fewer runs a combination's own standard deviation is hardly known (by half and more); that of all takes its place.
 _ENOUGH = 5
 _BLOCK, _CELL = " block", " cell"
@@ -29,12 +27,7 @@ _BLOCK, _CELL = " block", " cell"
 
 @dataclass(frozen=True, slots=True)
 class Pilot:
-    """What a pilot tells.
-
-    Attributes:
-        measures: by name.
-        notes: what it does not tell, and what was done about that.
-    """
+    """What a pilot tells of measures, by name; notes say what it does not tell, and what was done about that."""
 
     name: str
     measures: dict[str, AssumedMeasure]

@@ -19,8 +19,7 @@ from robot_runner.core.design.factor import treatment_text
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.storage.table_schema import ColumnDescription
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.run_table_model import RunTableModel
-
-__all__ = ["Cell", "PlannedResults", "Study"]
 
 #: When a run was measured.
 _STAMP = "start_measurement_at"

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.power_search import Found
     from robot_runner.analysis.results import Results
 
-__all__ = ["Assumptions", "PowerAnalysis", "answer_in_words", "power_analysis", "scenarios_of", "share_in_words"]
-
 #: Without a plan every measure is a family of its own; more than a few would only take time.
 _MOST_MEASURES = 6
 _FORMAT = 1

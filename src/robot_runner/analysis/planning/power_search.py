@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.statistics.families import Key
 
-__all__ = ["Found", "Needed", "PowerPoint", "ScenarioPower", "Search", "search_repetitions"]
-
 #: Simulated experiments of each number of repetitions: at first, and at most. At 80 % the standard error is 1.3 and 0.4
 #: points.
 FEWEST, MOST = 1_000, 10_000
@@ -139,12 +137,6 @@ def search_repetitions(
     study: Study, scenario: Scenario, search: Search, progress: Callable[[int, int], None] = lambda _, __: None
 ) -> ScenarioPower:
     """Find the fewest repetitions that suffice, and the power of others around them.
-
-    Args:
-        study: what is planned.
-        scenario: what is assumed.
-        search: what is looked for.
-        progress: is told the number of repetitions that is simulated, and how many experiments.
 
     Raises:
         AnalysisError: nothing that is sought is tested, or no test can be made of so few runs.

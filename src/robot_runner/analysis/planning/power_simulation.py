@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["AT_ONCE", "Claim", "Simulation"]
-
 #: Experiments that are drawn and analysed together; counts do not depend on how many are asked for at a time.
 AT_ONCE = 500
 
@@ -179,12 +177,7 @@ class Simulation:
         return tuple(found)
 
     def found(self, part: int, experiments: int = AT_ONCE) -> dict[Key, NDArray[np.bool_]]:
-        """Return what each experiment of a part finds significant after correction.
-
-        Args:
-            part: which experiments: others of each part, the same whenever it is asked for.
-            experiments: how many, the first ones of the part.
-        """
+        """Return what each experiment of a part finds significant after correction."""
         p_values = self.p_values(part, experiments)
         tested = {each.assumed.name: self._keys(each, p_values) for each in self._measures}
         found: dict[Key, NDArray[np.bool_]] = {}
@@ -251,7 +244,9 @@ class Simulation:
             _, model = self._analysed(self._design({name: row}, random), name)
             found.append({} if isinstance(model, NotComputed) else self._tested(name, model))
         missing = np.asarray(np.nan)
-        keys = dict.fromkeys(key for each in found for key in each)
+        # Where values hardly vary, no experiment may be testable: its effects are found in none.
+        effects = [effect_key(name, test.factors) for test in prepared.model.effects()]
+        keys = dict.fromkeys([*effects, *(key for each in found for key in each)])
         return {key: np.array([float(each.get(key, missing)) for each in found]) for key in keys}
 
     def _tested(self, name: str, model: AnyModel) -> dict[Key, Floats]:

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics
 
-__all__ = ["Registered", "registered"]
-
 
 @dataclass(frozen=True, slots=True)
 class Registered:

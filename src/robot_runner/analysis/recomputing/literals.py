@@ -10,14 +10,12 @@ import math
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
-from robot_runner.analysis.report.rendering import markdown_text
+from robot_runner.analysis.report.rendering import markdown_text, templates_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-__all__ = ["Code", "comment_text", "python_literal", "r_literal", "rendered"]
+    from jinja2 import Environment
 
 _PACKAGE = "robot_runner.analysis.recomputing"
 _WIDTH = 100
@@ -109,14 +107,7 @@ def rendered(name: str, **content: Any) -> str:
 
 @cache
 def _templates() -> Environment:
-    environment = Environment(  # noqa: S701 - not HTML: `finalize` refuses what no filter has escaped
-        loader=PackageLoader(_PACKAGE),
-        finalize=_checked,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
+    environment = templates_of(_PACKAGE, _checked)  # no HTML: what no filter has escaped is refused
     filters: dict[str, Callable[[Any], Code]] = {
         "r": r_literal,
         "py": python_literal,

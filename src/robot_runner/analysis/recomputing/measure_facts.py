@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from robot_runner.analysis.recomputing.study_facts import (
     LEVEL,
     Compared,
     Contrasted,
-    Distributed,
     MeasureFacts,
     Paired,
     Reported,
@@ -40,8 +38,6 @@ if TYPE_CHECKING:
     Model = CellMeans | FittedModel
     Row = dict[str, Number]
 
-__all__ = ["facts_of_measure"]
-
 #: The procedure that carries out each test of the report, by what the report calls it.
 _PROCEDURES = {
     "Welch's t": "welch",
@@ -51,12 +47,15 @@ _PROCEDURES = {
     "ANOVA-type": "anova_type",
     "Welch-James and ANOVA-type": "combined",
     "Greenhouse-Geisser": "greenhouse_geisser",
+    "Greenhouse-Geisser, sign flips": "sign_flips",
     "Huynh-Feldt": "huynh_feldt",
     "linear model with one variance": "model",
     "linear mixed model": "model",
 }
 #: The models that scripts know how to fit again; of others they take the p-values from the report.
 _KNOWN = (CellMeans, FittedModel)
+#: What tables call the degrees of freedom and the p-value of a test.
+_TEST = {"df": "degrees_of_freedom", "p": "p_value"}
 _OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
 
 
@@ -68,25 +67,27 @@ def facts_of_measure(
     key_of: Callable[[str], str],
     beside: str = "",
 ) -> MeasureFacts:
-    """Return what a recomputation has to know of one measure.
-
-    Args:
-        design: of the experiment; without the runs whose values are left out.
-        measure: its statistics, as the report has them.
-        choices: what was chosen for the analysis beforehand.
-        hypotheses: of the plan.
-        key_of: makes a name its own among all of the study.
-        beside: which choice is made otherwise than planned, in words.
-    """
+    """Return what a recomputation has to know of one measure, whose left-out runs the design is without already."""
     data = design.data(measure.name)
     assert data is not None  # noqa: S101 - it has statistics
     label = f"{measure.name} {beside}".rstrip()
     effects = measure.test.effects if measure.test is not None else ()
     effect_keys = {effect.factors: key_of(f"{label}: {effect.label}") for effect in effects}
     contrast_keys = {each.statement: key_of(f"{label}: {each.statement}") for each in measure.contrasts}
-    checks = [(" / ".join(each.treatments.values()) or "all groups", each) for each in measure.assumptions]
     levels = level_of_looks(design.results, measure.name)
-    facts = MeasureFacts(
+    about_residuals = _about_residuals(measure)
+    compared, left, taken = None, [], {}
+    if data.covariates or not data.known.is_plain:  # scripts do not know their residuals
+        left = [*about_residuals.values(), *_left(measure)]
+        about_residuals = dict.fromkeys(about_residuals, Reported())
+    elif measure.test is not None:
+        compared = _compared(data, measure, choices, hypotheses, effect_keys, contrast_keys)
+        left = [] if compared is not None else _left(measure)
+    if left:
+        p_values = {effect_keys[each.factors]: each.p_value for each in effects}
+        p_values |= {contrast_keys[each.statement]: each.p_value for each in measure.contrasts}
+        taken = {key: value for key, value in p_values.items() if value is not None}
+    return MeasureFacts(
         key=key_of(label),
         name=measure.name,
         label=label,
@@ -96,21 +97,15 @@ def facts_of_measure(
             (names, Reported.of([(each.label, _described(each)) for each in of])) for names, of in _groups(measure)
         ),
         is_extended=data.is_extended,
-        distributed=tuple(Distributed(each.name, dict(each.treatments)) for each in measure.assumptions),
-        distribution=Reported.of(
-            [(f"{each.name}, {of}", {"statistic": each.statistic, "p": each.p_value}) for of, each in checks]
-        ),
-        quantiles=_quantiles(measure),
-        drift=_drift(measure),
-        power=_power(measure),
-        compared=None,
+        distributed=measure.assumptions if about_residuals["distribution"] else (),
+        **about_residuals,
+        compared=compared,
         effect_keys=effect_keys,
         contrast_keys=contrast_keys,
-        taken={},
-        skipped=0,
+        taken=taken,
+        skipped=sum(len(each.numbers) for each in left),
         level=LEVEL if levels is None else levels,
     )
-    return _with_comparisons(facts, data, measure, choices, hypotheses)
 
 
 def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[Description]]]:
@@ -123,98 +118,58 @@ def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[
     yield from groups.items()
 
 
-def _with_comparisons(
-    facts: MeasureFacts,
-    data: MeasureData,
-    measure: MeasureStatistics,
-    choices: Choices,
-    hypotheses: Sequence[Hypothesis],
-) -> MeasureFacts:
-    """Return facts with what is compared; without all that is adjusted for covariates, or compared in unknown ways."""
-    has_own_residuals = bool(data.covariates) or not data.known.is_plain  # which scripts do not know
-    if measure.test is None and not has_own_residuals:
-        return facts
-    p_values = {facts.effect_keys[each.factors]: each.p_value for each in measure.test.effects} if measure.test else {}
-    p_values |= {facts.contrast_keys[each.statement]: each.p_value for each in measure.contrasts}
-    compared = None if has_own_residuals else _compared(facts, data, measure, choices, hypotheses)
-    if compared is not None:
-        return replace(facts, compared=compared)
-    left = [_tested(measure, "ranks"), _contrasts(measure)]
-    left += [_paired(each, "", "ranks").reported for each in measure.post_hoc]
-    left += [
-        each for each in (facts.distribution, facts.quantiles, facts.drift, facts.power) if has_own_residuals and each
-    ]
-    skipped = sum(len(each.numbers) for each in left)
-    taken = {key: value for key, value in p_values.items() if value is not None}
-    if not has_own_residuals:
-        return replace(facts, taken=taken, skipped=skipped)
-    nothing = Reported.of([])
-    return replace(
-        facts,
-        taken=taken,
-        skipped=skipped,
-        distributed=(),
-        distribution=nothing,
-        quantiles=None,
-        drift=None,
-        power=None,
-    )
-
-
-def _described(of: Description) -> Row:
-    low, high = _ends(of.mean_interval)
-    return {
-        "n": of.n,
-        "missing": of.missing,
-        "mean": of.mean,
-        "sd": of.sd,
-        "minimum": of.minimum,
-        "first quartile": of.first_quartile,
-        "median": of.median,
-        "third quartile": of.third_quartile,
-        "maximum": of.maximum,
-        "low": low,
-        "high": high,
-        "outliers": len(of.outliers),
-        "extreme": sum(each.is_extreme for each in of.outliers),
+def _numbers(of: Any, *names: str, **others: str) -> Row:
+    """Return attributes by their names, with blanks for underscores, or by other names that are given."""
+    return {name.replace("_", " "): getattr(of, name) for name in names} | {
+        name: getattr(of, attribute) for name, attribute in others.items()
     }
 
 
-def _ends(interval: Interval | None) -> tuple[Number, Number]:
-    return (None, None) if interval is None else (interval.low, interval.high)
+def _ends(interval: Interval | None, of: str = "") -> Row:
+    low, high = (None, None) if interval is None else (interval.low, interval.high)
+    return {f"{of}low": low, f"{of}high": high}
 
 
-def _quantiles(measure: MeasureStatistics) -> Reported | None:
-    found = measure.quantiles
-    if found is None:
-        return None
-    return Reported.of([("reference line", {"slope": found.slope, "intercept": found.intercept})])
+def _described(of: Description) -> Row:
+    row = _numbers(of, "n", "missing", "mean", "sd", "minimum", "first_quartile", "median", "third_quartile", "maximum")
+    found = {"outliers": len(of.outliers), "extreme": sum(each.is_extreme for each in of.outliers)}
+    return row | _ends(of.mean_interval) | found
 
 
-def _drift(measure: MeasureStatistics) -> Reported | None:
-    found = measure.drift
-    if found is None:
-        return None
-    low, high = _ends(found.slope_interval)
-    row = {"rho": found.correlation, "p": found.p_value, "slope": found.slope, "low": low, "high": high}
-    return Reported.of([("over the order of execution", row)])
+def _about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
+    """Return what the report says of the distribution and the order of residuals, and of the power."""
+    checks = [
+        (
+            f"{each.name}, {' / '.join(each.treatments.values()) or 'all groups'}",
+            _numbers(each, "statistic", p="p_value"),
+        )
+        for each in measure.assumptions
+    ]
+    tables = {"distribution": Reported.of(checks), **dict.fromkeys(("quantiles", "drift", "power"), Reported())}
+    if (line := measure.quantiles) is not None:
+        tables["quantiles"] = Reported.of([("reference line", _numbers(line, "slope", "intercept"))])
+    if (drift := measure.drift) is not None:
+        row = _numbers(drift, rho="correlation", p="p_value", slope="slope") | _ends(drift.slope_interval)
+        tables["drift"] = Reported.of([("over the order of execution", row)])
+    if (power := measure.power) is not None:
+        row = {f"runs for {each.effect_size:g}": each.repetitions for each in power.needed}
+        tables["power"] = Reported.of([(power.effect_name, _numbers(power, "detectable_effect") | row)])
+    return tables
 
 
-def _power(measure: MeasureStatistics) -> Reported | None:
-    found = measure.power
-    if found is None:
-        return None
-    row: Row = {"detectable effect": found.detectable_effect}
-    row |= {f"runs for {each.effect_size:g}": each.repetitions for each in found.needed}
-    return Reported.of([(found.effect_name, row)])
+def _left(measure: MeasureStatistics) -> list[Reported]:
+    """Return the tables of tests that are not computed again."""
+    pairs = (_paired(each, "", "ranks").reported for each in measure.post_hoc)
+    return [_tested(measure, "ranks"), _contrasts(measure), *pairs]
 
 
 def _compared(
-    facts: MeasureFacts,
     data: MeasureData,
     measure: MeasureStatistics,
     choices: Choices,
     hypotheses: Sequence[Hypothesis],
+    effect_keys: Mapping[tuple[str, ...], str],
+    contrast_keys: Mapping[str, str],
 ) -> Compared | None:
     """Return what is compared of a measure, and how; None where that is not known here."""
     used, _, _ = comparable(data)
@@ -223,7 +178,10 @@ def _compared(
     if measure.test is None or not isinstance(model, _KNOWN) or not isinstance(beside, (*_KNOWN, NotComputed)):
         return None
     tested, checked = (_procedures(each) for each in (model, beside))
-    effects = [_effect(each, facts, model, tested, checked) for each in measure.test.effects]
+    effects = [
+        _effect(each, effect_keys[each.factors], tested[each.factors], checked.get(each.factors, ""))
+        for each in measure.test.effects
+    ]
     known = [each for each in effects if each is not None]
     if len(known) < len(effects):
         return None
@@ -243,9 +201,9 @@ def _compared(
         left_out=_left_out(used, model),
         effects=tuple(known),
         tested=_tested(measure, of),
-        pairs=tuple(_paired(each, facts.effect_keys[each.factors], of) for each in measure.post_hoc),
+        pairs=tuple(_paired(each, effect_keys[each.factors], of) for each in measure.post_hoc),
         contrasts=tuple(
-            _contrasted(by_statement[each.statement], levels, choices, facts.contrast_keys[each.statement])
+            _contrasted(by_statement[each.statement], levels, choices, contrast_keys[each.statement])
             for each in measure.contrasts
         ),
         contrasted=_contrasts(measure),
@@ -253,36 +211,35 @@ def _compared(
         d_name="robust d" if choices.estimand is Estimand.TRIMMED_MEAN else "Cohen's d",
         has_check=not isinstance(beside, NotComputed),
         is_uniform=_is_uniform(model) and _is_uniform(beside),
+        terms=_terms(model),
     )
+
+
+def _terms(model: Model) -> tuple[tuple[bool, ...], ...]:
+    """Return the effects of a factorial some of whose combinations have no run; nothing of any other."""
+    if not isinstance(model, CellMeans):
+        return ()
+    return tuple(tuple(name in term for name in model.layout.factors) for term in model.layout.terms)
 
 
 def _levels(model: Model) -> dict[str, list[str]]:
     return {name: list(of) for name, of in (model.layout if isinstance(model, CellMeans) else model).factors.items()}
 
 
-def _effect(
-    effect: Effect,
-    facts: MeasureFacts,
-    model: Model,
-    tested: Mapping[tuple[str, ...], str],
-    checked: Mapping[tuple[str, ...], str],
-) -> TestedEffect | None:
+def _effect(effect: Effect, key: str, tested: str, checked: str) -> TestedEffect | None:
     """Return an effect with the procedures that test it; None where these are not known."""
     has_check = effect.check is not None and effect.check.p_value is not None
-    names = [tested[effect.factors].removesuffix(_BOOTSTRAP)]
-    names += [checked[effect.factors].removesuffix(_BOOTSTRAP)] if has_check else []
-    if not set(names) <= set(_PROCEDURES):
+    test, check = tested.removesuffix(_BOOTSTRAP), checked.removesuffix(_BOOTSTRAP) if has_check else ""
+    if test not in _PROCEDURES or (has_check and check not in _PROCEDURES):
         return None
-    is_drawn = tested[effect.factors].endswith(_BOOTSTRAP)
     return TestedEffect(
-        key=facts.effect_keys[effect.factors],
+        key=key,
         label=effect.label,
         factors=effect.factors,
-        which=tuple(name in effect.factors for name in _levels(model)),
-        test=_PROCEDURES[names[0]],
-        check=_PROCEDURES[names[1]] if has_check else "",
-        drawn=effect.p_value if is_drawn else None,
-        check_is_drawn=has_check and checked[effect.factors].endswith(_BOOTSTRAP),
+        test=_PROCEDURES[test],
+        check=_PROCEDURES.get(check, ""),
+        drawn=effect.p_value if tested.endswith(_BOOTSTRAP) else None,
+        check_is_drawn=has_check and checked.endswith(_BOOTSTRAP),
     )
 
 
@@ -293,11 +250,10 @@ def _tested(measure: MeasureStatistics, of: str) -> Reported:
 
 
 def _contrasts(measure: MeasureStatistics) -> Reported:
-    rows: list[tuple[str, Row]] = []
-    for each in measure.contrasts:
-        low, high = _ends(each.interval)
-        row: Row = {"estimate": each.estimate, "low": low, "high": high, "statistic": each.statistic}
-        rows.append((each.statement, row | {"df": each.degrees_of_freedom, "p": each.p_value}))
+    rows = [
+        (each.statement, _numbers(each, "estimate") | _ends(each.interval) | _numbers(each, "statistic", **_TEST))
+        for each in measure.contrasts
+    ]
     return Reported.of(rows)
 
 
@@ -341,36 +297,18 @@ def _freedom(freedom: Sequence[float], of: str) -> Row:
 
 
 def _size(size: EffectSize, name: str) -> Row:
-    low, high = _ends(size.interval)
-    return {name: size.value, f"{name} low": low, f"{name} high": high}
+    return {name: size.value, **_ends(size.interval, f"{name} ")}
 
 
 def _paired(post_hoc: PostHoc, key: str, of: str) -> Paired:
-    labels = [f"{each.first} and {each.second}" for each in post_hoc.comparisons]
-    return Paired(
-        key,
-        post_hoc.factors,
-        Reported.of([(label, _pair(each, of)) for label, each in zip(labels, post_hoc.comparisons, strict=True)]),
-        Reported.of(
-            [
-                (label, {"adjusted p": each.adjusted_p_value})
-                for label, each in zip(labels, post_hoc.comparisons, strict=True)
-            ]
-        ),
-    )
+    pairs = [(f"{each.first} and {each.second}", each) for each in post_hoc.comparisons]
+    adjusted = Reported.of([(label, {"adjusted p": each.adjusted_p_value}) for label, each in pairs])
+    return Paired(key, post_hoc.factors, Reported.of([(label, _pair(each, of)) for label, each in pairs]), adjusted)
 
 
 def _pair(pair: Comparison, of: str) -> Row:
-    low, high = _ends(pair.interval)
-    row: Row = {
-        "difference": pair.difference,
-        "low": low,
-        "high": high,
-        "statistic": pair.statistic,
-        "df": pair.degrees_of_freedom,
-        "p": pair.p_value,
-        f"p of {of}": pair.check_p_value,
-    }
+    row = _numbers(pair, "difference") | _ends(pair.interval) | _numbers(pair, "statistic", **_TEST)
+    row |= {f"p of {of}": pair.check_p_value}
     for size in pair.effect_sizes:
         row |= _size(size, size.name)
     return row

@@ -1,25 +1,170 @@
-"""Writes the notebook and the R script that compute the numbers of a report again, beside the report."""
+"""The Jupyter notebook and the R script that compute every number of a report again, beside the report."""
 
 from __future__ import annotations
 
+import json
+import re
 from datetime import UTC, datetime
 from enum import Enum
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.recomputing.fact_finding import facts_of_study
-from robot_runner.analysis.recomputing.notebook import notebook
-from robot_runner.analysis.recomputing.r_script import r_script
+from robot_runner.analysis.recomputing.literals import Code, python_literal, r_literal, rendered
+from robot_runner.analysis.recomputing.study_facts import LEVEL
 from robot_runner.analysis.report.writing import made_by, report_folder
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.core.storage.guarded_files import make_folder, replace
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from robot_runner.analysis.recomputing.study_facts import Compared, Contrasted, Reported, StudyFacts, TestedEffect
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-__all__ = ["Recomputation", "write_recomputations"]
+
+def r_script(study: StudyFacts) -> str:
+    """Return the script, for R 4.0 and its own packages."""
+    return rendered(
+        "recompute.R.j2",
+        **_common(study, ", {}", r_literal, ", tolerance = 1e-4", "NULL", "function(groups, contrasts) {}"),
+        table=_r_table,
+        keys=lambda reported: r_literal([label for label, _ in reported.rows]),
+        separator=lambda is_last: Code("" if is_last else ","),
+        chosen=_chosen,
+        which_of=_which_of,
+        terms=_r_terms,
+        weights=_weights,
+    )
+
+
+def _r_table(reported: Reported) -> Code:
+    rows = [f"  list({', '.join(map(r_literal, (label, *numbers)))})" for label, numbers in reported.rows]
+    columns = r_literal(reported.columns) if reported.columns else "character()"
+    return Code("reported(\n  " + ",\n".join([columns, *rows]) + "\n)")
+
+
+def _chosen(treatments: Mapping[str, str]) -> Code:
+    """Return which runs have some treatments."""
+    return Code(" & ".join(f"d[[{r_literal(name)}]] == {r_literal(of)}" for name, of in treatments.items()))
+
+
+def _which_of(effect: TestedEffect, names: Sequence[str]) -> Code:
+    """Return whether an effect is one of each of some factors."""
+    return r_literal([name in effect.factors for name in names]) if names else Code("logical()")
+
+
+def _r_terms(it: Compared) -> Code:
+    """Return the effects as terms of a formula, whose factors are F1, F2 and so on."""
+    terms = [[f"F{at}" for at, name in enumerate(it.names, 1) if name in effect.factors] for effect in it.effects]
+    return r_literal([":".join(term) for term in terms])
+
+
+def _weights(contrast: Contrasted, it: Compared) -> Code:
+    levels = dict(it.factors)[contrast.factor]
+    return r_literal([contrast.weights.get(level, 0.0) for level in levels])
+
+
+_CELL = re.compile(r"^# %%( \[markdown\])?\n", re.MULTILINE)
+_BLANK_LINES = re.compile(r"\n{4,}")
+
+
+def notebook(study: StudyFacts) -> str:
+    """Return the notebook, as nbformat 4.5 has it: https://nbformat.readthedocs.io/en/latest/format_description.html."""
+    cells = [_cell(place, kind, source) for place, (kind, source) in enumerate(cells_of(study), start=1)]
+    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    content = {
+        "cells": cells,
+        "metadata": {"kernelspec": kernel, "language_info": {"name": "python"}},
+        "nbformat": 4,
+        "nbformat_minor": 5,
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
+    """Return the kind of each cell, `code` or `markdown`, and what it holds."""
+    text = rendered(
+        "notebook.py.j2",
+        **_common(study, ", level={}", python_literal, ", tolerance=1e-4", "None", "lambda groups, contrasts: {}"),
+        table=_python_table,
+        mapping=_mapping,
+        levels=_levels,
+        terms=lambda it: Code(f"[{', '.join(_names(effect.factors) for effect in it.effects)}]"),
+    )
+    _, *parts = _CELL.split(text)
+    found = [("markdown" if mark else "code", source) for mark, source in zip(parts[::2], parts[1::2], strict=True)]
+    return [(kind, _BLANK_LINES.sub("\n\n\n", source).strip()) for kind, source in found if source.strip()]
+
+
+def _cell(place: int, kind: str, source: str) -> dict[str, Any]:
+    lines = source.splitlines(keepends=True)
+    cell: dict[str, Any] = {"cell_type": kind, "id": f"cell-{place}", "metadata": {}, "source": lines}
+    return cell | ({"execution_count": None, "outputs": []} if kind == "code" else {})
+
+
+def _python_table(reported: Reported) -> Code:
+    rows = [f"    ({', '.join(map(python_literal, (label, *numbers)))}),\n" for label, numbers in reported.rows]
+    return Code(f"reported(\n    {python_literal(reported.columns)},\n{''.join(rows)})")
+
+
+def _mapping(of: Mapping[str, object]) -> Code:
+    return Code(f"{{{', '.join(f'{python_literal(key)}: {python_literal(value)}' for key, value in of.items())}}}")
+
+
+def _levels(names: Iterable[str], it: Compared) -> Code:
+    """Return the treatments of some factors, by factor."""
+    return _mapping({name: levels for name, levels in it.factors if name in set(names)})
+
+
+def _names(factors: Sequence[str]) -> str:
+    return f"({', '.join(map(python_literal, factors))},)"
+
+
+_OF_BLOCKS = {"welch": "single"} | {name: name for name in ("greenhouse_geisser", "huynh_feldt", "sign_flips")}
+_OWN = {
+    "welch": "welch_t({})",
+    "welch_james": "welch_anova({})",
+    "combined": "combined(groups, contrasts, welch_anova({}))",
+}
+
+
+def _common(
+    study: StudyFacts, level: str, literal: Callable[[Any], Code], iterated: str, nothing: str, function: str
+) -> dict[str, Any]:
+    """Return what the templates of both languages are filled with; procedures have the same names in both.
+
+    Args:
+        study: the facts.
+        level: how the level of an interval is handed over, where it is not the usual one.
+        literal: writes a value in the language.
+        iterated: how the tolerance of what is found by iteration is handed over.
+        nothing: how the language writes that there is none.
+        function: how it writes a function of `groups` and `contrasts`.
+    """
+    of = partial(_called, nothing, function)
+    return {
+        "study": study,
+        "level": lambda measure: Code("" if measure.level == LEVEL else level.format(literal(measure.level))),
+        "tolerance": lambda kind: Code(iterated if kind == "mixed" else ""),
+        "adjusted_tolerance": Code(iterated if study.has("mixed") else ""),
+        "x_of": lambda it: Code("ranks" if it.estimand == "rank" else "x"),
+        "beside_of": lambda it: Code("x" if it.estimand == "rank" else "ranks"),
+        "procedure": lambda it, effect, values: of(it, effect.test, values, is_drawn=effect.drawn is not None),
+        "check_procedure": lambda it, effect, values: of(it, effect.check, values, is_drawn=effect.check_is_drawn),
+    }
+
+
+def _called(nothing: str, function: str, it: Compared, name: str, values: str, *, is_drawn: bool) -> Code:
+    if not name:
+        return Code(nothing)
+    whole = f"bootstrap({name})" if is_drawn else name
+    if it.kind == "blocks":
+        return Code(_OF_BLOCKS.get(name, f"of_groups({whole})"))
+    if it.is_plain and not is_drawn and name in _OWN:  # by functions of R and of scipy
+        return Code(function.format(_OWN[name].format(values)))
+    return Code(whole)
 
 
 class Recomputation(Enum):

@@ -8,20 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = [
-    "LEVEL",
-    "Adjustment",
-    "Compared",
-    "Contrasted",
-    "Distributed",
-    "FactorColumn",
-    "MeasureFacts",
-    "Paired",
-    "Reported",
-    "StudyFacts",
-    "TableSource",
-    "TestedEffect",
-]
+    from robot_runner.analysis.statistics.tested import AssumptionCheck
 
 Number = float | int | None
 
@@ -33,14 +20,17 @@ LEVEL = 0.95
 class Reported:
     """A table of the report: rows of numbers, each with a label; what could not be computed is None."""
 
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, tuple[Number, ...]], ...]
+    columns: tuple[str, ...] = ()
+    rows: tuple[tuple[str, tuple[Number, ...]], ...] = ()
 
     @classmethod
     def of(cls, rows: Sequence[tuple[str, Mapping[str, Number]]]) -> Reported:
         """Return a table whose columns are those that some row has a number for."""
         names = dict.fromkeys(name for _, row in rows for name, value in row.items() if value is not None)
         return cls(tuple(names), tuple((label, tuple(row.get(name) for name in names)) for label, row in rows))
+
+    def __bool__(self) -> bool:
+        return bool(self.rows)
 
     @property
     def numbers(self) -> list[float]:
@@ -87,20 +77,11 @@ class TableSource:
 
 
 @dataclass(frozen=True, slots=True)
-class Distributed:
-    """A check of how values are distributed: of the residuals, of spreads, or of one group."""
-
-    name: str
-    treatments: Mapping[str, str]
-
-
-@dataclass(frozen=True, slots=True)
 class TestedEffect:
     """An effect, and the procedures that it is tested by.
 
     Attributes:
         key: names it among all effects of the study.
-        which: whether it is an effect of each of the compared factors.
         test, check: names of procedures; empty where there is none.
         drawn: the p-value of the report, where it comes from a bootstrap.
         check_is_drawn: whether that of the check does.
@@ -109,7 +90,6 @@ class TestedEffect:
     key: str
     label: str
     factors: tuple[str, ...]
-    which: tuple[bool, ...]
     test: str
     check: str
     drawn: Number
@@ -161,6 +141,7 @@ class Compared:
         of: what the check is of: `ranks` or `means`.
         d_name: what differences in standard deviations are called.
         is_uniform: whether all combinations vary.
+        terms: where some combinations have no run, the effects that are estimated, each as whether a factor is in it.
     """
 
     kind: str
@@ -179,6 +160,7 @@ class Compared:
     d_name: str
     has_check: bool
     is_uniform: bool
+    terms: tuple[tuple[bool, ...], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -205,6 +187,7 @@ class MeasureFacts:
         key: names it: the measure, and whether doubtful runs are left out.
         factors: those that its runs differ in.
         left_out: the runs whose values are left out.
+        distributed: the checks of how values are distributed; `distribution` is what they found.
         compared: what is compared; None where nothing is, or by a procedure that is not known here.
         effect_keys, contrast_keys: what names each test among all of the study: by factors, and by statement.
         taken: p-values of tests that are not computed again, by their keys.
@@ -219,11 +202,11 @@ class MeasureFacts:
     left_out: tuple[str, ...]
     described: tuple[tuple[tuple[str, ...], Reported], ...]
     is_extended: bool
-    distributed: tuple[Distributed, ...]
+    distributed: tuple[AssumptionCheck, ...]
     distribution: Reported
-    quantiles: Reported | None
-    drift: Reported | None
-    power: Reported | None
+    quantiles: Reported
+    drift: Reported
+    power: Reported
     compared: Compared | None
     effect_keys: Mapping[tuple[str, ...], str]
     contrast_keys: Mapping[str, str]
@@ -302,6 +285,11 @@ class StudyFacts:
         return any(each.kind in kinds for each in self.compared)
 
     @property
+    def has_gaps(self) -> bool:
+        """Whether some combinations have no run, though their effects are estimated."""
+        return any(each.terms for each in self.compared)
+
+    @property
     def has_trimmed(self) -> bool:
         """Whether trimmed means are compared."""
         return any(each.estimand == "trimmed mean" for each in self.compared)
@@ -312,7 +300,7 @@ class StudyFacts:
         found = [self.design, self.adjusted, self.correlations]
         for measure in self.measures:
             found += [of for _, of in measure.described]
-            found += [each for each in (measure.distribution, measure.quantiles, measure.drift, measure.power) if each]
+            found += [measure.distribution, measure.quantiles, measure.drift, measure.power]
             if measure.compared is not None:
                 found += [measure.compared.tested, measure.compared.contrasted]
                 found += [each for pair in measure.compared.pairs for each in (pair.reported, pair.adjusted)]

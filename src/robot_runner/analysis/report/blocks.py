@@ -12,31 +12,6 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Badge",
-    "Beside",
-    "Block",
-    "Card",
-    "Cards",
-    "Cell",
-    "Chart",
-    "Code",
-    "Column",
-    "Document",
-    "Facts",
-    "FigureBlock",
-    "Gallery",
-    "Paragraph",
-    "Part",
-    "Place",
-    "Remark",
-    "Remarks",
-    "Section",
-    "Table",
-    "Tone",
-]
-
-
 Kind = TypeVar("Kind")
 
 

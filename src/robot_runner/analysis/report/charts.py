@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.figures.style import Look
     from robot_runner.analysis.report.material import Material
 
-__all__ = ["course_chart", "points_chart"]
-
 #: Single runs in a chart: each is some 3 kB of the page.
 _MOST_RUNS = 40
 _DIGITS = 4

@@ -1,20 +1,23 @@
-"""The sections on what was done (design, order, robot, instruments, machine) and on descriptive statistics."""
+"""The sections on what was done (design, what a search tried, order, robot, machine) and on descriptive statistics."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
 from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import correction_in_words
-from robot_runner.analysis.report.searched_part import searched_part
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.statistics.known_precision import repeated_interval
 from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
 from robot_runner.core.design.batch import CONFIRMATION
+from robot_runner.core.design.columns import STATUS
 from robot_runner.core.design.repeated_intervals import METHOD
 from robot_runner.core.secret_names import shown_settings
+from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_commit, shown_duration
 
@@ -24,8 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
-
-__all__ = ["description_section", "design_section", "order_in_words", "shown_stamp"]
 
 _GIBI = 2**30
 _MOST_NAMED = 12  # outliers that fit a line
@@ -293,3 +294,47 @@ def _notes(measure: MeasureStatistics) -> Iterator[str]:
         yield f"{many}: {listed(named, shown=_MOST_NAMED)}. None of these was left out."
     for missed in measure.not_computed:
         yield f"Not computed: {missed.what}. {sentence(missed.why)}"
+
+
+_NOTE = (
+    "Means of the runs of the search, in the order in which combinations came up. They are exploratory: the best of "
+    "many looks better than it is."
+)
+
+
+def searched_part(material: Material) -> Iterator[Part]:
+    """Yield what was tried, where the design decided on its runs."""
+    results = material.results.with_exploration
+    measures = list((material.manifest("design", "parameters", "directions", default={}) or {}).keys())
+    if not results.is_adaptive or not all(name in results.runs for name in measures):
+        return
+    runs = results.runs
+    if results.batch is not None:
+        runs = runs[~runs[results.batch].isin(results.confirming_batches)]
+    factors = list(results.factors)
+    tried = [_tried(treatments, own, measures) for treatments, own in runs.groupby(factors, observed=True, sort=False)]
+    tried.sort(key=lambda each: each["place"])
+    columns = [text(name, _reader("treatments", place)) for place, name in enumerate(factors)]
+    columns += [number("Runs done", lambda each: each["done"])]
+    columns += [number(results.label(name), _reader("means", place)) for place, name in enumerate(measures)]
+    table = build_table("searched", "What was tried in search of the best.", tried, columns, _NOTE)
+    yield Part("design-searched", "What was tried", (table,), is_folded=len(tried) > _FEW)
+
+
+#: So many rows are shown without being asked for.
+_FEW = 30
+
+
+def _tried(treatments: tuple[Any, ...], runs: pd.DataFrame, measures: list[str]) -> dict[str, Any]:
+    done = runs[runs[STATUS] == RunStatus.DONE.value]
+    means = [pd.to_numeric(done[name], errors="coerce").mean() for name in measures]
+    return {
+        "treatments": [str(each) for each in treatments],
+        "done": len(done),
+        "means": [None if pd.isna(mean) else float(mean) for mean in means],
+        "place": runs.index[0],
+    }
+
+
+def _reader(part: str, place: int) -> Any:
+    return lambda each: each[part][place]

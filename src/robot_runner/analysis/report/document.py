@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.report.material import Material
 
-__all__ = ["json_of_report", "plain", "report_document"]
-
-
 _FORMAT = 1
 
 
@@ -95,12 +92,7 @@ def _plain_cell(value: Any) -> Any:
 
 
 def report_document(material: Material, *, made: str) -> Document:
-    """Return the report of an experiment; its figures are not drawn yet.
-
-    Args:
-        material: what it is about.
-        made: when and by what it is made.
-    """
+    """Return the report of an experiment; its figures are not drawn yet."""
     threats = threats_of(material)
     return Document(
         kicker="Experiment report",

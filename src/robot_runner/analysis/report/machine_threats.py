@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Tone
+from robot_runner.analysis.sample_files import noted
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.guarded_files import read_json
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated
 
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from robot_runner.analysis.report.material import Material
-
-__all__ = ["machine_threats", "read_machines"]
 
 #: The profiler whose files are read; its class as the manifest has it.
 _WATCH = ":MachineWatch"
@@ -37,11 +34,7 @@ def read_machines(material: Material) -> dict[str, dict[str, Mapping[str, Any]]]
     found: dict[str, dict[str, Mapping[str, Any]]] = {}
     for run_id in material.done[RUN_ID]:
         for path in (path for name in watches for path in sorted((folder.run(run_id) / name).glob("*.json"))):
-            try:
-                facts = read_json(path, folder.root)
-            except StorageError:
-                continue
-            if isinstance(facts, dict):
+            if isinstance(facts := noted(path, folder.root), dict):
                 found.setdefault(str(facts.get("host")), {})[str(run_id)] = facts
     return found
 

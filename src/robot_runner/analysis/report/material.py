@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.planning.registered import registered
 from robot_runner.analysis.report.blocks import Badge, Tone
+from robot_runner.analysis.sample_files import noted
+from robot_runner.analysis.statistics.analysed_design import has_known_order
 from robot_runner.analysis.statistics.known_precision import known_precisions
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.errors import StorageError
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
-from robot_runner.core.storage.guarded_files import read_json
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
@@ -29,18 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
-
-__all__ = [
-    "ALL_RUNS",
-    "JOINT",
-    "Material",
-    "RunQuality",
-    "correction_in_words",
-    "origin_badges",
-    "origin_in_words",
-    "read_qualities",
-]
-
 
 #: How the values of a measure can fall short, with an explanation for a badge.
 _DOUBTED = {
@@ -84,16 +72,9 @@ class RunQuality:
 
 def read_qualities(folder: ExperimentFolder, run_ids: Iterable[str]) -> tuple[RunQuality, ...]:
     """Return what is known of the samples of these runs; files that are no such notes are passed over."""
-    found = []
-    for run_id in run_ids:
-        for path in sorted(folder.run(run_id).glob(f"*/{_FILE}")):
-            try:
-                facts = read_json(path, folder.root)
-            except StorageError:
-                continue
-            if isinstance(facts, dict):
-                found.append(_quality(run_id, path.parent.name, facts))
-    return tuple(found)
+    paths = ((run_id, path) for run_id in run_ids for path in sorted(folder.run(run_id).glob(f"*/{_FILE}")))
+    notes = ((run_id, path.parent.name, noted(path, folder.root)) for run_id, path in paths)
+    return tuple(_quality(run_id, plugin, facts) for run_id, plugin, facts in notes if isinstance(facts, dict))
 
 
 def _quality(run_id: str, plugin: str, facts: Mapping[str, Any]) -> RunQuality:
@@ -168,6 +149,11 @@ class Material:
         """How precisely each measure is known that the experiment was repeated for, by its name."""
         left_out = {each.name: [one.run_id for one in each.left_out] for each in self.statistics.measures}
         return {each.measure: each for each in known_precisions(self.results, left_out)}
+
+    @property
+    def order_of_runs(self) -> str:
+        """The order over which a drift is looked for, in words: that of the table where runs do not tell another."""
+        return "order of execution" if has_known_order(self.results) else "order of the table"
 
     @cached_property
     def labels(self) -> Mapping[str, str]:
@@ -271,12 +257,12 @@ def origin_in_words(origin: str | None) -> str:
     return f" The values are {words}." if words else ""
 
 
-def origin_badges(origin: str | None) -> tuple[Badge, ...]:
-    """Return labels for a value that was not, or not always, measured.
+def origin_badges(*origins: str | None) -> tuple[Badge, ...]:
+    """Return labels for values that were not, or not always, measured; each once.
 
     Example:
         >>> [badge.text for badge in origin_badges("measured, simulated")]
         ['simulated']
     """
-    words = [word.strip() for word in (origin or "").split(",")]
+    words = dict.fromkeys(word.strip() for origin in origins for word in (origin or "").split(","))
     return tuple(Badge(word, Tone.NOTE, _EXPLANATIONS[word]) for word in words if word in _EXPLANATIONS)

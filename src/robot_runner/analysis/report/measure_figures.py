@@ -12,8 +12,7 @@ from robot_runner.analysis.figures.distribution import Group, draw_distribution,
 from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
-from robot_runner.analysis.report.mission_figures import mission_parts, trajectory_part
-from robot_runner.analysis.report.stills_part import stills_part
+from robot_runner.analysis.report.mission_figures import mission_parts, stills_part, trajectory_part
 from robot_runner.analysis.wording import RHO, shown_number
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted
@@ -23,9 +22,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import Description, Drift, MeasureStatistics
-
-__all__ = ["drift_figure", "figures_section", "quantile_figure"]
-
 
 _MOST_COMBINATIONS = 16
 _MOST_LINES = 8
@@ -52,19 +48,20 @@ def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlo
 
 
 def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -> FigureBlock:
-    """Return the figure of a measure over the order of execution."""
+    """Return the figure of a measure over the order of execution, or of the table where that is not known."""
     return FigureBlock(
         f"order {measure.name}",
-        f"{measure.name} over the order of execution: each run less the mean of its combination. Dashed: slope of "
-        f"Theil and Sen, {shown_number(drift.slope, 3)} {measure.unit} a run "
+        f"{measure.name} over the {material.order_of_runs}: each run less the mean of its combination. Dashed: slope "
+        f"of Theil and Sen, {shown_number(drift.slope, 3)} {measure.unit} a run "
         f"(Spearman's {RHO} = {shown_number(drift.correlation, 3)}).",
-        f"Residuals of {measure.name} over the order of execution.",
+        f"Residuals of {measure.name} over the {material.order_of_runs}.",
         lambda: draw_run_order(
             drift.places,
             drift.residuals,
             [material.labels[run_id] for run_id in drift.run_ids],
             order=material.order,
             value_label=material.results.label(measure.name),
+            place_label=f"Place in the {material.order_of_runs}",
             slope=drift.slope,
         ),
     )

@@ -1,4 +1,4 @@
-"""Figures of missions: sampled measures over time (the paper's Fig. 4), and the ways that robots took."""
+"""Figures of missions: sampled measures over time (the paper's Fig. 4), the ways of robots, what lab cameras saw."""
 
 from __future__ import annotations
 
@@ -6,29 +6,38 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pandas as pd
+from matplotlib.image import imread
 
 from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan, bin_width, course_of_run
 from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
+from robot_runner.analysis.figures.style import GREY, HIGHEST, PAGE, new_figure, shortened
 from robot_runner.analysis.report.blocks import Beside, Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
 from robot_runner.analysis.report.material import origin_badges, origin_in_words
-from robot_runner.analysis.report.means_table import means_table
-from robot_runner.analysis.sample_files import split_unit
+from robot_runner.analysis.report.summary_section import means_table
+from robot_runner.analysis.sample_files import noted, split_unit
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import require_file
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     import numpy as np
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.sample_files import SampleFile
 
-__all__ = ["SampledMeasure", "is_way", "mission_courses", "mission_parts", "sampled_measures", "trajectory_part"]
+    #: By run and its treatments: what each still shows, and its file.
+    Stills = dict[str, tuple[tuple[str, Path], ...]]
+
 
 _MOST_MEASURES = 4
 #: More lines than that cannot be told apart in a column.
@@ -235,3 +244,79 @@ def _figure(material: Material, file: SampleFile, runs: list[str]) -> FigureBloc
         f"{counted(len(ways), 'way')} seen from above.",
         lambda: draw_trajectories(ways, order=material.order),
     )
+
+
+#: What a camera notes beside its stills: `runs/<run id>/<plugin>/stills.json`.
+_STILLS = "stills.json"
+#: More rows would be too small to see anything.
+_MOST_RUNS = 8
+_MOST_STILLS = 8
+
+
+def stills_part(material: Material) -> Iterator[Part]:
+    """Yield a part with a figure for each camera that kept stills of runs which are done."""
+    folder = ExperimentFolder(material.results.folder)
+    cameras: dict[str, Stills] = {}
+    for run_id in map(str, material.done[RUN_ID]):
+        for path in sorted(folder.run(run_id).glob(f"*/{_STILLS}")):
+            stills = _stills(path, folder.root)
+            if stills:
+                cameras.setdefault(path.parent.name, {})[f"{run_id}, {material.labels[run_id]}"] = stills
+    if cameras:
+        figures = tuple(_stills_figure(camera, runs) for camera, runs in cameras.items())
+        beside = Beside((Gallery(figures), *means_table(material, "means beside stills")))
+        yield Part("stills", "What the camera saw", (beside,))
+
+
+def _stills_figure(camera: str, runs: Stills) -> FigureBlock:
+    shown = dict(list(runs.items())[:: -(-len(runs) // _MOST_RUNS)])
+    which = "all runs that are done" if len(shown) == len(runs) else f"{len(shown)} of {counted(len(runs), 'run')}"
+    return FigureBlock(
+        f"stills {camera}",
+        f"Stills of the mission ({camera}), {which}. The videos are beside the raw data of each run.",
+        f"Stills of {counted(len(shown), 'run')}.",
+        lambda: draw_stills(shown),
+        is_wide=True,
+        has_photographs=True,
+    )
+
+
+def _stills(path: Path, root: Path) -> tuple[tuple[str, Path], ...]:
+    """Return what each still shows, and its file; what is no such note, or leads elsewhere, is passed over."""
+    listed = noted(path, root)
+    notes = [note for note in listed if isinstance(note, dict)] if isinstance(listed, list) else []
+    found = ((str(note.get("label")), path.parent / str(note.get("file"))) for note in notes)
+    return tuple((label, file) for label, file in found if file.parent == path.parent and _is_file(file, root))[
+        :_MOST_STILLS
+    ]
+
+
+def _is_file(path: Path, root: Path) -> bool:
+    try:
+        require_file(path, root)
+    except StorageError:
+        return False
+    return True
+
+
+_LETTERS = 24
+
+
+def draw_stills(runs: Stills) -> Figure:
+    """Draw the stills of runs, a row for each run; a file that cannot be read leaves its place empty."""
+    columns = max(map(len, runs.values()))
+    figure = new_figure(PAGE, min(HIGHEST, len(runs) * (0.68 * PAGE / columns + 0.2)))
+    grid = figure.subplots(len(runs), columns, squeeze=False)
+    for places, (name, stills) in zip(grid, runs.items(), strict=True):
+        for number, axes in enumerate(places):
+            axes.set_axis_off()
+            if number >= len(stills):
+                continue
+            label, path = stills[number]
+            before = f"{name}: " if number == 0 else ""
+            axes.set_title(shortened(before + label, _LETTERS), fontsize="small", loc="left")
+            try:
+                axes.imshow(imread(path))
+            except (OSError, ValueError, SyntaxError):  # Pillow raises the last for a damaged file
+                axes.text(0.5, 0.5, "no picture", color=GREY, ha="center", va="center", transform=axes.transAxes)
+    return figure

@@ -1,8 +1,12 @@
-"""The section on each run's outcome: its status, why it failed, when it was executed, how complete its samples are."""
+"""The section on each run's outcome: its status, why it failed, when it was executed, how complete its samples are.
+
+Of a covering array it also tells which pairs of treatments runs failed with: what such a design is executed for.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from itertools import combinations
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pandas as pd
 
@@ -19,7 +23,6 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
-from robot_runner.analysis.report.failed_pairs import failed_pair_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
 from robot_runner.analysis.wording import MISSING, NUMBER, listed
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
@@ -27,11 +30,9 @@ from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from robot_runner.analysis.report.material import Material, RunQuality
-
-__all__ = ["failures_in_words", "outcome_section"]
 
 _TONES = {RunStatus.DONE.value: Tone.GOOD, RunStatus.FAILED.value: Tone.BAD}
 _WORDS = {RunStatus.TODO.value: "To do"}
@@ -222,3 +223,49 @@ def _spans(material: Material) -> tuple[AttemptSpan, ...]:
         measured = (known[0], known[1]) if len(known) == len(edges) else None
         spans.append(AttemptSpan(row.run_id, label, start, end, measured, is_done=row.status == "done"))
     return tuple(spans)
+
+
+#: More rows are not read; those in which all runs failed come first.
+_MOST = 20
+
+
+class FailedPair(NamedTuple):
+    """A pair of treatments, and how many of its runs failed."""
+
+    pair: str
+    runs: int
+    failed: int
+
+
+def failed_pairs(runs: pd.DataFrame, factors: tuple[str, ...]) -> list[FailedPair]:
+    """Return the pairs of treatments that runs failed with, those of which most failed first."""
+    texts = runs[list(factors)].astype("str")
+    has_failed = (runs[STATUS].astype("str") == RunStatus.FAILED.value).to_numpy()
+    found = []
+    for one, other in combinations(factors, 2):
+        held: dict[tuple[str, str], list[bool]] = {}
+        for pair, is_failed in zip(zip(texts[one], texts[other], strict=True), has_failed, strict=True):
+            held.setdefault(pair, []).append(bool(is_failed))
+        found += [
+            FailedPair(f"{one} = {a}, {other} = {b}", len(each), sum(each))
+            for (a, b), each in held.items()
+            if any(each)
+        ]
+    return sorted(found, key=lambda each: (-each.failed / each.runs, -each.failed, each.pair))
+
+
+def failed_pair_parts(material: Material) -> Iterator[Block]:
+    """Yield the part, where the design is a screening and runs failed."""
+    if material.statistics.design.kind != "covering_array" or not material.counts[RunStatus.FAILED]:
+        return
+    ended = material.runs[material.runs[STATUS].astype("str").isin([RunStatus.DONE.value, RunStatus.FAILED.value])]
+    found = failed_pairs(ended, material.statistics.design.factors)
+    fields = (text("Treatments", "pair"), number("Runs", "runs"), number("Failed", "failed"))
+    shown = f", of {len(found):,} the {_MOST} that failed most" if len(found) > _MOST else ""
+    caption = f"The pairs of treatments that runs failed with{shown}."
+    words = (
+        "Each pair of treatments was executed at least once. A pair all of whose runs failed may be the cause; others "
+        "go along with it. Repeat the first ones by themselves."
+    )
+    table = build_table("failed pairs", caption, found[:_MOST], fields)
+    yield Part("outcome-pairs", "Failures by pairs of treatments", (Paragraph(words, Tone.NOTE), table))

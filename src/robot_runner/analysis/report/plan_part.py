@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import MeasureStatistics, Standing
     from robot_runner.analysis.statistics.tested import MeasureTest
 
-__all__ = ["besides", "planned_parts", "standing_parts"]
-
 _TITLES = {
     Beside.WITHOUT_DOUBTFUL: "Without doubtful values",
     Beside.ALL_RUNS: "With all runs",

@@ -11,7 +11,6 @@ import csv
 import io
 import json
 import re
-from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -26,8 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from robot_runner.analysis.report.blocks import Document, Table
-
-__all__ = ["SafeNames", "csv_of", "html_of", "latex_of", "latex_text", "markdown_of", "markdown_text"]
 
 _PACKAGE = "robot_runner.analysis.report"
 #: Rows of a table that a page shows; files have them all.
@@ -77,12 +74,7 @@ class SafeNames:
 
 
 def html_of(document: Document, drawings: Mapping[str, bytes]) -> str:
-    """Return a document as one HTML file that fetches nothing: style, scripts, figures and data stand in it.
-
-    Args:
-        document: what is written.
-        drawings: its figures as SVG, by their names.
-    """
+    """Return a document as one HTML file that fetches nothing: style, scripts, figures and data stand in it."""
     anchors = SafeNames()
     for section in document.sections:  # their names are promised, so nothing else may take them
         anchors(section.name)
@@ -100,12 +92,7 @@ def html_of(document: Document, drawings: Mapping[str, bytes]) -> str:
 
 
 def markdown_of(document: Document, figure_path: Callable[[str], str]) -> str:
-    """Return a document as Markdown.
-
-    Args:
-        document: what is written.
-        figure_path: returns the path of a figure's file by the figure's name, relative to the document.
-    """
+    """Return a document as Markdown."""
     template = _environment(markdown_text).get_template("report.md.j2")
     return _BLANK_LINES.sub("\n\n", template.render(document=document, figure_path=figure_path))
 
@@ -148,6 +135,19 @@ def markdown_text(text: str) -> str:
     return _MARKDOWN.sub(r"\\\1", line)
 
 
+def templates_of(package: str, finalize: Callable[[object], object], **settings: Any) -> Environment:
+    """Return the templates of a package; `finalize` gets each value that one prints."""
+    return Environment(  # noqa: S701 - the caller says how values are escaped
+        loader=PackageLoader(package),
+        finalize=finalize,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        **settings,
+    )
+
+
 @cache
 def _environment(escape: Callable[[str], str] | None = None, **settings: str) -> Environment:
     """Return templates of a format: what they print is escaped by `escape`, or as HTML, unless it is `Markup`."""
@@ -157,16 +157,7 @@ def _environment(escape: Callable[[str], str] | None = None, **settings: str) ->
             return value
         return Markup(escape(str(value)))  # noqa: S704 - that it is escaped for another format is the point
 
-    environment = Environment(
-        loader=PackageLoader(_PACKAGE),
-        autoescape=True,
-        finalize=finalize,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        **settings,  # type: ignore[arg-type]  # delimiters only
-    )
+    environment = templates_of(_PACKAGE, finalize, autoescape=True, **settings)
     environment.globals["kind_of"] = lambda block: type(block).__name__
     return environment
 
@@ -216,19 +207,11 @@ def _data_uri(text: str, kind: str) -> str:
     return f"data:{kind};charset=utf-8,{quote(text)}"
 
 
-@dataclass(frozen=True, slots=True)
-class _Drawing:
-    """A figure as a page shows it."""
-
-    uri: str
-    width: int
-    height: int
-
-
-def _drawing(svg: bytes) -> _Drawing:
+def _drawing(svg: bytes) -> dict[str, object]:
+    """Return a figure as a page shows it: its URI, and its size in pixels."""
     found = _SIZE.search(svg)
     width, height = map(float, found.groups()) if found else (252.0, 180.0)
     # A hundredth of a point is less than anybody sees.
     small = _PATH.sub(lambda path: _LONG_DECIMALS.sub(rb"\1", path[0]), svg[svg.index(b"<svg") :])
     uri = f"data:image/svg+xml;base64,{base64.b64encode(small).decode('ascii')}"
-    return _Drawing(uri, round(width * _SCALE), round(height * _SCALE))
+    return {"uri": uri, "width": round(width * _SCALE), "height": round(height * _SCALE)}

@@ -1,4 +1,4 @@
-"""The sections in brief, for readers in a hurry, and on how to replicate the experiment."""
+"""The sections in brief, for readers in a hurry, with the means of measures, and on how to replicate the experiment."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from robot_runner.analysis.report.blocks import (
     Block,
     Card,
     Cards,
+    Cell,
     Code,
     Facts,
     Paragraph,
@@ -17,17 +18,17 @@ from robot_runner.analysis.report.blocks import (
     Section,
     Tone,
 )
-from robot_runner.analysis.report.means_table import means_table
-from robot_runner.analysis.wording import TIMES, listed
+from robot_runner.analysis.report.material import JOINT
+from robot_runner.analysis.report.tables import Field, build_table, field, text
+from robot_runner.analysis.wording import MISSING, TIMES, listed, shown_number
 from robot_runner.core.storage.cells import RunStatus
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from robot_runner.analysis.report.blocks import Table
     from robot_runner.analysis.report.material import Material
-    from robot_runner.analysis.statistics.outcome import MeasureStatistics
-
-__all__ = ["replication_section", "summary_section"]
+    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
 
 _CONTENTS = (
     ("run_table.csv", "all runs with their treatments and measures; run_table.schema.json says what each column means"),
@@ -39,12 +40,7 @@ _CONTENTS = (
 
 
 def summary_section(material: Material, threats: Sequence[Remark]) -> Section:
-    """Return the section.
-
-    Args:
-        material: what the report is about.
-        threats: those of the section on validity.
-    """
+    """Return the section."""
     blocks: list[Block] = [Cards(tuple(_cards(material, threats)))]
     if material.results.is_running:
         note = "The experiment is being executed: this report is of the runs that were done when it was made."
@@ -71,8 +67,8 @@ def _cards(material: Material, threats: Sequence[Remark]) -> Iterator[Card]:
         sizes = f" {TIMES} ".join(str(material.runs[name].nunique()) for name in factors)
         yield Card(sizes, _plural(sizes, "treatment"), f"of {listed(factors, shown=3)}")
     if design.used:
-        largest = "" if design.is_balanced else f" to {design.largest_group:,}"
-        size = f"{design.smallest_group:,}{largest}"
+        least, most = design.smallest_group, design.largest_group
+        size = f"{least:,}" if least == most else f"{least:,} to {most:,}"
         yield Card(size, f"{_plural(size, 'run')} each", "of a combination")
     measures = material.results.measures
     yield Card(f"{len(measures):,}", _plural(str(len(measures)), "measure"), listed(measures, shown=3))
@@ -137,3 +133,32 @@ def _order(material: Material) -> str:
     if material.manifest("seed_is_given"):
         return f"The config gives seed {seed}: the order of the runs will be the same."
     return f"The order was drawn (seed {seed}); replicating takes the same seed, so that the order will be the same."
+
+
+_MOST_GROUPS = 6
+
+
+def means_table(material: Material, name: str) -> Iterator[Table]:
+    """Yield the means of all measures beside each other, where there are few enough treatments."""
+    groups = {
+        measure.name: {each.label: each for each in measure.by_combination or measure.by_treatment}
+        for measure in material.statistics.measures
+        if measure.overall is not None and measure.overall.n
+    }
+    names = [name for name in material.order if any(name in described for described in groups.values())]
+    if not groups or not 1 < len(names) <= _MOST_GROUPS:
+        return
+
+    def means(treatment: str) -> Field:
+        return field(treatment, lambda measure: _mean(groups[measure].get(treatment)), is_number=True)
+
+    caption = f"Means by {JOINT.join(material.results.factors)}."
+    note = "Mean of the runs that are done, and their standard deviation (± SD)."
+    yield build_table(name, caption, groups, (text("Measure", material.results.label), *map(means, names)), note)
+
+
+def _mean(group: Description | None) -> Cell:
+    if group is None or group.mean is None:
+        return Cell(None, MISSING)
+    spread = "" if group.sd is None else f" ± {shown_number(group.sd, 2)}"
+    return Cell(group.mean, f"{shown_number(group.mean)}{spread}")

@@ -1,28 +1,31 @@
-"""The part on a response surface: its coefficients, what it lacks, and where it neither rises nor falls."""
+"""The part on a response surface: its coefficients, what it lacks, where it neither rises nor falls, and its figure."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from robot_runner.analysis.figures.surfaces import Axis, draw_contours, draw_curve
+from robot_runner.analysis.figures.style import COLUMN, DASHED, INK, figure_style, label_axes, new_axes
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Paragraph, Part
 from robot_runner.analysis.report.tables import build_table, interval, number, p_value, text
-from robot_runner.analysis.wording import p_in_words, shown_interval, shown_number, with_unit
+from robot_runner.analysis.wording import p_in_words, shown_interval, shown_number, shown_statistic, with_unit
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
+
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
     from robot_runner.analysis.report.blocks import Table
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
     from robot_runner.analysis.statistics.surface_model import Surface
 
-__all__ = ["surface_figure", "surface_in_words", "surface_parts"]
+    Floats = NDArray[np.float64]
 
 _GRID = 60
 _PAIR = 2
@@ -49,7 +52,9 @@ def surface_in_words(material: Material, measure: MeasureStatistics, surface: Su
     if fit is None:
         yield f"{explained}; whether it lacks something is not known, as no combination was repeated."
     else:
-        figures = f"F({fit.freedom[0]:g}, {fit.freedom[1]:g}) = {fit.f_value:.3g}, {p_in_words(fit.p_value)}"
+        figures = (
+            f"F({fit.freedom[0]:g}, {fit.freedom[1]:g}) = {shown_statistic(fit.f_value)}, {p_in_words(fit.p_value)}"
+        )
         verdict = (
             "it lacks something, so that its coefficients describe the measure only roughly"
             if fit.p_value < alpha
@@ -125,3 +130,49 @@ def surface_figure(material: Material, measure: MeasureStatistics) -> FigureBloc
 def _axis(material: Material, name: str, stationary: float | None) -> Axis:
     runs = [float(each) for each in material.done[name].astype("str")]
     return Axis(material.results.label(name), np.linspace(min(runs), max(runs), _GRID), runs, stationary)
+
+
+_LEVELS = 9
+
+
+class Axis(NamedTuple):
+    """A factor that a surface is drawn over.
+
+    Attributes:
+        label: for the axis.
+        numbers: where the surface is computed, in ascending order.
+        runs: the treatment of each run.
+        stationary: where the surface neither rises nor falls; None where it does not lie in the figure.
+    """
+
+    label: str
+    numbers: Floats
+    runs: Sequence[float]
+    stationary: float | None
+
+
+@figure_style()
+def draw_contours(along: Axis, across: Axis, heights: Floats, value_label: str) -> Figure:
+    """Draw lines of one height, the runs as points, and the stationary point as a cross."""
+    figure, axes = new_axes(COLUMN, 3.0)
+    filled = axes.contourf(along.numbers, across.numbers, heights, levels=_LEVELS, cmap="cividis", alpha=0.6)
+    lines = axes.contour(along.numbers, across.numbers, heights, levels=filled.levels, colors=INK, linewidths=0.5)
+    axes.clabel(lines, fontsize=6, fmt="%.4g")
+    axes.scatter(along.runs, across.runs, s=12, facecolors="white", edgecolors=INK, linewidths=0.6, zorder=3)
+    if along.stationary is not None and across.stationary is not None:
+        axes.scatter([along.stationary], [across.stationary], s=40, marker="x", color=INK, zorder=4)
+    figure.colorbar(filled, ax=axes, label=value_label)
+    label_axes(axes, along.label, across.label, grid="both")
+    return figure
+
+
+@figure_style()
+def draw_curve(along: Axis, heights: Floats, values: Sequence[float], value_label: str) -> Figure:
+    """Draw the curve over a single factor, with the value of each run."""
+    figure, axes = new_axes(COLUMN, 2.5)
+    axes.plot(along.numbers, heights, color=INK)
+    axes.scatter(along.runs, values, s=12, facecolors="white", edgecolors=INK, linewidths=0.6, zorder=3)
+    if along.stationary is not None:
+        axes.axvline(along.stationary, color=INK, linestyle=DASHED, linewidth=0.8)
+    label_axes(axes, along.label, value_label, grid="both")
+    return figure

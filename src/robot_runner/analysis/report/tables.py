@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     #: Reads a value of an item: a function, or the name of an attribute.
     Read = Callable[[Any], Any] | str
 
-__all__ = ["Field", "build_table", "field", "interval", "number", "number_cell", "p_value", "text"]
-
 
 @dataclass(frozen=True, slots=True)
 class Field:

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
         PostHoc,
     )
 
-__all__ = ["tests_section"]
-
 _PLANNED = Badge("planned", Tone.GOOD, "Measure, level and correction were fixed before the experiment.")
 _EXPLORATORY = Badge("exploratory", Tone.PLAIN, "The analysis was not fixed before the experiment.")
 

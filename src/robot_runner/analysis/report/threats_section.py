@@ -10,6 +10,7 @@ from robot_runner.analysis.report.machine_threats import machine_threats
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
+from robot_runner.analysis.statistics.analysed_design import has_known_order
 from robot_runner.analysis.statistics.disclosed import Beside
 from robot_runner.analysis.statistics.experiment_statistics import order_warnings, planned_warnings
 from robot_runner.analysis.wording import NUMBER, listed, sentence, shown_number
@@ -30,20 +31,13 @@ if TYPE_CHECKING:
     #: Title, text and weight of a threat.
     Threats = Iterator[tuple[str, str, Tone]]
 
-__all__ = ["threats_of", "threats_section"]
-
 #: From where on an effect is large (Cohen 1988).
 _LARGE = {"Cohen's d": 0.8, "Cohen's f": 0.4}
 _FEW = 5
 
 
 def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
-    """Return the section.
-
-    Args:
-        material: what the report is about.
-        threats: as `threats_of` found them.
-    """
+    """Return the section."""
     intro = (
         "What the tool noticed by itself, by the kinds of Wohlin et al., Experimentation in Software Engineering. It "
         "does not know the study: other threats are for its authors to name."
@@ -56,7 +50,8 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
         if measure.drift is not None and (measure.name in material.drawn or measure.drift.is_significant)
     )
     if figures:
-        about = "Residuals over the order of execution show whether battery or room drifted."
+        doubt = "" if has_known_order(material.results) else ", which may be another than that of execution,"
+        about = f"Residuals over the {material.order_of_runs}{doubt} show whether battery or room drifted."
         blocks += [Paragraph(about, Tone.NOTE), Gallery(figures)]
     return Section("threats-to-validity", "Threats to validity", tuple(blocks))
 
@@ -95,7 +90,9 @@ def _groups(material: Material) -> Threats:
             if design.lacking_combinations
             else ""
         )
-        text = f"Combinations have {design.smallest_group:,} to {design.largest_group:,} runs{none}."
+        least, most = design.smallest_group, design.largest_group
+        sizes = f"{least:,} to {most:,} runs" if least < most else f"{counted(least, 'run')} each"
+        text = f"Combinations have {sizes}{none}."
         yield "Groups are not equally large", text, Tone.NOTE
     if design.used and design.smallest_group < _FEW:
         size = counted(design.smallest_group, "run")
@@ -113,7 +110,7 @@ def _plan(material: Material) -> Threats:
         yield "Nothing was fixed beforehand", text, Tone.NOTE
     missed = [*statistics.not_computed, *(each for measure in statistics.measures for each in measure.not_computed)]
     if missed:
-        yield "Not everything could be computed", listed(each.what for each in missed), Tone.NOTE
+        yield "Not everything could be computed", listed(dict.fromkeys(each.what for each in missed)), Tone.NOTE
 
 
 def _registered(material: Material) -> Threats:

@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.report.blocks import Document
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-__all__ = ["ReportFormat", "WrittenReport", "made_by", "report_folder", "write_page", "write_parts", "write_report"]
-
-
 #: With more, figures as PDF are not left to a process of its own.
 _MOST_RUNS = 2_000
 
@@ -46,13 +43,7 @@ class ReportFormat(Enum):
 
 @dataclass(frozen=True, slots=True)
 class WrittenReport:
-    """What was written.
-
-    Attributes:
-        document: the report itself.
-        tables: CSV and LaTeX files.
-        figures: SVG, PDF and PNG files.
-    """
+    """What was written: the document itself, its tables (CSV, LaTeX) and its figures (SVG, PDF, PNG)."""
 
     document: Path
     tables: tuple[Path, ...] = ()
@@ -102,10 +93,6 @@ def write_report(
 def report_folder(experiment: Path, output: Path | None) -> tuple[Path, Path]:
     """Return the folder in which no links are followed, and the one that a report is written into.
 
-    Args:
-        experiment: its folder.
-        output: where the user wants the report, which is made; None for `report/` in the experiment's folder.
-
     Raises:
         StorageError: the folder cannot be made.
     """
@@ -149,13 +136,8 @@ def write_parts(document: Document, folder: Path) -> tuple[Path, ...]:
     Raises:
         StorageError: a file cannot be written.
     """
-    names, place = SafeNames(), _Place(*report_folder(folder, folder))
-    figures = [
-        place.write(f"figures/{names(block.name)}.{kind.value}", figure_bytes(figure, kind))
-        for block in document.figures
-        for figure in (block.draw(),)
-        for kind in FigureFormat
-    ]
+    place = _Place(*report_folder(folder, folder))
+    figures, _ = _write_figures(document, place, SafeNames(), tuple(FigureFormat))
     return (*figures, *_write_tables(document, place))
 
 
@@ -174,26 +156,38 @@ def _write_document(
     """Write a document as HTML or Markdown, with its tables and figures in `tables/` and `figures/`."""
     needed = {FigureFormat.SVG} if kind is ReportFormat.MARKDOWN else set()  # the document refers to them
     kinds = [each for each in FigureFormat if each in needed.union(formats)]
-    names, drawings = SafeNames(), {}
-    figures = []
-    for block in document.figures:
-        figure = block.draw()
-        drawings[block.name] = figure_bytes(figure, FigureFormat.SVG)
-        for each in kinds:
-            name = f"figures/{names(block.name)}.{each.value}"
-            if each is FigureFormat.PDF and worker is not None:
-                make_folder(place.folder / "figures", place.root)
-                worker.write(figure, place.folder / name, place.root)
-                figures.append(place.folder / name)
-            else:
-                is_drawn = each is FigureFormat.SVG
-                figures.append(place.write(name, drawings[block.name] if is_drawn else figure_bytes(figure, each)))
+    names = SafeNames()
+    figures, drawings = _write_figures(document, place, names, kinds, worker)
     tables = _write_tables(document, place)
     if kind is ReportFormat.MARKDOWN:
         text = markdown_of(document, lambda name: f"figures/{names(name)}.svg")
     else:
         text = html_of(document, drawings)
-    return WrittenReport(place.write(f"report.{kind.value}", text.encode()), tables, tuple(figures))
+    return WrittenReport(place.write(f"report.{kind.value}", text.encode()), tables, figures)
+
+
+def _write_figures(
+    document: Document,
+    place: _Place,
+    names: SafeNames,
+    kinds: Sequence[FigureFormat],
+    worker: PdfWorker | None = None,
+) -> tuple[tuple[Path, ...], dict[str, bytes]]:
+    """Write each figure as these kinds of files, as PDF by the worker; return the files, and all figures as SVG."""
+    files, drawings = [], {}
+    for block in document.figures:
+        figure = block.draw()
+        drawings[block.name] = figure_bytes(figure, FigureFormat.SVG)
+        for kind in kinds:
+            name = f"figures/{names(block.name)}.{kind.value}"
+            if kind is FigureFormat.PDF and worker is not None:
+                make_folder(place.folder / "figures", place.root)
+                worker.write(figure, place.folder / name, place.root)
+                files.append(place.folder / name)
+            else:
+                is_drawn = kind is FigureFormat.SVG
+                files.append(place.write(name, drawings[block.name] if is_drawn else figure_bytes(figure, kind)))
+    return tuple(files), drawings
 
 
 def _write_tables(document: Document, place: _Place) -> tuple[Path, ...]:

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["AdjustedMeans", "fit_adjusted"]
-
 #: Residuals smaller than this, beside the values, are what rounding leaves behind.
 _NO_VARIATION = 1e-10
 

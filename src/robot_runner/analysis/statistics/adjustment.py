@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.covariate_design import Covariate
     from robot_runner.analysis.statistics.tests import Choices
 
-__all__ = ["adjustment_of"]
-
 #: From here on a covariate is nearly told by the rest of the design (Marquardt 1970; Kutner et al., Applied Linear
 #: Statistical Models, 2005, section 10.5).
 _MOST_INFLATED = 10.0

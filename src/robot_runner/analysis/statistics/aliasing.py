@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["Aliasing", "aliasing_of"]
-
 #: Interactions of more factors can hardly be interpreted.
 _MOST_FACTORS = 3
 #: More interactions are not looked at: the list of aliases would not be read.

@@ -25,17 +25,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-__all__ = [
-    "BATCH",
-    "PLACE",
-    "VALUE",
-    "Design",
-    "Group",
-    "MeasureData",
-    "covariate_column",
-    "design_of",
-]
-
 #: Columns of a measure's data beside the factors. Names of factors never begin with a blank.
 VALUE = " value"
 PLACE = " place"
@@ -295,9 +284,10 @@ class Design:
             return f"{runs}, all with the same treatments."
         named = [f"{name} ({counted(_distinct(self.frame[name]), 'treatment')})" for name in self.factors]
         kind = "" if self.known.is_plain else f" ({self.known.in_words})"
-        sizes = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+        least, most = min(counts), max(counts)
+        sizes = counted(least, "run") if least == most else f"{least} to {most} runs"
         blocks = f", in blocks of {self.block}" if self.block else ""
-        return f"{runs}; varied: {enumerated(named)}; {sizes} runs a combination{blocks}{kind}."
+        return f"{runs}; varied: {enumerated(named)}; {sizes} a combination{blocks}{kind}."
 
 
 def design_of(results: Results, *, blocks: str | None = None) -> Design:
@@ -341,6 +331,12 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
 
 def _distinct(values: pd.Series) -> int:
     return len(set(values))
+
+
+def has_known_order(results: Results) -> bool:
+    """Return whether all runs tell when they were executed; else the order of the table is taken for that."""
+    done = results.confirming.done
+    return _STAMP in done and bool(done[_STAMP].notna().all())
 
 
 def _places(done: pd.DataFrame) -> NDArray[np.int64]:

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.analysed_design import Group
 
-__all__ = ["LEVENE", "SHAPIRO_WILK", "equal_variances", "normality", "quantile_pairs"]
-
-
 SHAPIRO_WILK = "Shapiro-Wilk"
 LEVENE = "Levene"
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["Comparable", "batch_shares", "comparable", "run_counts", "weights_in_blocks"]
-
 
 class Comparable(NamedTuple):
     """What of a measure can be compared within batches.

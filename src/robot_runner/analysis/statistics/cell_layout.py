@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["MOST_FACTORS", "EffectContrast", "Layout", "layout_of", "relative_ranks"]
-
 #: Interactions of more factors can hardly be interpreted.
 MOST_FACTORS = 3
 
@@ -117,19 +115,24 @@ class Layout:
             values: of all runs that have one, (..., runs).
             estimand: what is estimated of each cell.
         """
+        if self.is_blocked:
+            return _of_units(self.units(values, estimand), self.sizes)
+        taken, strata = self._taken(values, estimand), self._strata
+        return _of_runs(taken, self.sizes, estimand) if strata is None else _of_strata(taken, *strata, estimand)
+
+    def _taken(self, values: Floats, estimand: Estimand) -> Floats:
         taken = values[..., self.rows]
-        if estimand is Estimand.RANK:
-            taken = relative_ranks(taken, self.batches)
-        if not self.is_blocked:
-            strata = self._strata
-            return _of_runs(taken, self.sizes, estimand) if strata is None else _of_strata(taken, *strata, estimand)
+        return relative_ranks(taken, self.batches) if estimand is Estimand.RANK else taken
+
+    def units(self, values: Floats, estimand: Estimand = Estimand.MEAN) -> Floats:
+        """Return the mean, or the mean rank, of each cell in each block, (..., blocks, cells)."""
+        taken = self._taken(values, estimand)
         if self.row_weights is None:
             counts = np.diff(np.append(self.starts, len(self.rows)))
             cells = np.add.reduceat(taken, self.starts, axis=-1) / counts
         else:
             cells = np.add.reduceat(taken * self.row_weights, self.starts, axis=-1)
-        units = int(self.sizes.sum())
-        return _of_units(cells.reshape(*cells.shape[:-1], units, -1), self.sizes)
+        return np.asarray(cells.reshape(*cells.shape[:-1], int(self.sizes.sum()), -1))
 
     @property
     def _strata(self) -> tuple[Numbers, Floats] | None:

@@ -27,25 +27,15 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = [
-    "DRAWS",
-    "Contrast",
-    "Moments",
-    "Tested",
-    "along",
-    "bootstrapped",
-    "box",
-    "can_be_bootstrapped",
-    "combined",
-    "contrast",
-    "is_crowded",
-    "welch_james",
-]
-
 #: How often a bootstrap draws: p-values are then known to about 0.002 near 0.05.
 DRAWS = 9999
 #: Drawn at once, to bound the memory that it takes.
 _AT_ONCE = 2_000_000
+
+#: The most blocks whose signs are flipped: in 8,192 patterns.
+MOST_FLIPPED = 14
+#: Sums of squares that are the same but for rounding.
+_SAME = 1e-9
 
 #: P-values are the same each time they are computed.
 _SEED = 20210525
@@ -277,6 +267,26 @@ def box(moments: Moments, between: Floats, within: Floats, *, is_corrected: bool
         rest = np.clip(rest, moments.freedom.min(), moments.freedom.sum() * len(within))
     f_value = np.sum(differences**2, axis=(-2, -1)) / own
     return Tested(f_value, freedom, rest, np.asarray(stats.f.sf(f_value, freedom, rest)))
+
+
+def sign_flipped(contrasts: Floats) -> Floats:
+    """Return the p-value of several contrasts within blocks by flipping the signs of blocks, in all patterns.
+
+    Without an effect, what a block has of the contrasts is as probable with the other sign, if it is symmetric about 0,
+    whatever the covariances: as it is of normal values, and of treatments that are exchangeable within blocks. So the
+    share of patterns whose sum is as far from 0 is an exact p-value (Fisher, The Design of Experiments, 1935; of
+    vectors: Chung and Fraser, Randomization tests for a multivariate two-sample problem, JASA 53, 1958).
+
+    Args:
+        contrasts: of each block, (..., blocks, contrasts), orthonormal.
+    """
+    blocks = contrasts.shape[-2]
+    observed = np.sum(contrasts.sum(axis=-2) ** 2, axis=-1) * (1 - _SAME)
+    as_far = np.zeros(observed.shape)
+    for pattern in range(2 ** (blocks - 1)):  # with the opposite signs all sums are the same
+        signs = np.array([1.0, *(1.0 - 2 * (pattern >> place & 1) for place in range(blocks - 1))])
+        as_far += np.sum(np.einsum("b,...bc->...c", signs, contrasts) ** 2, axis=-1) >= observed
+    return np.asarray(as_far / 2 ** (blocks - 1))
 
 
 def _unbiased(traces: Floats, squares: Floats, freedom: Floats, count: int) -> Floats:

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.core.design.analysis_plan import Correction
 
-__all__ = ["correlations_of", "drift_of"]
-
-
 _LEAST = 4
 _LEVEL = 0.95
 
@@ -94,15 +91,17 @@ def _is_flat(residuals: NDArray[np.float64], values: NDArray[np.float64]) -> boo
 
 
 _DRIFT_LEAST = 6  # with fewer runs no order can be significant
+_TIED = 1e-9  # residuals closer than this share of the largest have one rank
 
 
-def drift_of(data: MeasureData, alpha: float, unit: str = "") -> Drift | NotComputed:
+def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: bool = True) -> Drift | NotComputed:
     """Look for a drift of the residuals over the order of execution (Spearman's rho, Theil-Sen slope).
 
     Args:
         data: the measure.
         alpha: the level of significance.
         unit: the measure's unit, for the sentence.
+        is_ordered: whether runs tell when they were executed; else the order of the table is that of the sentence.
     """
     if len(data.frame) < _DRIFT_LEAST:
         return NotComputed(
@@ -113,9 +112,11 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "") -> Drift | NotComp
     residuals = data.residuals()[order]
     if _is_flat(residuals, data.values):
         return NotComputed("drift over the order of execution", "within each combination all values are equal.")
+    step = _TIED * float(np.max(np.abs(residuals)))
+    tied = np.round(residuals / step) * step  # equal values that differ by what subtracting their means left behind
     with quiet():
-        rho, p_value = stats.spearmanr(places, residuals)
-        slope = theil_sen(places, residuals, _LEVEL)
+        rho, p_value = stats.spearmanr(places, tied)
+        slope = theil_sen(places, tied, _LEVEL)
     if not np.isfinite(p_value):
         return NotComputed("drift over the order of execution", "the values hardly vary.")
     is_significant = bool(p_value < alpha)
@@ -130,7 +131,7 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "") -> Drift | NotComp
         slope_interval=Interval(slope.low, slope.high, _LEVEL, "Theil-Sen"),
         is_significant=is_significant,
         is_confounded=is_confounded,
-        warning=_warning(data.name, unit, slope.slope, rho, p_value, is_confounded=is_confounded)
+        warning=_warning(data.name, unit, (slope.slope, rho, p_value), is_confounded, is_ordered)
         if is_significant
         else "",
     )
@@ -143,11 +144,13 @@ def _are_treatments_uneven(data: MeasureData, alpha: float) -> bool:
         return any(stats.kruskal(*(rows.to_numpy() for _, rows in places)).pvalue < alpha for places in by_factor)
 
 
-def _warning(measure: str, unit: str, slope: float, rho: float, p_value: float, *, is_confounded: bool) -> str:
+def _warning(measure: str, unit: str, found: tuple[float, float, float], is_confounded: bool, is_ordered: bool) -> str:
+    slope, rho, p_value = found
+    order = "order of execution" if is_ordered else "order of the table, which may be another than that of execution,"
     direction = "rises" if slope > 0 else "falls"
     amount = with_unit(abs(slope), unit)
     figures = f"rho = {rho:.2f}, {p_in_words(p_value)}"
-    head = f"{measure} {direction} over the order of execution by about {amount} a run ({figures})"
+    head = f"{measure} {direction} over the {order} by about {amount} a run ({figures})"
     if is_confounded:
         return f"{head}, and treatments are unevenly spread over that order: the drift may pass for an effect."
     return f"{head}: something that changes with time, such as the battery or the room, adds to it."

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["AdjustmentError", "Covariate", "CovariateDesign"]
-
 #: A column of which the others leave less than this share is told by them.
 _TOLD = 1e-9
 

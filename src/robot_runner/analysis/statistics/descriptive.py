@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.analysed_design import Group
 
-__all__ = ["bootstrap_interval", "describe", "quiet"]
-
 
 @contextmanager
 def quiet() -> Iterator[None]:
@@ -30,6 +28,9 @@ def quiet() -> Iterator[None]:
         warnings.simplefilter("ignore")
         yield
 
+
+#: The squares of larger values, summed up, come near the end of floating-point numbers; those of smaller ones vanish.
+_LARGEST, _SMALLEST = 1e100, 1e-100
 
 #: A bootstrap draws from so few values hardly more than their ends: its intervals would be far too narrow.
 _LEAST_FOR_BOOTSTRAP = 5
@@ -50,6 +51,16 @@ _OUTER_FENCE = 3.0
 #: Fewer values have no spread to speak of.
 _LEAST_FOR_SPREAD = 2
 _LEAST_FOR_OUTLIERS = 4
+
+
+def out_of_range(values: NDArray[np.float64]) -> str:
+    """Return why values cannot be computed with, as what a measure has; empty where they can."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    if largest > _LARGEST:
+        return f"has values beyond {_LARGEST:g}, too large to compute with."
+    if 0 < largest < _SMALLEST:
+        return f"has no value above {_SMALLEST:g}: they are too small to compute with."
+    return ""
 
 
 def describe(group: Group, *, level: float = 0.95, level_of_looks: float | None = None) -> Description:

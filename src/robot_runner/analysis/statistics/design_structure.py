@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.known_design import KnownDesign
 
-__all__ = ["are_complete", "treatments_before", "with_structure"]
-
 
 def treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:
     """Return the treatment that each subject had in the period before, as planned; nothing in its first period."""

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["designed_columns", "numbers_of_levels"]
-
 
 def numbers_of_levels(levels: Sequence[str]) -> list[float] | None:
     """Return treatments as numbers; None where one is none.

@@ -24,7 +24,7 @@ from robot_runner.analysis.statistics.listed_cells import listed_layout
 from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataModel, fit_strata
 from robot_runner.analysis.statistics.surface_model import SurfaceModel, fit_surface
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
-from robot_runner.analysis.wording import p_in_words
+from robot_runner.analysis.wording import p_in_words, shown_statistic
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.words import enumerated
 
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
-
-__all__ = ["DesignedModel", "designed_model_of"]
 
 #: The models that designs ask for, beside the means of combinations.
 DesignedModel = StrataModel | LenthModel | SurfaceModel
@@ -228,9 +226,8 @@ class _Fitting:
         if not isinstance(found, StrataModel):
             return f"What is carried over from the treatment before could not be tested; {what}."
         (effect,) = found.effects()
-        figures = (
-            f"F({count}, {effect.freedom[1]:g}) = {float(effect.statistic):.3g}, {p_in_words(float(effect.p_value))}"
-        )
+        f_value, p_value = shown_statistic(float(effect.statistic)), p_in_words(float(effect.p_value))
+        figures = f"F({count}, {effect.freedom[1]:g}) = {f_value}, {p_value}"
         return f"Carried over from the treatment before: {figures}; {what}, whatever this says."
 
     # Split plot.

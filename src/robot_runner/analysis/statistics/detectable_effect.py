@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.analysed_design import Group
 
-__all__ = ["power_of", "repetitions_needed"]
-
 _TARGET = 0.8
 _MOST_REPETITIONS = 100_000
 _SMALLEST, _LARGEST = 1e-6, 100.0  # effects between which the detectable one is looked for

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.statistics.tested import Interval
 
-__all__ = ["AdjustedMean", "Adjustment", "Beside", "LeftOut", "Reason", "Slope"]
-
 
 class Reason(Enum):
     """Why the value of a run that is done is not analysed."""

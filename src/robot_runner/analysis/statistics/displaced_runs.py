@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
 
-__all__ = ["displaced_runs", "followed_failures"]
-
 
 def displaced_runs(results: Results) -> dict[str, str]:
     """Return the runs that are done and were executed out of their place, with the reason in words.

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["Term", "coded_columns", "kron", "marginal_row", "mean_squares", "term_size"]
-
 #: The factors of an effect: one, or several of an interaction.
 Term = tuple[str, ...]
 

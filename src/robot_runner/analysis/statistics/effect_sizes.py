@@ -25,15 +25,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = [
-    "cliffs_delta",
-    "cohens_d",
-    "correlation_magnitude",
-    "omega_squared",
-    "paired_rank_biserial",
-    "vargha_delaney",
-]
-
 _LEVEL = 0.95
 _MOST_STEPS = 1000  # each twice as long as the one before: past the largest number there is
 _LEAST_FOR_SPREAD = 2

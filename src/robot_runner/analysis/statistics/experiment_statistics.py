@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import Standing
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
-__all__ = ["analyse", "measure_statistics", "order_warnings", "planned_warnings"]
-
 _ALPHA = 0.05
 
 #: Among more measures pairs are too many to be of use.
@@ -216,8 +214,10 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
         is_one = summary.left_out == 1
         yield f"{counted(summary.left_out, 'run')} of the table {'is' if is_one else 'are'} not done and left out."
     if summary.factors and not summary.is_balanced:
+        least, most = summary.smallest_group, summary.largest_group
+        sizes = f"{least} to {most} runs" if least < most else f"{counted(least, 'run')} each"
         yield (
-            f"The combinations have {summary.smallest_group} to {summary.largest_group} runs"
+            f"The combinations have {sizes}"
             f"{f', and {summary.lacking_combinations} have none' if summary.lacking_combinations else ''}."
         )
     if design.results.manifest.get("design", {}).get("shuffle") is False and summary.factors:

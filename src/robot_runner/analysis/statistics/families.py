@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.statistics.outcome import HypothesisOutcome
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import TestMethod
-from robot_runner.analysis.wording import listed, p_in_words, with_unit
+from robot_runner.analysis.wording import listed, p_in_words, shown_statistic, with_unit
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family
 from robot_runner.core.words import counted, enumerated
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
         TestPart,
     )
     from robot_runner.core.design.hypothesis import Hypothesis
-
-__all__ = ["Key", "claim_of", "concluded", "contrast_key", "effect_key", "families_of", "judge"]
 
 #: What was tested: an effect by its measure and factors, or the contrast of a hypothesis by its statement.
 Key = tuple[str, frozenset[str]]
@@ -222,7 +220,7 @@ def _figures(effect: Effect) -> str:
 
 def _statistic(name: str, of: Effect | TestPart) -> str:
     freedom = ", ".join(f"{each:g}" if float(each).is_integer() else f"{each:.2f}" for each in of.degrees_of_freedom)
-    return f"{name}({freedom}) = {of.statistic:.3g}"
+    return f"{name}({freedom}) = {shown_statistic(of.statistic or 0.0)}"
 
 
 def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[Comparison]) -> str:

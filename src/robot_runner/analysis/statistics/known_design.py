@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.aliasing import Aliasing
     from robot_runner.analysis.statistics.effect_coding import Term
 
-__all__ = ["PLAIN", "KnownDesign", "before_column", "role_column"]
-
 #: Kinds whose interactions are estimated, or are aliased in a way that is known.
 _WITH_INTERACTIONS = frozenset({"fractional_factorial", "split_plot", "full_factorial"})
 #: Facts that name one column each, or several, which are blocks of some kind: taken out, and not tested.

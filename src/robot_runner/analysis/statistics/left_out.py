@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["MOST_FALSE_POSITIVES", "doubtful_values", "false_positives", "left_out_of", "outside", "rate_in_words"]
-
 #: A test that errs more often at 5 % than this is told to, percent.
 MOST_FALSE_POSITIVES = 6.5
 

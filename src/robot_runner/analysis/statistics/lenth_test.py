@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["LENTH", "LenthContrast", "LenthModel", "fit_lenth", "pseudo_error"]
-
 #: What the test is called.
 LENTH = "Lenth's t"
 

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["FittedModel", "estimable_terms", "fit_model"]
-
 #: A mean for each of more combinations takes long to fit, and nobody can read them.
 _MOST_CELLS = 500
 

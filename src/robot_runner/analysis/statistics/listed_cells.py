@@ -1,4 +1,4 @@
-"""The layout of combinations that are not all of the factors': fractions, covering arrays, one factor at a time.
+"""The layout of combinations that are not all of the factors': fractions, covering arrays, factorials with gaps.
 
 Each combination keeps a variance of its own, as in a full factorial; effects are those that least squares estimate from
 the means of combinations, each of which counts the same.
@@ -6,6 +6,7 @@ the means of combinations, each of which counts the same.
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,11 +19,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.effect_coding import Term
 
     Numbers = NDArray[np.intp]
-
-__all__ = ["listed_layout"]
 
 _PAIR = 2
 _ALONE = np.ones((1, 1))
@@ -68,3 +68,23 @@ def listed_layout(
         terms=tuple(terms),
         inverse=inverse,
     )
+
+
+def incomplete_layout(data: MeasureData) -> Layout | None:
+    """Return the layout of a factorial some of whose combinations have no run, and the others two and more.
+
+    Interactions of two factors are among its effects where all of them can be told apart from each other, else none is.
+
+    Returns:
+        None of anything else: of blocks, of several batches, and where the combinations do not tell main effects apart.
+    """
+    if data.is_blocked or data.is_extended or len(data.factors) < _PAIR:
+        return None
+    factors = {name: data.levels(name) for name in data.factors}
+    codes = {
+        name: data.frame[name].astype(str).map({level: place for place, level in enumerate(levels)}).to_numpy(np.intp)
+        for name, levels in factors.items()
+    }
+    main = tuple((name,) for name in factors)
+    with_pairs = listed_layout(factors, codes, (*main, *combinations(factors, _PAIR)))
+    return with_pairs or listed_layout(factors, codes, main)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.adjustment import adjustment_of
-from robot_runner.analysis.statistics.analysed_design import VALUE
+from robot_runner.analysis.statistics.analysed_design import VALUE, has_known_order
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.correlations import drift_of
-from robot_runner.analysis.statistics.descriptive import describe
+from robot_runner.analysis.statistics.descriptive import describe, out_of_range
 from robot_runner.analysis.statistics.detectable_effect import power_of
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.analysis.statistics.known_precision import level_of_looks
@@ -35,15 +33,10 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.hypothesis import Hypothesis
 
-__all__ = ["measure_statistics"]
-
 _Found = TypeVar("_Found")
 
 #: Groups are described one by one up to this number; the table would not be read, and the bootstrap takes its time.
 _MOST_DESCRIBED = 200
-
-#: The square of a larger value, summed up, comes near the end of floating-point numbers.
-_LARGEST = 1e100
 
 _PAIR = 2
 
@@ -85,10 +78,10 @@ def measure_statistics(
     data = design.data(name)
     is_primary = plan is not None and name in plan.measures
     is_planned = plan is not None and name in (*plan.measures, *plan.secondary)
-    if data is None or not len(data.frame) or float(np.max(np.abs(data.values))) > _LARGEST:
+    odd = out_of_range(data.values) if data is not None else ""
+    if data is None or not len(data.frame) or odd:
         why = "the measure is not a number." if data is None else "no run that is done has a value."
-        if data is not None and len(data.frame):
-            why = f"the measure has values beyond {_LARGEST:g}, too large to compute with."
+        why = f"the measure {odd}" if odd else why
         missing = (NotComputed(f"statistics of {name}", why),)
         return MeasureStatistics(
             name, column.unit, column.origin, is_planned, is_primary, not_computed=missing, left_out=tuple(left_out)
@@ -127,7 +120,7 @@ def measure_statistics(
         test=test,
         post_hoc=post_hoc,
         contrasts=tuple(each for each in contrasts if each is not None),
-        drift=gathered.take(drift_of(data, choices.alpha, column.unit)),
+        drift=gathered.take(drift_of(data, choices.alpha, column.unit, is_ordered=has_known_order(design.results))),
         power=_power(gathered, data, choices.alpha),
         not_computed=tuple(dict.fromkeys(gathered.missing)),
         left_out=(*left_out, *_lacking(data)),

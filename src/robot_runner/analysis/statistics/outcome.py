@@ -29,20 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction
     from robot_runner.core.design.hypothesis import Hypothesis
 
-__all__ = [
-    "Correlation",
-    "Description",
-    "DesignSummary",
-    "Drift",
-    "ExperimentStatistics",
-    "HypothesisOutcome",
-    "MeasureStatistics",
-    "Outlier",
-    "Power",
-    "RepetitionsNeeded",
-    "Standing",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class Outlier:

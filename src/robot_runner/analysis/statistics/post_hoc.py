@@ -34,15 +34,6 @@ if TYPE_CHECKING:
     #: The treatments of a group of runs, by factor.
     Group = Mapping[str, str]
 
-__all__ = [
-    "adjusted",
-    "carry_out_contrast",
-    "compare_pairs",
-    "contrast_of",
-    "missing_intervals",
-    "p_value_of_contrast",
-]
-
 #: More pairs can neither be read nor tested with any power left: 15 treatments make 105.
 _MOST_PAIRS = 105
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["RobustFit", "fit_robustly"]
-
 #: A run whose residual varies by less than this share of chance is told by the model alone: it says nothing of errors.
 _NO_FREEDOM = 1e-8
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.outcome import HypothesisOutcome, MeasureStatistics
     from robot_runner.analysis.statistics.tested import Effect
 
-__all__ = ["Otherwise", "doubtful_runs", "standing_effects", "standing_hypotheses"]
-
 
 class Otherwise(NamedTuple):
     """What differs from the planned analysis in the one beside it.

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
 
-__all__ = ["Hypothesis", "StrataModel", "StratumFit", "fit_strata", "fit_stratum"]
-
 #: Of a column: less than this share of it is what rounding leaves.
 _ROUNDING = 1e-9
 #: Residuals smaller than this, beside the values, are what rounding leaves behind.

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["Coefficient", "LackOfFit", "StationaryPoint", "Surface", "SurfaceModel", "fit_surface"]
-
 #: Residuals smaller than this, beside the values, are what rounding leaves behind.
 _NO_VARIATION = 1e-10
 _THREE = 3

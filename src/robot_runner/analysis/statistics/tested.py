@@ -13,24 +13,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.design.analysis_plan import Correction
 
-__all__ = [
-    "AssumptionCheck",
-    "Check",
-    "Comparison",
-    "ContrastTest",
-    "Effect",
-    "EffectSize",
-    "EffectTest",
-    "Interval",
-    "Magnitude",
-    "MeasureTest",
-    "NotComputed",
-    "PostHoc",
-    "QuantilePairs",
-    "TestMethod",
-    "TestPart",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class NotComputed:

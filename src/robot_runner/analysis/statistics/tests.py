@@ -12,12 +12,13 @@ from scipy import stats
 
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans, fit_adjusted
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, layout_of, relative_ranks
-from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, CellMeans
+from robot_runner.analysis.statistics.cell_means import BOOTSTRAP, SIGN_FLIPS, CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.effect_sizes import omega_squared
 from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
+from robot_runner.analysis.statistics.listed_cells import incomplete_layout
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod, TestPart
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast
     from robot_runner.analysis.statistics.tested import EffectTest
-
-__all__ = ["AnyModel", "Choices", "Model", "carry_out", "check_estimand", "levels_of", "model_of", "planned_model_of"]
 
 #: All that is fitted to a measure.
 AnyModel = CellMeans | FittedModel | AdjustedMeans | StrataModel | LenthModel | SurfaceModel
@@ -92,7 +91,7 @@ def model_of(
         return designed
     if data.known.whole_plot:  # some have lost a run, so that strata are not apart
         return fit_model(data.with_plots_as_blocks(), _ranks(data) if estimand is Estimand.RANK else None)
-    layout = layout_of(data)
+    layout = layout_of(data) or incomplete_layout(data)
     if layout is None or (layout.is_blocked and estimand is Estimand.TRIMMED_MEAN):
         if estimand is Estimand.TRIMMED_MEAN:
             why = "trimmed means are compared of runs of their own, two and more of each combination."
@@ -156,7 +155,8 @@ def _effect(model: AnyModel, found: EffectTest, beside: EffectTest | None, choic
     size = None
     if is_known and choices.estimand is not Estimand.RANK:
         f_value, both = (statistic**2, (1.0, *freedom)) if len(freedom) == 1 else (statistic, freedom)
-        if found.parts or BOOTSTRAP in found.test:  # the interval is to belong to the p-value
+        if found.parts or BOOTSTRAP in found.test or SIGN_FLIPS in found.test:
+            # The interval is to belong to the p-value.
             f_value = float(stats.f.isf(p_value, *both))
         is_partial = len(levels_of(model)) > 1
         size = omega_squared(
@@ -245,6 +245,8 @@ def _reason_of_factorial(data: MeasureData, model: CellMeans | FittedModel | Adj
         how = "within each block" if model.layout.within else "between blocks"
         return f"{of}, in blocks: {compared} are compared {how}, and chance is how blocks differ in that."
     each = "combination" if count > 1 else "treatment"
+    if model.layout.inverse is not None:
+        of = f"{count} factors, of whose combinations {len(model.layout.sizes)} have runs"
     return f"{of}, each run by itself: {compared} are compared, with a variance for each {each}."
 
 
@@ -253,6 +255,13 @@ _TOO_FEW = {
     False: "some combinations have fewer than two runs",
     True: "some combinations have too few runs in each batch, and each batch adds a constant",
 }
+
+#: Of factorials some of whose combinations have no run.
+_NO_INTERACTIONS = "Interactions cannot be estimated: some combinations have no run."
+_GAPS = (
+    "Some combinations have no run: effects are those that least squares estimate from the means of the others, with "
+    "interactions of two factors; those of more are taken to be none."
+)
 
 _CONTAINMENT = (
     "Degrees of freedom are those between blocks for effects that only differences between blocks tell, else those "
@@ -273,7 +282,9 @@ def _notes(data: MeasureData, model: AnyModel) -> Iterator[str]:
         yield from filter(None, (model.note, _CONTAINMENT if model.blocks is not None else ""))
     else:
         layout = model.layout
-        if len(layout.factors) > MOST_FACTORS:
+        if layout.inverse is not None:
+            yield _GAPS if any(len(each) > 1 for each in layout.terms) else _NO_INTERACTIONS
+        elif len(layout.factors) > MOST_FACTORS:
             yield f"Interactions of more than {MOST_FACTORS} factors are left out."
         if layout.left_out:
             runs = listed(data.frame[RUN_ID].iloc[list(layout.left_out)])

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-__all__ = ["TheilSen", "theil_sen"]
-
 #: With so many values `scipy.stats.theilslopes` holds some 100 MB: it holds each pair several times, in both orders.
 _MOST_AT_ONCE = 2_000
 #: Pairs that tell about where a slope of a given rank lies; with so many, some 2 % of all slopes are near enough.
