@@ -8,7 +8,6 @@ class Shuttle(System):
 
     measures = (Measure("Reach", "m", "How far the robot was away from where it began, by odometry."),)
     needs = "A robot that subscribes velocity commands and publishes its odometry."
-    link = None
 
     def __init__(
         self, *, distance: float = 0.5, speed: float = 0.1, namespace: str = "", name: str | None = None
@@ -45,5 +44,4 @@ class Shuttle(System):
         self.make_safe(context)
 
     def make_safe(self, context: RobotRunnerContext) -> None:
-        if self.link is not None:
-            self.link.publish("cmd_vel", TWIST, {})
+        connect_robot(context, namespace=self.namespace).publish("cmd_vel", TWIST, {})

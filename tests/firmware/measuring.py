@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-from robot_runner.core.links.connect import open_serial_line
+from robot_runner.measuring.devices import open_serial_line
 from robot_runner.plugins import Window
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.testing import make_context, rehearse
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tests.firmware.simulated_board import Board
 
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.links.serial_line import SerialPort
+    from robot_runner.measuring.serial_line import SerialPort
     from robot_runner.plugins import Plugin
 
 VOLTS = 11.1

@@ -27,14 +27,23 @@ def opened(board: Board) -> Iterator[int]:
 
 
 def read_until_unplugged(board: Board) -> bytes:
-    """Return all that arrives until the board ends."""
-    pieces: list[bytes] = []
+    """Return all that is sent until the board ends, which waits for us: what is not read by then is lost."""
+    received = b""
+    board.clock.show_taken(0)
+    board.clock.go_on()
     with opened(board) as line:
-        while True:
-            try:
-                pieces.append(os.read(line, 65536))
-            except OSError:  # the other end is gone
-                return b"".join(pieces)
+        while piece := _read(line):
+            received += piece
+            board.clock.show_taken(len(received))
+    return received
+
+
+def _read(line: int) -> bytes:
+    """Return what has arrived; nothing where the other end is gone, whether that happens now or has happened before."""
+    try:
+        return os.read(line, 65536)
+    except OSError:
+        return b""
 
 
 def decoded(data: bytes) -> list[Frame]:

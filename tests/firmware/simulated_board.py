@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import mmap
 import shutil
 import struct
@@ -14,12 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.links.serial_line import Chunk
+from robot_runner.measuring.serial_line import Chunk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from robot_runner.core.links.serial_line import SerialPort
+    from robot_runner.measuring.serial_line import SerialPort
 
 ROOT = Path(__file__).parents[2]
 FIRMWARE = ROOT / "firmware" / "ina219"
@@ -44,17 +45,22 @@ class Build:
     board: Path
 
 
-def build(folder: Path, *, flags: str = "") -> Build:
+def build(folder: Path) -> Build:
     """Build both in a folder.
 
     Raises:
         AssertionError: a compiler refused; what it said is in the message.
     """
-    _execute(["make", "-s", "-C", str(FIRMWARE), f"BUILD={folder}", f"FLAGS={flags}"])
-    board = folder / "board"
+    firmware, board = build_firmware(folder), folder / "board"
     sources = [str(source) for source in sorted(_BOARD.glob("*.c"))]
     _execute(["cc", "-O2", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-o", str(board), *sources, "-lsimavr", "-lm"])
-    return Build(folder / "ina219.elf", board)
+    return Build(firmware, board)
+
+
+def build_firmware(folder: Path, *, flags: str = "") -> Path:
+    """Build the firmware alone, with other settings, say; raises as `build` does."""
+    _execute(["make", "-s", "-C", str(FIRMWARE), f"BUILD={folder}", f"FLAGS={flags}"])
+    return folder / "ina219.elf"
 
 
 def _execute(command: list[str]) -> None:
@@ -105,6 +111,14 @@ class BoardClock:
         """Wait until the line has noticed that the board is gone."""
         while self._line is not None and self._line._failure is None and time.monotonic() < deadline:
             time.sleep(0.001)
+
+    def go_on(self) -> None:
+        """Have the board's time go by itself from here on, as far as `show_taken` lets it."""
+        self._page[8:16] = struct.pack("d", math.inf)
+
+    def show_taken(self, count: int) -> None:
+        """Have the board wait until so many bytes were handed over; to be called before its line is opened, too."""
+        self._page[16:24] = struct.pack("d", count)
 
     def watch(self, line: SerialPort) -> None:
         """Have the board wait for this line; to be called when it was just opened, before the first sleep."""

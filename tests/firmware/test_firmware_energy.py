@@ -19,19 +19,21 @@ PROMISED = 0.005  # parts of one
 PROMISED_WHEN_CORRUPT = 0.01
 
 
-@pytest.mark.parametrize("load", [MISSION, SWING], ids=["stepped", "sinusoidal"])
-def test_energy_is_right(board, tmp_path, load):
+@pytest.mark.parametrize(("load", "seconds"), [(MISSION, 60), (SWING, 10)], ids=["stepped", "sinusoidal"])
+def test_energy_is_right_and_no_sample_is_lost(board, tmp_path, load, seconds):
     with board(load=load.words, volts=VOLTS) as meter:
-        measured = measure(meter, tmp_path, 60.0)
+        measured = measure(meter, tmp_path, seconds)
     assert abs(measured.error_of("Energy", load)) < PROMISED / 5
     assert abs(measured.error_of("EnergyPt", load)) < PROMISED / 5
+    assert measured.quality["samples"]["got"] == pytest.approx(200 * seconds, abs=2)
+    assert measured.quality["samples"]["lost"] == 0
     assert measured.problems == []
 
 
 @pytest.mark.parametrize("skew", [-0.005, 0.005])
 def test_a_resonator_that_is_half_a_percent_off_hardly_matters(board, tmp_path, skew):
     with board(load=MISSION.words, volts=VOLTS, skew=skew) as meter:
-        measured = measure(meter, tmp_path, 35.0)
+        measured = measure(meter, tmp_path, 17.0)
     assert abs(measured.error_of("Energy", MISSION)) < PROMISED / 5
     assert measured.problems == []
 
@@ -39,7 +41,7 @@ def test_a_resonator_that_is_half_a_percent_off_hardly_matters(board, tmp_path, 
 @pytest.mark.parametrize("load", [MISSION, SWING], ids=["stepped", "sinusoidal"])
 def test_energy_is_right_where_one_byte_in_a_hundred_is_corrupt(board, tmp_path, load):
     with board(load=load.words, volts=VOLTS, corrupt=0.01, seed=7) as meter:
-        measured = measure(meter, tmp_path, 35.0)
+        measured = measure(meter, tmp_path, 17.0)
     assert abs(measured.error_of("Energy", load)) < PROMISED_WHEN_CORRUPT
     assert any("lost" in problem for problem in measured.problems)
 

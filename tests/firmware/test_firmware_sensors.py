@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from tests.firmware.card_image import make_card
 from tests.firmware.measuring import VOLTS, Pulses, metered
-from tests.firmware.simulated_board import BoardClock, Build, build, executed
+from tests.firmware.simulated_board import BoardClock, Build, build_firmware, executed
 
 from robot_runner.meters.ina219.card import read_card
 from robot_runner.plugins.profilers import Ina219
@@ -14,11 +14,11 @@ from robot_runner.testing import rehearse
 LOAD = Pulses(0.3, 1.5, 200.0, 0.3)
 
 
-@pytest.fixture
-def three(built, tmp_path) -> Build:
+@pytest.fixture(scope="module")
+def three(built, tmp_path_factory) -> Build:
     """A firmware for three sensors, of which the second and the third see a half and a third of the load."""
     flags = "-DSENSOR_ADDRESSES=0x40,0x41,0x42"
-    return Build(build(tmp_path / "three", flags=flags).firmware, built.board)
+    return Build(build_firmware(tmp_path_factory.mktemp("three"), flags=flags), built.board)
 
 
 def profilers(**way) -> list[Ina219]:
@@ -67,4 +67,4 @@ def test_the_card_holds_each_sensor(three, tmp_path):
 @pytest.mark.usefixtures("built")
 def test_more_samples_than_the_line_carries_are_refused_by_the_compiler(tmp_path):
     with pytest.raises(AssertionError, match="lower SAMPLE_RATE_HZ"):
-        build(tmp_path / "four", flags="-DSENSOR_ADDRESSES=0x40,0x41,0x42,0x43")
+        build_firmware(tmp_path / "four", flags="-DSENSOR_ADDRESSES=0x40,0x41,0x42,0x43")

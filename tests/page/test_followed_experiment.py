@@ -166,7 +166,6 @@ def test_curves_grow_with_their_files_and_live_samples_give_way(root: Path) -> N
     curves.look()
     assert curves.version > version
     assert curves.told()[0]["columns"][0]["high"][-1] == 8.5
-    live.unlink()
     (folder / "samples.csv").write_text("time_s,x_m,y_m,heading_rad\n0,0,0,0\n1,1,0,0.5\n2,nan,1,0\n")
     (folder / "secret.csv").symlink_to("/etc/passwd")
     curves.look()

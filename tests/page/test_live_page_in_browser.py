@@ -50,6 +50,14 @@ def seen(selector: str, pattern: str) -> str:
     )
 
 
+def wait_for_whole_samples(browser: Browser, run: str) -> None:
+    """Wait until what is shown of a run that has ended is what was kept, each curve once."""
+    browser.wait_for(seen("#curves", f"Samples of {run}"))
+    browser.wait_for("!document.getElementById('plots').innerText.includes('being taken')")
+    names = browser.evaluate("[...document.querySelectorAll('#curve-choice button')].map(each => each.innerText)")
+    assert (len(names), "Ina219 voltage V" in names) == (len({*names}), True)
+
+
 def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
     browser: Browser, serve_page: Callable[..., ServedPage], executed_demo: Path, tmp_path: Path
 ) -> None:
@@ -95,8 +103,8 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
                 browser.press("#answer-1-1")
             browser.press("#ask-form [type=submit]")
         assert experiment.wait(timeout=60) == 0
-        browser.wait_for(seen("#word", "nobody executes it"))
-        browser.wait_for(seen("#means-table", "Computation"))
+        browser.wait_for(seen("#word", "nobody executes it") + " && " + seen("#means-table", "Computation"))
+        wait_for_whole_samples(browser, "r_3")
         # A run that is chosen shows its samples, and its way.
         browser.press("button.run[data-run=r_1]")
         browser.wait_for(seen("#curves", "Samples of r_1"))

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.plugin import Plugin
 
-__all__ = ["check_cluster"]
-
 _TLS = "distributed.comm.tls"
 
 

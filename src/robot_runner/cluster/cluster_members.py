@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-__all__ = ["ANSWER", "Member", "UnansweredError", "answer_of", "joined"]
-
 
 class UnansweredError(Exception):
     """A worker answered with an exception, or not at all."""

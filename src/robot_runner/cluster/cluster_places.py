@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.places import Watch
     from robot_runner.core.execution.task import OutcomeBuilder, RunTask
 
-__all__ = ["ClusterPlaces"]
-
 #: How long after the grace a run may take to be killed with all that it has started (`keeper.py`), and its systems to
 #: be made safe (`standby.py`), s.
 _KILLING, _MAKING_SAFE = 2.0, 15.0

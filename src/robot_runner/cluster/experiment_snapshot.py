@@ -13,8 +13,8 @@ from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.plugin_checks import check_plugins
 from robot_runner.core.design.batches import EXTENDED
 from robot_runner.core.errors import ConfigError, ExecutionError
-from robot_runner.core.execution.prepared_treatments import describe_revisions, restore_revisions
 from robot_runner.core.execution.recovery import config_files
+from robot_runner.core.execution.worker import describe_revisions, restore_revisions
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
-
-__all__ = ["experiment_of", "snapshot_of"]
 
 #: How a worker spells that it has no cluster of its own: it executes its runs itself.
 _NO_CLUSTER = "none"

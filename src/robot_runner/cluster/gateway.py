@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
     from distributed import Future
 
-__all__ = ["Gateway", "main"]
-
 #: How many runs are brought home at a time: this many pieces are in memory.
 _TRANSFERS = 4
 #: How often it is looked which workers there are, s; with many of them less often, as the answer grows with them.

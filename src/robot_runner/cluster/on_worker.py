@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
     from distributed import Worker
 
-__all__ = ["TOPIC", "describe", "discard", "execute", "join", "leave", "read_piece", "renew", "settle", "stop"]
-
 #: What workers tell of runs goes through the scheduler under this topic, which keeps the last thousand messages of it.
 TOPIC = "robot-runner"
 #: How often the records of a run are sent while it is executed, s, and how many of them at a time.

@@ -13,8 +13,6 @@ from robot_runner.core.execution.task import RecordReader, RecordWriter
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["PipedProcess"]
-
 
 class PipedProcess:
     """A fresh interpreter that executes a module of ours; it notices the end of its requests, and ends.

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Mapping
     from pathlib import Path
 
-__all__ = ["PIECE", "TransferError", "bring_home"]
-
 #: Bytes of a piece: some hundred of them are on their way at most (see `gateway.py`), and each costs a round trip.
 PIECE = 1 << 20
 #: How often a piece is asked for again whose checksum is not that of its bytes.

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.places import Watch
     from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 
-__all__ = ["Gateway", "RunAtWorker", "Worker"]
-
 
 class Gateway(Protocol):
     """What runs need of the process that speaks to the cluster."""

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.experiment_snapshot import experiment_of
 from robot_runner.core.errors import RobotRunnerError
-from robot_runner.core.execution.executor import executor_for
+from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.processes import use_no_streams
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.places import RunInFlight
     from robot_runner.core.execution.task import RunOutcome, RunTask
-
-__all__ = ["GONE", "OUTBOX", "main"]
 
 #: Why a run is stopped whose orchestrator is out of reach.
 GONE = "the orchestrator is gone, or out of reach"
@@ -70,7 +68,7 @@ class _Host:
         self._experiment = experiment
         self._shared = shared
         self._folder = folder
-        self._executor = executor_for(experiment)
+        load_before_forks(experiment)
         self._descriptor = requests
         self._requests = RecordReader(requests)
         self._tell = replies
@@ -145,7 +143,7 @@ class _Host:
         self._is_stopped = False
         self._builder = _Builder(task.run_id, self._experiment.columns)
         watch = Watch(interruption=self._interruption, report=self._report)
-        self._run = self._executor.begin(task, self._builder, watch)
+        self._run = begin_run(self._experiment, task, self._builder, watch)
 
     def _report(self, kind: str, fields: dict[str, Any]) -> None:
         self._tell("record", {"kind": kind, "fields": fields})

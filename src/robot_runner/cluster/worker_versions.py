@@ -21,8 +21,6 @@ from robot_runner.core.errors import Finding
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-__all__ = ["compared", "described_versions"]
-
 _GROUPS = "robot_runner."
 #: The physics of the embedded simulation, and what it computes with: its last digit may differ between versions.
 _BEHIND_SIMULATED_VALUES = ("mujoco", "numpy")

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from starlette.types import Receive, Scope, Send
 
-__all__ = ["EventStream", "Followers", "Viewer", "as_json"]
-
 #: How often a followed experiment is looked at, s: what is recorded is seen within a second.
 _EVERY = 0.25
 #: The same where there is more to read: time for others.

@@ -15,7 +15,7 @@ from robot_runner.core.execution.experiment_status import ExperimentStatus, read
 from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import holder_of, pause_is_requested
+from robot_runner.core.storage.lock import holder_of, is_requested
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.words import harmless
 from robot_runner.page.followed_table import FollowedTable
@@ -26,8 +26,6 @@ from robot_runner.page.sampled_curves import RunCurves
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
-
-__all__ = ["FollowedExperiment"]
 
 _log = logging.getLogger(__name__)
 
@@ -117,7 +115,7 @@ class FollowedExperiment:
             self._take(record)
         if self._table_is_due:
             parts |= self._read_table()
-        signs = (holder_of(self._files.lock), pause_is_requested(self._files.pause), self._tail.damaged)
+        signs = (holder_of(self._files.lock), is_requested(self._files.pause), self._tail.damaged)
         if not self._tail.is_behind and not self._has_caught_up:
             self._history.read_table(self._files)
             self._has_caught_up = True
@@ -321,11 +319,12 @@ class FollowedExperiment:
     def _of_runs_in_flight(self) -> dict[str, Any]:
         """Return the ends of the logs of the runs in flight, and how often each had new samples."""
         runs = [each.run for each in self._status.in_flight][:_MOST_FOLLOWED] if self._status else []
+        was_followed = bool(self._curves)
         self._curves = {run: self._curves.get(run) or RunCurves(self._files, run) for run in runs}
         for curves in self._curves.values():
             curves.look()
-        if not runs:
-            return {}
+        if not runs:  # the last one's samples are whole now
+            return {"samples": {"runs": {}}} if was_followed else {}
         return {
             "samples": {"runs": {run: each.version for run, each in self._curves.items()}},
             "log": {"runs": {run: self._log(run) for run in runs}},

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
-__all__ = ["FollowedTable", "words_of_status"]
-
 #: How the page names what the run table has a sign for.
 _WORDS = {
     RunStatus.TODO: "to do",

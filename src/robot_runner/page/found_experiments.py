@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import holder_of, pause_is_requested
+from robot_runner.core.storage.lock import holder_of, is_requested
 from robot_runner.page.followed_experiment import FollowedExperiment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
-
-__all__ = ["FoundExperiments", "id_of", "is_experiment"]
 
 #: How deep experiments are looked for, and how many folders are looked into.
 _DEEPEST, _MOST_FOLDERS = 4, 3_000
@@ -93,7 +91,7 @@ class FoundExperiments:
         """Return how one stands; what has not changed since it was read is not read again."""
         files = ExperimentFolder.found_at(folder)
         holder = holder_of(files.lock)
-        sign = (holder, pause_is_requested(files.pause), *_sizes(files))
+        sign = (holder, is_requested(files.pause), *_sizes(files))
         known = self._summaries.get(experiment_id)
         if known is not None and known[0] == sign:
             return known[1]

@@ -12,8 +12,6 @@ from robot_runner.core.storage.system_refusals import storage_error
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["JournalTail"]
-
 #: How much is read at once: some 4,000 records, which take 50 ms.
 _AT_ONCE = 1_000_000
 

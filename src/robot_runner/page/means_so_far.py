@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
     from robot_runner.page.followed_table import FollowedTable
 
-__all__ = ["MeansSoFar"]
-
 #: More treatments than a reader compares; the repetitions of a long experiment are told by nobody.
 _MOST_TREATMENTS = 40
 #: More measures than a page has room for.

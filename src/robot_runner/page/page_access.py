@@ -20,8 +20,6 @@ from robot_runner.core.storage.system_refusals import storage_error
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = ["Keys", "RateLimit", "Role", "is_known_host", "is_of_same_origin", "known_names"]
-
 
 class Role(IntEnum):
     """What somebody may do; who may act may look as well."""

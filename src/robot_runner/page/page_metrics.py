@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-__all__ = ["metrics_text"]
-
 _RUNS = (("done", "done"), ("failed", "failed"), ("todo", "to do"))
 _WORDS = ("running", "waiting", "paused", "stopped", "failed", "done")
 

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
     from robot_runner.page.followed_experiment import FollowedExperiment
 
-__all__ = ["LivePage", "PageSettings"]
-
 _KINDS = {
     ".js": "text/javascript",
     ".css": "text/css",

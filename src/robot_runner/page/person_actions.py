@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.operator_steps import read_answers
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.person_requests import (
+from robot_runner.core.execution.experiment_status import (
     continue_and_see,
     questions_of,
     require_executed,
     require_waiting,
 )
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import forget_pause, request_pause, request_stop
+from robot_runner.core.storage.lock import forget_requests, leave_request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
     from robot_runner.core.execution.experiment_status import ExperimentStatus
     from robot_runner.page.followed_experiment import FollowedExperiment
-
-__all__ = ["ACTIONS", "RefusedAnswersError"]
 
 _LONGEST_ANSWER = 2_000
 
@@ -65,7 +63,7 @@ def _pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     del said
     status = _status(experiment)
     require_executed(status, experiment.folder.name, "There is nothing to pause")
-    request_pause(ExperimentFolder(experiment.folder).pause)
+    leave_request(ExperimentFolder(experiment.folder).pause)
     run = status.current_run or (status.waiting_for or {}).get("next_run")
     return f"It pauses after {run}." if run else "It pauses before the next run."
 
@@ -74,7 +72,7 @@ def _end_pause(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     """End a pause, or take the request back."""
     del said
     require_executed(_status(experiment), experiment.folder.name, "There is nothing to go on with")
-    forget_pause(ExperimentFolder(experiment.folder).pause)
+    forget_requests(ExperimentFolder(experiment.folder).pause)
     return "It goes on."
 
 
@@ -83,7 +81,7 @@ def _stop(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     del said
     status = _status(experiment)
     require_executed(status, experiment.folder.name, "There is nothing to stop")
-    request_stop(ExperimentFolder(experiment.folder).stop)
+    leave_request(ExperimentFolder(experiment.folder).stop)
     return f"It stops: {status.current_run} is closed first." if status.current_run else "It stops."
 
 

@@ -12,8 +12,6 @@ import sys
 
 from robot_runner.core.entry_points import named_entry_point
 
-__all__ = ["HEAD", "SIZE", "main"]
-
 #: Width and height, pixels: enough for a phone, rendered in 20 ms without a graphics card.
 SIZE = (480, 360)
 #: Before each answer: its length, and whether it is a picture (1) or says why there is none (0).

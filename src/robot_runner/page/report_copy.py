@@ -11,8 +11,6 @@ from robot_runner.core.storage.layout import ExperimentFolder
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["Reports"]
-
 
 class Reports:
     """Reports that were written, and those that this page had made."""

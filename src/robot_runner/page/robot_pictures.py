@@ -14,8 +14,6 @@ from contextlib import suppress
 from robot_runner.core.errors import ExecutionError
 from robot_runner.page.picture_process import HEAD
 
-__all__ = ["RobotPictures"]
-
 #: How long the first picture may take, with the imports, and each further one, s.
 _FIRST, _NEXT = 30.0, 5.0
 #: Pictures of all viewers together, a second; the last one is shown meanwhile.

@@ -10,17 +10,15 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.sampling.live_samples import LIVE
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.measuring.live_samples import LIVE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.core.storage.layout import ExperimentFolder
-
-__all__ = ["RunCurves", "ThinnedSamples"]
 
 #: Points of a curve: more than a phone is wide; each has the least and the largest value of its samples.
 _POINTS = 400
@@ -228,8 +226,11 @@ class RunCurves:
         """Yield the files that may hold samples, with the plugin whose they are, a limited number of them."""
         count = 0
         for folder, plugin in self._folders():
-            for path in _regular(folder):
-                if (path.suffix == ".csv" and not path.name.startswith(".")) or path.name.endswith(LIVE):
+            paths = _regular(folder)
+            names = {path.name for path in paths}
+            for path in paths:
+                is_live = path.name.endswith(LIVE) and path.name.removeprefix(".").removesuffix(LIVE) not in names
+                if is_live or (path.suffix == ".csv" and not path.name.startswith(".")):
                     yield path, plugin
                     count += 1
                     if count == _MOST_FILES:

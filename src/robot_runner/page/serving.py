@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from io import RawIOBase
     from pathlib import Path
 
-__all__ = ["Serving"]
-
 _EXTRA = "Install it with: pip install 'robot-runner[page]'"
 _LARGEST_PORT = 65_535
 #: An address of a network that nobody has (RFC 5737): asked for a way there, the system names our own address.

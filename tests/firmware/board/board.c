@@ -177,8 +177,11 @@ static double bus_hertz(void)
 /* Execute until the port is closed or the time is over; return 0 if the firmware broke down. */
 static int execute(void)
 {
+    /* As cycles: the loop is passed for each instruction. */
+    double last = seconds == 0 ? 0x1p62 : seconds / (1 + skew) * HERTZ - (double) before_reset;
+    avr_cycle_count_t end = last > 0 ? (avr_cycle_count_t) last : 0;
     avr_cycle_timer_register_usec(avr, BEAT_US, beat, NULL);
-    while (!line.is_closed && (seconds == 0 || now() < seconds)) {
+    while (!line.is_closed && avr->cycle < end) {
         int state = avr_run(avr);
         see_stack();
         if (state == cpu_Done || state == cpu_Crashed)

@@ -10,10 +10,13 @@ export function begin(base) {
 }
 
 export function changed(data) {
+  const ended = view.run !== null && view.run === view.flying && !(view.run in data.runs) ? view.run : null;
   view.versions = data.runs;
   view.flying = view.watched in data.runs ? view.watched : Object.keys(data.runs)[0];
   const version = data.runs[view.flying];
-  if (view.chosen === null && (view.run !== view.flying || view.version !== version)) { view.version = version; load(view.flying); }
+  // A run that has ended is looked at once more: its samples are whole now, and no longer those shown on the way.
+  if (ended !== null && view.chosen === null) { load(ended); return; }
+  if (view.flying && view.chosen === null && (view.run !== view.flying || view.version !== version)) { view.version = version; load(view.flying); }
 }
 
 // Of several runs in flight, follow this one; null is the first.

@@ -13,6 +13,8 @@ const EVENTS = {
   before_run: "is being prepared", start_run: "starts", start_measurement: "measurement begins", launch_mission: "on its mission",
   stop_measurement: "measurement ends", stop_run: "stops", populate_run_data: "values are computed", continue: "over", null: "is about to start",
 };
+// How long what was done stays to be read: what holds then is told by the state.
+const SAID_MS = 10000;
 const shown = { id: null, about: null, state: null, means: null, factor: 0, measure: 0, asked: "", arrived: 0, logs: {}, watched: null };
 
 export function word(name) {
@@ -179,6 +181,8 @@ async function act(action, body) {
   const first = (answer.said.findings || [])[0];
   const why = () => answer.status === 422 ? "Not all answers are taken: see below." : sentence(answer.said.problem) + (first && first.fix ? " " + first.fix : "");
   setText($("said"), answer.ok ? answer.said.said : why());
+  clearTimeout(shown.fading);
+  if (answer.ok) { shown.fading = setTimeout(() => setText($("said"), ""), SAID_MS); }
   return answer;
 }
 

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from robot_runner.cli.parser import Parser
     from robot_runner.page.serving import Serving
 
-__all__ = ["add_arguments", "execute"]
-
 PORT = 8642
 _MOST_NAMES = 20
 _NOT_ENCRYPTED = "the network can read along, keys included: use one that you trust, or an SSH tunnel"
