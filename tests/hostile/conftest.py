@@ -23,3 +23,10 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CallServer]:
     """Call the program, each time in a process of its own."""
     with CallServer(tmp_path_factory.mktemp("calls")) as served:
         yield served
+
+
+@pytest.fixture(scope="module")
+def package_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CallServer]:
+    """Call the program on packages, each time in a process of its own."""
+    with CallServer(tmp_path_factory.mktemp("calls"), packages_only=True) as served:
+        yield served

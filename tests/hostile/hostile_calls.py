@@ -6,6 +6,8 @@ a call is that of the call alone.
 
 from __future__ import annotations
 
+import gc
+import importlib
 import json
 import os
 import resource
@@ -15,8 +17,13 @@ import sys
 import time
 import unicodedata
 from dataclasses import dataclass, field
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Self
+
+from robot_runner.core.links.connect import preload_robot
+from robot_runner.replication.distributions import installed_distributions
+from robot_runner.replication.imported_packages import owners_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,6 +34,22 @@ PATIENCE_S = 10.0
 MOST_MEMORY = 512 << 20
 _LOOK_S = 0.02
 _ORDINARY = {0, 1, 2}
+_GROUPS = ("checks", "circumstances", "commands", "companions", "profilers", "systems")
+_OF_PACKAGES = (
+    "robot_runner.legacy.earlier_tools",
+    "robot_runner.replication.packing",
+    "rocrate.rocrate",
+    "xmlrpc.client",
+)
+_OF_RESULTS = (
+    "matplotlib.backends.backend_svg",
+    "matplotlib.figure",
+    "pyarrow.pandas_compat",
+    "robot_runner.analysis.comparison.comparing",
+    "robot_runner.analysis.recomputing.recomputations",
+    "robot_runner.analysis.report.writing",
+    "statsmodels.formula.api",
+)
 
 
 @dataclass(frozen=True)
@@ -75,10 +98,13 @@ class CallServer:
 
     Args:
         scratch: a folder of its own, for what is printed and for temporary files.
+        packages_only: whether no command is called that reads results. What those need is the most of the memory, of
+            which each fork copies the tables.
     """
 
-    def __init__(self, scratch: Path) -> None:
+    def __init__(self, scratch: Path, *, packages_only: bool = False) -> None:
         self._scratch = scratch
+        self._number = 0
         scratch.mkdir(parents=True, exist_ok=True)
         environment = os.environ | {
             "HOME": str(scratch / "home"),
@@ -88,7 +114,11 @@ class CallServer:
             "OPENBLAS_NUM_THREADS": "1",
         }
         self._process = subprocess.Popen(
-            [sys.executable, __file__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+            [sys.executable, __file__, *(() if packages_only else _OF_RESULTS)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment,
         )
 
     def __enter__(self) -> Self:
@@ -112,10 +142,13 @@ class CallServer:
     def call(self, words: Sequence[str], folder: Path) -> Call:
         """Call the program with these words in a folder, with nobody at its input."""
         out, err = self._scratch / "out", self._scratch / "err"
+        self._number += 1
         request = {"words": list(words), "folder": str(folder), "out": str(out), "err": str(err)}
-        self._to.write(json.dumps(request) + "\n")
+        self._to.write(json.dumps({**request, "number": self._number}) + "\n")
         self._to.flush()
-        told = json.loads(self._from.readline())
+        # A test that ran out of time left its last answer behind.
+        while (told := json.loads(self._from.readline()))["number"] != self._number:
+            pass
         return Call(tuple(words), told["code"], told["is_hang"], told["memory"], out.read_bytes(), err.read_bytes())
 
 
@@ -173,7 +206,7 @@ def snapshot(folder: Path) -> dict[str, tuple[Any, ...]]:
 
 def _serve() -> None:
     """Execute one call after another: each is forked, watched, and ended with what it started."""
-    _import_libraries()
+    _import_libraries((*_OF_PACKAGES, *sys.argv[1:]))
     for line in sys.stdin:
         request = json.loads(line)
         pid = os.fork()
@@ -181,22 +214,22 @@ def _serve() -> None:
             _be_called(request)
         is_hang, status, used = _watched(pid)
         code = os.waitstatus_to_exitcode(status)
-        sys.stdout.write(json.dumps({"code": code, "is_hang": is_hang, "memory": used.ru_maxrss * 1024}) + "\n")
+        answer = {"code": code, "is_hang": is_hang, "memory": used.ru_maxrss * 1024, "number": request["number"]}
+        sys.stdout.write(json.dumps(answer) + "\n")
         sys.stdout.flush()
 
 
-def _import_libraries() -> None:
-    import robot_runner.analysis.commands.compare
-    import robot_runner.analysis.commands.report
-    import robot_runner.analysis.comparison.comparing
-    import robot_runner.analysis.report.writing
-    import robot_runner.cli.commands.run
-    import robot_runner.cli.commands.status
-    import robot_runner.cli.main
-    import robot_runner.replication.commands.explain
-    import robot_runner.replication.commands.pack
-    import robot_runner.replication.commands.replicate
-    import robot_runner.replication.commands.verify  # noqa: F401
+def _import_libraries(names: Sequence[str]) -> None:
+    """Import what is registered and what commands import when they need it, which each call would do anew otherwise."""
+    for group in _GROUPS:
+        for registered in entry_points(group=f"robot_runner.{group}"):
+            registered.load()
+    for name in names:
+        importlib.import_module(name)
+    preload_robot("simulated")
+    owners_of("robot_runner"), installed_distributions()  # what is installed is looked at once a process, too
+    gc.collect()
+    gc.freeze()  # no call collects what it has not made
 
 
 def _be_called(request: Mapping[str, Any]) -> None:
@@ -227,7 +260,7 @@ def _be_called(request: Mapping[str, Any]) -> None:
 
 
 def _watched(pid: int) -> tuple[bool, int, resource.struct_rusage]:
-    """Wait for a process; one that computes or sleeps for too long is killed. Waiting for a processor is neither."""
+    """Wait for a process; one that computes or sleeps for too long is killed. Waiting for the machine is neither."""
     asleep, ticks = 0.0, os.sysconf("SC_CLK_TCK")
     looked = time.monotonic()
     while True:

@@ -148,28 +148,44 @@ def _documents(name: str, document: Any) -> Iterator[Hostile]:
     short = name.rpartition("/")[2]
     for kind, content in damaged(json.dumps(document)):
         yield Hostile(f"{kind} {short}", partial(_with_bytes, name, content))
-    yield from (
-        Hostile(f"{kind} {short}", partial(_with_bytes, name, text.encode("utf-8", "surrogatepass")))
-        for kind, text in _twisted(document)
-    )
+    for kind, twist in _TWISTS.items():
+        yield Hostile(f"{kind} {short}", partial(_with_text, name, partial(twist, document)))
     # One value after another takes the place of one key after another, so that both are gone through.
     values = itertools.cycle(ODD_VALUES.items())
     for way, (kind, value) in zip(keys_of(document), values, strict=False):
-        text = written(with_value(document, way, value))
-        yield Hostile(f"{kind} at {_shown(way)} of {short}", partial(_with_bytes, name, text.encode()))
+        text = partial(_changed, with_value, document, way, value)
+        yield Hostile(f"{kind} at {_shown(way)} of {short}", partial(_with_text, name, text))
     for way in keys_of(document, 2):
-        text = written(without(document, way))
-        yield Hostile(f"without {_shown(way)} of {short}", partial(_with_bytes, name, text.encode()))
+        text = partial(_changed, without, document, way)
+        yield Hostile(f"without {_shown(way)} of {short}", partial(_with_text, name, text))
 
 
-def _twisted(document: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _duplicated(document: dict[str, Any]) -> str:
     text = json.dumps(document)
-    yield "duplicate-keys", "{" + text[1:-1] + "," + text[1:]
-    yield "escapes-everywhere", json.dumps(in_every_text(document, lambda each: ESCAPES + each))
-    yield "raw-escapes", json.dumps(in_every_text(document, lambda each: "\x9b2J\u202e" + each), ensure_ascii=False)
-    yield "lone-surrogates", written(in_every_text(document, lambda each: Verbatim(f'"\\ud800{len(each)}"')))
-    yield "huge-texts", json.dumps(in_every_text(document, lambda each: each * 20_000))
-    yield "many-keys", json.dumps({**document, **{f"key {number}": number for number in range(100_000)}})
+    return "{" + text[1:-1] + "," + text[1:]
+
+
+_TWISTS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "duplicate-keys": _duplicated,
+    "escapes-everywhere": lambda document: json.dumps(in_every_text(document, lambda each: ESCAPES + each)),
+    "raw-escapes": lambda document: json.dumps(
+        in_every_text(document, lambda each: "\x9b2J\u202e" + each), ensure_ascii=False
+    ),
+    "lone-surrogates": lambda document: written(
+        in_every_text(document, lambda each: Verbatim(f'"\\ud800{len(each)}"'))
+    ),
+    "huge-texts": lambda document: json.dumps(in_every_text(document, lambda each: each * 20_000)),
+    "many-keys": lambda document: json.dumps({**document, **{f"key {number}": number for number in range(100_000)}}),
+}
+
+
+def _changed(change: Callable[..., Any], *given: Any) -> str:
+    return written(change(*given))
+
+
+def _with_text(name: str, text: Callable[[], str], folder: Path, outside: Path) -> None:
+    """Write a text that is made only now: of thousands of texts a test uses few."""
+    _with_bytes(name, text().encode("utf-8", "surrogatepass"), folder, outside)
 
 
 def _with_bytes(name: str, content: bytes, folder: Path, _outside: Path) -> None:

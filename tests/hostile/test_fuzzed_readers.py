@@ -20,8 +20,7 @@ from robot_runner.analysis.sample_files import headings_of, split_unit
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.durations import Durations
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.storage.excluded_runs import ExcludedRuns
-from robot_runner.core.storage.executed_runs import done_runs, executed_order
+from robot_runner.core.storage.executed_runs import ExcludedRuns, done_runs, executed_order
 from robot_runner.core.storage.journal import Journal, last_records, read_journal
 from robot_runner.core.storage.lock import holder_of, take_request
 from robot_runner.core.storage.manifest import is_damaged, read_manifest

@@ -20,39 +20,43 @@ if TYPE_CHECKING:
 BOUNDED = 60
 
 
-def test_the_original_is_intact(original: Original, server: CallServer, tmp_path: Path) -> None:
+def test_the_original_is_intact(original: Original, package_server: CallServer, tmp_path: Path) -> None:
     tally = Tally()
-    codes = visit_package(Hostile("original", lambda *_: None), original, server, tmp_path / "box", tally)
+    codes = visit_package(Hostile("original", lambda *_: None), original, package_server, tmp_path / "box", tally)
     assert codes == [0, 0, 2, 0]  # nobody can be asked whether its code may be executed
     assert tally.faults == {}
 
 
-def test_hostile_packages(original: Original, server: CallServer, tmp_path: Path, record_property: object) -> None:
+def test_hostile_packages(
+    original: Original, package_server: CallServer, tmp_path: Path, record_property: object
+) -> None:
     tally = Tally()
     for hostile in chosen(list(hostile_packages(original.package)), BOUNDED):
-        visit_package(hostile, original, server, tmp_path / "box", tally)
+        visit_package(hostile, original, package_server, tmp_path / "box", tally)
     tell(record_property, tally.in_words("hostile packages"))
     assert tally.faults == {}
 
 
-def test_bombs_fill_no_memory(original: Original, server: CallServer, tmp_path: Path) -> None:
+def test_bombs_fill_no_memory(original: Original, package_server: CallServer, tmp_path: Path) -> None:
     """25 kB that unpack to 827 MB, and a directory that names a million files."""
     bombs = [
         each for each in hostile_packages(original.package) if "of empty objects" in each.name or "million" in each.name
     ]
     tally = Tally()
     for hostile in bombs:
-        visit_package(hostile, original, server, tmp_path / "box", tally)
+        visit_package(hostile, original, package_server, tmp_path / "box", tally)
     assert tally.subjects >= 3
     assert tally.faults == {}
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(14_400)
-def test_all_hostile_packages(original: Original, server: CallServer, tmp_path: Path, record_property: object) -> None:
+def test_all_hostile_packages(
+    original: Original, package_server: CallServer, tmp_path: Path, record_property: object
+) -> None:
     tally = Tally()
     for hostile in hostile_packages(original.package):
-        visit_package(hostile, original, server, tmp_path / "box", tally)
+        visit_package(hostile, original, package_server, tmp_path / "box", tally)
     tell(record_property, tally.in_words("hostile packages"))
     assert tally.subjects >= 250
     assert tally.faults == {}

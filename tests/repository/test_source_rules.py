@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -34,8 +35,24 @@ def _broken(rule: Callable[[Path], bool]) -> list[str]:
     return [module.relative_to(SOURCE).as_posix() for module in MODULES if rule(module)]
 
 
-def _tree(module: Path) -> ast.Module:
-    return ast.parse(module.read_bytes())
+def _is_bare(node: ast.AST) -> bool:
+    return isinstance(node, ast.ExceptHandler) and node.type is None
+
+
+def _starts_unsafely(node: ast.AST) -> bool:
+    """Whether it lists the words of a command that imports from the folder that it is started in."""
+    if not isinstance(node, ast.List):
+        return False
+    words = [each.value if isinstance(each, ast.Constant) else None for each in node.elts]
+    of_others = {"pip", "pytest", "venv"}
+    return "-m" in words and "-P" not in words and not of_others & set(words[words.index("-m") + 1 :])
+
+
+@cache
+def _breaches(module: Path) -> set[Callable[[ast.AST], bool]]:
+    """Which rules any of its nodes breaks; each module is parsed once for all of them."""
+    nodes = list(ast.walk(ast.parse(module.read_bytes())))
+    return {rule for rule in (_talks_to_the_terminal, _is_bare, _starts_unsafely) if any(map(rule, nodes))}
 
 
 def test_no_module_is_long() -> None:
@@ -46,7 +63,7 @@ def test_only_the_command_line_and_commands_of_rooms_print_or_exit() -> None:
     def talks(module: Path) -> bool:
         if module.is_relative_to(SOURCE / "cli") or module.parent.name == "commands":
             return False
-        return any(map(_talks_to_the_terminal, ast.walk(_tree(module))))
+        return _talks_to_the_terminal in _breaches(module)
 
     assert _broken(talks) == []
 
@@ -57,10 +74,7 @@ def test_a_print_is_noticed() -> None:
 
 
 def test_no_except_is_bare() -> None:
-    def has_bare(module: Path) -> bool:
-        return any(isinstance(node, ast.ExceptHandler) and node.type is None for node in ast.walk(_tree(module)))
-
-    assert _broken(has_bare) == []
+    assert _broken(lambda module: _is_bare in _breaches(module)) == []
 
 
 def test_no_module_is_a_drawer() -> None:
@@ -74,13 +88,7 @@ def test_a_file_name_means_one_thing() -> None:
 
 def test_no_program_of_ours_that_is_started_imports_from_the_folder_that_it_is_started_in() -> None:
     # A user's random.py, types.py or queue.py beside a study would stand in for Python's own, unless -P is given.
-    def is_unsafe(module: Path) -> bool:
-        lists = (node.elts for node in ast.walk(_tree(module)) if isinstance(node, ast.List))
-        words = ([each.value if isinstance(each, ast.Constant) else None for each in elements] for elements in lists)
-        of_others = {"pip", "pytest", "venv"}
-        return any(
-            "-m" in each and "-P" not in each and not of_others & set(each[each.index("-m") + 1 :]) for each in words
-        )
-
     # What a user is told to type is no program that we start.
-    assert [name for name in _broken(is_unsafe) if name != "cli/console.py"] == []
+    assert [
+        name for name in _broken(lambda module: _starts_unsafely in _breaches(module)) if name != "cli/console.py"
+    ] == []
