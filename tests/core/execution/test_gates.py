@@ -14,7 +14,7 @@ from robot_runner import ConditionError, Gate, GatePolicy, Guard, GuardAction, p
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.execution import run_events
+from robot_runner.core.execution import executor, run_events
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import FindingsNoticed, GatePassed, GateWaiting
 
@@ -100,6 +100,13 @@ def test_a_gate_is_awaited_before_each_run_in_a_process_of_its_own(execute: Call
     assert (waiting[0].run_number, waiting[0].run_count, waiting[0].seen) == (1, 4, "look 1")
     passed = [notice for notice in executed.notices if isinstance(notice, GatePassed)]
     assert [notice.state for notice in passed] == ["open"] * 4
+
+
+def test_a_process_stands_by_for_each_run_and_for_no_gate(execute: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(executor, "standby_of", lambda _, task: asked.append(task.run_id))
+    assert gated(execute, "Gate(SecondLook(), timeout_s=60)").finished.done_count == 4
+    assert asked == ["r_1", "r_2", "r_3", "r_4"]
 
 
 def test_several_gates_are_passed_one_after_another(execute: Callable) -> None:

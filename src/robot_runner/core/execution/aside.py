@@ -82,6 +82,7 @@ def executed_aside(
             events=manager,
             folder=ExperimentFolder(Path(folder)),
         )
-        with closing(begin_run(aside, task, OutcomeBuilder(task.run_id, aside.columns), watch)) as run:
+        builder = OutcomeBuilder(task.run_id, aside.columns)
+        with closing(begin_run(aside, task, builder, watch, may_command=False)) as run:
             yield run
             return run.outcome()

@@ -112,7 +112,9 @@ def load_before_forks(experiment: Experiment) -> None:
         preload_simulation(experiment.parameters.robot)
 
 
-def begin_run(experiment: Experiment, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
+def begin_run(
+    experiment: Experiment, task: RunTask, builder: OutcomeBuilder, watch: Watch, *, may_command: bool = True
+) -> RunInFlight:
     """Begin one attempt at a run on this machine, in the way that the config's `run_process` asks for.
 
     Args:
@@ -120,14 +122,13 @@ def begin_run(experiment: Experiment, task: RunTask, builder: OutcomeBuilder, wa
         task: what is executed.
         builder: holds what was known of the attempt before.
         watch: what else goes on meanwhile.
+        may_command: whether it may command a robot, so that somebody stands by to stop that.
     """
-    match experiment.parameters.run_process:
-        case RunProcess.FORK:
-            return _begun_in_process(be_run, experiment, task, builder, watch)
-        case RunProcess.SPAWN:
-            return _begun_in_process(become_interpreter, experiment, task, builder, watch)
-        case RunProcess.IN_PROCESS:
-            return _executed_here(experiment, task, builder, watch)
+    if experiment.parameters.run_process is RunProcess.IN_PROCESS:
+        return _executed_here(experiment, task, builder, watch)
+    start = be_run if experiment.parameters.run_process is RunProcess.FORK else become_interpreter
+    standby = standby_of(experiment, task) if may_command else None
+    return _begun_in_process(start, experiment, task, builder, watch, standby)
 
 
 def _begun_in_process(
@@ -136,10 +137,10 @@ def _begun_in_process(
     task: RunTask,
     builder: OutcomeBuilder,
     watch: Watch,
+    standby: Standby | None,
 ) -> RunInFlight:
     parameters = experiment.parameters
     with ExitStack() as opened:
-        standby = standby_of(experiment, task)
         state = None if standby is None else opened.enter_context(closing(standby.state))
         run = partial(start, experiment, task, state)
         keeper = opened.enter_context(Keeper(run, parameters.grace_in_s, experiment.folder, standby))
