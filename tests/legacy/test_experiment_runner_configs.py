@@ -365,3 +365,13 @@ def test_columns_that_are_appended_to_the_model_are_columns(config: Callable[...
         return model
 """
     assert prepare(config(table=table)).experiment.model.data_columns == ("a", "b")
+
+
+def test_an_attribute_of_its_own_that_a_config_sets_on_the_context_is_no_misspelling(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    methods = """
+    def start_run(self, context): context.run_dirs = [context.run_dir]
+    def populate_run_data(self, context): return {"seconds": len(context.run_dirs)}
+    """
+    assert {row["seconds"] for row in execute(config(methods)).table} == {"1"}

@@ -123,10 +123,11 @@ def _counterpart(event: str, names: Collection[str]) -> str:
 def _unknown_context_attributes(recognised: Recognised) -> Iterator[Finding]:
     config = classes_of(recognised.tree).get(recognised.dialect.class_name)
     functions = [node for node in config.body if isinstance(node, ast.FunctionDef)] if config else []
+    own = {node.attr for _, node in attributes_of(recognised.tree, {"context"}) if isinstance(node.ctx, ast.Store)}
     for function in functions:
         names = {argument.arg for argument in function.args.args if argument.arg == "context"}
         for _, node in attributes_of(function, names):
-            if node.attr not in CONTEXT_ATTRIBUTES and isinstance(node.ctx, ast.Load):
+            if node.attr not in {*CONTEXT_ATTRIBUTES, *own} and isinstance(node.ctx, ast.Load):
                 near = _alike(node.attr, CONTEXT_ATTRIBUTES)
                 if near is not None:
                     where = f"{recognised.path}:{node.lineno}"

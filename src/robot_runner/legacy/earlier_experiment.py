@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 #: Events whose callbacks the earlier tools called without a context.
-_WITHOUT_CONTEXT = frozenset(
+WITHOUT_CONTEXT = frozenset(
     {
         RobotRunnerEvents.BEFORE_EXPERIMENT,
         RobotRunnerEvents.BEFORE_RUN,
@@ -39,7 +39,8 @@ _WITHOUT_CONTEXT = frozenset(
         RobotRunnerEvents.AFTER_EXPERIMENT,
     }
 )
-_ROW_NAMES = frozenset({"row", "run", "run_variation", "variation"})
+#: What a fork calls the only parameter of `before_run` where it gets the row of the table.
+ROW_NAMES = frozenset({"row", "run", "run_variation", "variation"})
 
 
 def call(callback: Callable[..., Any], event: RobotRunnerEvents, context: EarlierContext | None) -> Any:
@@ -67,7 +68,7 @@ def _offers(
     given = context.run_variation if context is not None and _wants_row(callback, event) else context
     if event is RobotRunnerEvents.LAUNCH_MISSION:
         return ((given,), (), (given, _Signal()))  # Robot Runner's first callbacks also got a signal to set
-    return ((), (given,)) if event in _WITHOUT_CONTEXT else ((given,), ())
+    return ((), (given,)) if event in WITHOUT_CONTEXT else ((given,), ())
 
 
 class _Signal:
@@ -88,7 +89,7 @@ def _wants_row(callback: Callable[..., Any], event: RobotRunnerEvents) -> bool:
         names = list(inspect.signature(callback).parameters)
     except (TypeError, ValueError):
         return False
-    return bool(names) and names[0] in _ROW_NAMES
+    return bool(names) and names[0] in ROW_NAMES
 
 
 def _fits(callback: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
@@ -112,7 +113,7 @@ def _takes(callback: Callable[..., Any], count: int) -> bool:
 
 def _unfit(callback: Callable[..., Any], event: RobotRunnerEvents) -> ConfigError:
     name = getattr(callback, "__name__", repr(callback))
-    signature = "self" if event in _WITHOUT_CONTEXT else "self, context"
+    signature = "self" if event in WITHOUT_CONTEXT else "self, context"
     return ConfigError(
         f"{name}{inspect.signature(callback)} cannot be called at {event.name}",
         where=place_of(callback),

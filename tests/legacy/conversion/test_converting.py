@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER
 
+from robot_runner.cli.main import main
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.preparation import prepare as prepare_own
 from robot_runner.core.errors import ConfigError
@@ -444,6 +445,7 @@ def interact(self, context: RunnerContext) -> None:
 def populate_run_data(self, context: RunnerContext):
     row = {"seconds": 1}
     row["status"] = self.answer
+    print(f"answered {row['status']}")
     return row
 """
     old = config(methods, table=table)
@@ -570,3 +572,32 @@ def test_edits_that_touch_are_all_applied() -> None:
     assert edits.applied() == "g(ä, x=c, d)"
     edits.replace(call, "whole")
     assert edits.applied() == "whole"
+
+
+def test_a_neighbour_in_another_encoding_stays_as_it_is(
+    config: Callable[..., Path], converted: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    (tmp_path / "names_in_latin_1.py").write_bytes(b'# -*- coding: latin-1 -*-\nNAME = "caf\xe9"\n')
+    head = RUNNER.replace("from pathlib", "import names_in_latin_1\nfrom pathlib")
+    new = converted(config("def populate_run_data(self, context): return {'seconds': 1}", head=head))
+    assert "import names_in_latin_1\n" in new.read_text()
+
+
+def test_a_neighbour_that_is_not_beside_the_new_file_is_named(
+    config: Callable[..., Path], write: Callable[..., Path], tmp_path: Path
+) -> None:
+    write("SIZES = (1, 2)\n", "neighbour_left_behind.py")
+    head = RUNNER.replace("from pathlib", "from neighbour_left_behind import SIZES\nfrom pathlib")
+    conversion = convert(config("def populate_run_data(self, context): return {'seconds': 1}", head=head))
+    new = write(conversion.text, "elsewhere/config.py")
+    found = check_conversion(conversion, new)
+    assert [finding.problem for finding in found] == [
+        "it imports neighbour_left_behind.py, which stands beside the old file and not beside this one"
+    ]
+    assert found[0].fix.startswith(f"Copy {tmp_path / 'neighbour_left_behind.py'} to {new.parent}")
+
+
+def test_a_place_that_ends_in_a_slash_is_a_folder(config: Callable[..., Path], tmp_path: Path) -> None:
+    path = config("def populate_run_data(self, context): return {'seconds': 1}")
+    assert main(["convert", str(path), "--out", f"{tmp_path}/new/"]) == 0
+    assert (tmp_path / "new" / path.name).is_file()

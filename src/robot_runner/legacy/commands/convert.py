@@ -87,11 +87,13 @@ def _folder_and_name(out: str | None, configs: list[str]) -> tuple[Path | None, 
         return None, ""
     place = Path(out)
     is_one = len(configs) == 1 and not Path(configs[0]).is_dir()
-    if place.is_dir() or not (is_one or place.suffix == ".py"):
+    if place.is_dir() or out.endswith("/") or not (is_one or place.suffix == ".py"):
         place.mkdir(parents=True, exist_ok=True)
         return place, ""
     if place.suffix != ".py":
-        raise UsageError("a config is a Python file", where=str(place), fix=f"Name it {place.name}.py.")
+        raise UsageError(
+            "a config is a Python file", where=str(place), fix=f"Name it {place.name}.py; a folder, {place.name}/."
+        )
     if not is_one:
         raise UsageError("several configs cannot become one file", where=str(place), fix="Name a folder: --out FOLDER")
     return place.parent, place.name

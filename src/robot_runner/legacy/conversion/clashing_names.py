@@ -66,6 +66,16 @@ def _keys_in(function: ast.FunctionDef) -> Iterator[ast.Constant]:
     """Yield the keys of what a callback returns: of mappings that it writes down, and of those that it fills."""
     for mapping in nodes(function, ast.Dict):
         yield from (key for key in mapping.keys if isinstance(key, ast.Constant))
-    for filled in nodes(function, ast.Subscript):
-        if isinstance(filled.ctx, ast.Store) and isinstance(filled.slice, ast.Constant):
-            yield filled.slice
+    filled = set[str]()
+    for node in ast.walk(function):
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Dict()):
+                filled.add(name)
+            case ast.AnnAssign(target=ast.Name(id=name), value=ast.Dict()):
+                filled.add(name)
+            case _:
+                pass
+    for cell in nodes(function, ast.Subscript):
+        is_read_again = isinstance(cell.value, ast.Name) and cell.value.id in filled
+        if isinstance(cell.slice, ast.Constant) and (isinstance(cell.ctx, ast.Store) or is_read_again):
+            yield cell.slice

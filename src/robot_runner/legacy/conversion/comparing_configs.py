@@ -63,9 +63,22 @@ def check_conversion(conversion: Conversion, written: Path) -> tuple[Finding, ..
     with load_apart():
         preparation = prepare(written, is_for_here=False)
     if preparation.experiment is None:
-        return preparation.findings
+        return tuple(_left_behind(conversion, written)) or preparation.findings
     before, after = conversion.before, preparation.experiment
     return (*_differences(before, after), *_heard_otherwise(before, after))
+
+
+def _left_behind(conversion: Conversion, written: Path) -> Iterator[Finding]:
+    """Yield what the old file imports from beside it and what does not stand beside the new one."""
+    old, new = conversion.before.config_path.parent, written.resolve().parent
+    kept = [each for each in conversion.before.local_modules if each not in conversion.originals]
+    for name in dict.fromkeys(each.relative_to(old).parts[0] for each in kept):
+        if not (new / name).exists():
+            yield Finding.error(
+                str(written),
+                f"it imports {name}, which stands beside the old file and not beside this one",
+                f"Copy {old / name} to {new}, or convert beside the old file: leave --out out.",
+            )
 
 
 def _heard_otherwise(before: Experiment, after: Experiment) -> Iterator[Finding]:

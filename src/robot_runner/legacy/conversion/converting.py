@@ -19,7 +19,6 @@ from robot_runner.legacy.conversion.bases import (
     name_whole_modules,
 )
 from robot_runner.legacy.conversion.callbacks import (
-    convert_contexts,
     convert_continue,
     convert_decorators,
     convert_lists_of_callbacks,
@@ -31,6 +30,7 @@ from robot_runner.legacy.conversion.callbacks import (
     taken_over,
 )
 from robot_runner.legacy.conversion.clashing_names import rename_clashing
+from robot_runner.legacy.conversion.contexts import convert_contexts
 from robot_runner.legacy.conversion.earlier_imports import (
     ConvertedImports,
     Taking,
@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.legacy.session import Session
+    from robot_runner.legacy.syntax import ImportedName
 
 
 def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collection[str | Path]) -> Iterator[Finding]:
@@ -69,7 +70,7 @@ def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collecti
     """
     modules = {*experiment.local_modules, *imported_files(tree)}
     for module in sorted(each for each in modules if not {each, each.name} & set(written)):
-        for each in imports_of(ast.parse(module.read_text(encoding="utf-8"))):
+        for each in _imports_in(module):
             if is_earlier_import(each.module):
                 yield Finding.error(
                     f"{module}:{each.line}",
@@ -77,6 +78,13 @@ def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collecti
                     "Write this line with robot_runner, or put what is needed into the config.",
                 )
                 break
+
+
+def _imports_in(module: Path) -> tuple[ImportedName, ...]:
+    try:
+        return imports_of(read_tree(module)[1])
+    except ConfigError:  # it is compiled, or in another encoding: Python read it in another way
+        return ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +271,8 @@ class _Converting:
         convert_rows_of_before_run(config, self._session, self._edits)
         convert_continue(config, callbacks, self._inherited, self._edits)
         leave_unheard(config, callbacks, self._inherited, self._edits)
-        convert_contexts(self._tree, self._edits, self._experiment.columns.names)
+        columns = self._experiment.columns.names
+        self.imports.findings += convert_contexts(self._tree, self._session, self._edits, columns)
         self._rename_members(config)
         convert_run_tables(self._session, self._tree, self.imports, self._edits)
         convert_names(self._tree, self.imports, self._edits)

@@ -1,0 +1,218 @@
+"""What the functions of a config read from their context, and write into it."""
+
+from __future__ import annotations
+
+import ast
+from typing import TYPE_CHECKING
+
+from robot_runner.core.config.parameters import ExperimentConfig
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import RobotRunnerEvents
+from robot_runner.legacy.earlier_experiment import ROW_NAMES, WITHOUT_CONTEXT
+from robot_runner.legacy.syntax import attributes_of, bound_names, classes_of, imports_of, nodes
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator
+
+    from robot_runner.legacy.session import Session
+    from robot_runner.legacy.syntax import Edits
+
+
+#: What callbacks read from their context, and its name here.
+_ROWS = frozenset({"run_variation", "execute_run"})
+_ATTRIBUTES = {"run_nr": "run_number", "run_dir": "run_folder"}
+_NAMES_HERE = _ATTRIBUTES | dict.fromkeys(sorted(_ROWS), "combination")
+_RUN_ID = "__run_id"
+_CHANGING = frozenset({"update", "setdefault", "pop", "popitem", "clear"})
+_CLASSES = frozenset({"RunnerContext", "RobotRunnerContext"})
+_BY_TEXT = frozenset({"hasattr", "getattr", "setattr", "delattr"})
+_BY_HAND = "Write this part by hand, then convert the file."
+
+
+def convert_contexts(tree: ast.Module, session: Session, edits: Edits, columns: Collection[str]) -> Iterator[Finding]:
+    """Convert the functions that have a context, and yield what is done with one that has no counterpart.
+
+    A parameter is a context if it is called so, if its annotation says so, or if it is the first of a run's callback.
+
+    Args:
+        tree: the file.
+        session: what the config subscribed when it was loaded.
+        edits: takes the changes.
+        columns: the measures' columns.
+    """
+    functions = {function: set(_contexts_of(function, tree, session)) for function in nodes(tree, ast.FunctionDef)}
+    kept = {place for function, names in functions.items() for place in _places_kept(function, names)}
+    contexts = kept.union(*functions.values())
+    moved = set(_attributes_to_move(tree, contexts))
+    found: list[Finding] = []
+    for function, names in functions.items():
+        if names or kept:
+            found += _Function(function, names | kept, session, edits, columns, moved).converted()
+    yield from dict.fromkeys(found)  # a function in another one is walked through with both
+    yield from _left(tree, session, contexts)
+
+
+def _is_context(argument: ast.arg, tree: ast.Module) -> bool:
+    """Return whether a parameter is a context by its name or its annotation."""
+    classes = _CLASSES | {each.bound_as for each in imports_of(tree) if each.name in _CLASSES}
+    named = [] if argument.annotation is None else list(ast.walk(argument.annotation))
+    return argument.arg == "context" or any(
+        (isinstance(node, ast.Name) and node.id in classes)
+        or (isinstance(node, ast.Constant) and node.value in classes)
+        for node in named
+    )
+
+
+def _contexts_of(function: ast.FunctionDef, tree: ast.Module, session: Session) -> Iterator[str]:
+    arguments = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+    yield from (each.arg for each in arguments if _is_context(each, tree))
+    if function.name in _callbacks_of(session, set(RobotRunnerEvents) - WITHOUT_CONTEXT):
+        yield from (each.arg for each in arguments[1:2])
+    if function.name in _callbacks_of(session, {RobotRunnerEvents.BEFORE_RUN}):
+        yield from (each.arg for each in arguments[1:2] if each.arg not in ROW_NAMES)
+
+
+def _callbacks_of(session: Session, events: Collection[RobotRunnerEvents]) -> set[str]:
+    return {str(getattr(each.callback, "__name__", "")) for each in session.subscriptions if each.event in events}
+
+
+def _places_kept(function: ast.FunctionDef, names: Collection[str]) -> Iterator[str]:
+    """Yield where a function leaves its context for others: `self.context`."""
+    for node in nodes(function, ast.Assign):
+        if isinstance(node.value, ast.Name) and node.value.id in names:
+            yield from (ast.unparse(each) for each in node.targets if isinstance(each, ast.Attribute))
+
+
+def _attributes_to_move(tree: ast.Module, contexts: Collection[str]) -> Iterator[str]:
+    """Yield the attributes that callbacks set on their context, and that can be kept on `self` instead."""
+    methods = [each for each in nodes(tree, ast.FunctionDef) if [arg.arg for arg in each.args.args[:1]] == ["self"]]
+    in_methods = {id(node) for method in methods for node in ast.walk(method)}
+    asked = [each for each in nodes(tree, ast.Call) if isinstance(each.func, ast.Name) and each.func.id in _BY_TEXT]
+    taken = {node.value for call in asked for node in nodes(call, ast.Constant)}
+    taken |= {name for each in classes_of(tree).values() for name in bound_names(each.body)}
+    taken |= {node.attr for _, node in attributes_of(tree, {"self"})}
+    used = [node for node in nodes(tree, ast.Attribute) if ast.unparse(node.value) in contexts]
+    for name in {node.attr for node in used if isinstance(node.ctx, ast.Store)}:
+        is_in_methods = all(id(node) in in_methods for node in used if node.attr == name)
+        if is_in_methods and name not in {*taken, *_NAMES_HERE} and not hasattr(ExperimentConfig, name):
+            yield name
+
+
+def _left(tree: ast.Module, session: Session, contexts: Collection[str]) -> Iterator[Finding]:
+    """Yield where something is read that may be of a context, and is not known to be."""
+    own = {node.attr for node in nodes(tree, ast.Attribute) if isinstance(node.ctx, ast.Store)}
+    own |= {name for each in classes_of(tree).values() for name in bound_names(each.body)}
+    for node in nodes(tree, ast.Attribute):
+        if node.attr in _NAMES_HERE.keys() - own and ast.unparse(node.value) not in contexts:
+            yield Finding.warning(
+                f"{session.path}:{node.lineno}",
+                f"{ast.unparse(node)} is left as it is: whether that is a context cannot be seen",
+                f"If it is, write {_NAMES_HERE[node.attr]}.",
+            )
+
+
+class _Function:
+    """A function; `contexts` are the texts by which it reaches one, `moved` its attributes that `self` has now."""
+
+    def __init__(
+        self,
+        function: ast.FunctionDef,
+        contexts: Collection[str],
+        session: Session,
+        edits: Edits,
+        columns: Collection[str],
+        moved: Collection[str],
+    ) -> None:
+        self._function = function
+        self._contexts = contexts
+        self._session = session
+        self._edits = edits
+        self._columns = columns
+        self._moved = moved
+        self._rows = dict(self._row_variables())
+        returned = (node.value for node in nodes(function, ast.Return))
+        self._returned = {node.id for node in returned if isinstance(node, ast.Name)}
+
+    def converted(self) -> Iterator[Finding]:
+        """Convert every use of the context, and of a variable that holds the row."""
+        for node in ast.walk(self._function):
+            match node:
+                case ast.Assign(targets=[ast.Subscript(value=row) as cell]) if self._context_of(row):
+                    yield from self._convert_writing(node, cell)
+                case ast.Call(func=ast.Attribute(value=row, attr=name)) if self._is_row(row) and name in _CHANGING:
+                    yield self._lacking(node, "it changes the row of the run table, which cannot be written into here")
+                case ast.Call(func=ast.Attribute(value=row, attr="get"), args=[ast.Constant(value="__run_id"), *_]) if (
+                    self._context_of(row)
+                ):
+                    self._edits.replace(node, f"{self._context_of(row)}.run_id")
+                case ast.Subscript(value=row, slice=ast.Constant(value=str(key))) if self._context_of(row):
+                    self._convert_cell(node, row, key)
+                case ast.Attribute(value=owner) if self._is_context(owner):
+                    yield from self._convert_attribute(node, ast.unparse(owner))
+                case ast.Return(value=ast.Name(id=name)) if name in self._rows:
+                    combination = f"{self._rows[name]}.combination"
+                    self._edits.replace(
+                        node, f"return {{name: value for name, value in {name}.items() if name not in {combination}}}"
+                    )
+                case _:
+                    pass
+
+    def _convert_attribute(self, node: ast.Attribute, context: str) -> Iterator[Finding]:
+        if node.attr in self._moved:
+            self._edits.replace(node, f"self.{node.attr}")
+        elif isinstance(node.ctx, ast.Store):
+            fix = f"Keep it in self.{node.attr} or under another name there, then convert the file."
+            yield self._lacking(node, "a context takes no attributes of your own here", fix)
+        elif node.attr in _ATTRIBUTES:
+            self._edits.replace(node, f"{context}.{_ATTRIBUTES[node.attr]}")
+        elif node.attr in _ROWS:
+            self._edits.replace(node, f"dict({context}.combination)")
+
+    def _convert_writing(self, node: ast.Assign, cell: ast.Subscript) -> Iterator[Finding]:
+        row, context = cell.value, self._context_of(cell.value)
+        match cell.slice:
+            case ast.Constant(value=str(key)) if key in self._columns and self._is_row(row):
+                start, end = self._edits.start_of(node), self._edits.start_of(node.value)
+                self._edits.replace_span(start, end, f"{context}.publish({key!r}, ")
+                self._edits.insert(self._edits.end_of(node.value), ")")
+            case ast.Constant(value=str(key)) if key in self._columns and ast.unparse(row) not in self._returned:
+                # The variable holds a copy of the row here, which is read as before.
+                self._edits.insert(self._edits.end_of(node), f"; {context}.publish({key!r}, {ast.unparse(cell)})")
+            case _ if self._is_row(row):
+                yield self._lacking(node, "it writes into the row of the run table what is in none of the data columns")
+            case _:
+                pass
+
+    def _convert_cell(self, node: ast.Subscript, row: ast.expr, key: str) -> None:
+        if key == _RUN_ID:
+            self._edits.replace(node, f"{self._context_of(row)}.run_id")
+        elif self._is_row(row):
+            self._edits.replace(row, f"{self._context_of(row)}.combination")
+
+    def _lacking(self, node: ast.expr | ast.stmt, problem: str, fix: str = _BY_HAND) -> Finding:
+        return Finding.error(f"{self._session.path}:{node.lineno}", problem, fix)
+
+    def _row_variables(self) -> Iterator[tuple[str, str]]:
+        """Yield the variables that hold the row, each with the context that it is from."""
+        for node in nodes(self._function, ast.Assign):
+            match node.targets:
+                case [ast.Name(id=name)] if self._is_row(node.value):
+                    yield name, self._context_of(node.value)
+                case _:
+                    pass
+
+    def _is_context(self, node: ast.expr) -> bool:
+        return isinstance(node, ast.Name | ast.Attribute) and ast.unparse(node) in self._contexts
+
+    def _is_row(self, node: ast.expr) -> bool:
+        return isinstance(node, ast.Attribute) and node.attr in _ROWS and self._is_context(node.value)
+
+    def _context_of(self, row: ast.expr) -> str:
+        """Return the context that a row is from, as it is written; empty where it is no row."""
+        match row:
+            case ast.Attribute(value=owner) if self._is_row(row):
+                return ast.unparse(owner)
+            case ast.Name(id=name):
+                return self._rows.get(name, "")
+            case _:
+                return ""

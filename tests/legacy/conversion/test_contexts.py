@@ -1,0 +1,94 @@
+"""What a config reads from its context and writes into it is converted, however it reaches it, or named."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.legacy.conversion.test_converting import measures_of
+
+from robot_runner.core.errors import ConfigError
+from robot_runner.legacy.conversion.converting import convert
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.legacy.earlier_configs import Executed
+
+REACHED = {
+    "a callback's parameter of another name": """
+def interact(self, run): self.size = run.execute_run["size"]
+def populate_run_data(self, rc): return {"seconds": self.size + rc.run_nr * 0}
+""",
+    "a helper's parameter with an annotation": """
+def size_of(self, of: RunnerContext): return of.run_variation["size"]
+def populate_run_data(self, context): return {"seconds": self.size_of(context)}
+""",
+    "an attribute that keeps it": """
+def start_run(self, context): self.run = context
+def populate_run_data(self, context): return {"seconds": self.run.execute_run["size"] + len(self.run.run_dir.name) * 0}
+""",
+    "an attribute of the config's own": """
+def start_run(self, context): context.seconds = context.execute_run["size"] + 5
+def populate_run_data(self, context): return {"seconds": context.seconds}
+""",
+    "get of the row's id": """
+def populate_run_data(self, context):
+    assert context.execute_run.get("__run_id")
+    return {"seconds": context.execute_run.get("size")}
+""",
+    "before_run's parameter": """
+def before_run(self, now: RunnerContext): self.size = now.execute_run["size"]
+def populate_run_data(self, context): return {"seconds": self.size}
+""",
+    "a variable of the row that is not returned": """
+def stop_run(self, context):
+    row = context.execute_run
+    row["seconds"] = row["size"] + 1
+    assert row["seconds"]
+""",
+}
+
+
+@pytest.mark.parametrize("methods", REACHED.values(), ids=REACHED)
+def test_a_context_is_converted_however_it_is_reached(
+    methods: str, config: Callable[..., Path], execute: Callable[..., Executed], tmp_path: Path
+) -> None:
+    old = config(methods)
+    new = tmp_path / "converted.py"
+    new.write_text(convert(old).text, encoding="utf-8")
+    columns = ["size", "seconds"]
+    assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
+
+
+NOT_WRITTEN = {
+    "context.name = 5": "takes no attributes",
+    "context.robot = hasattr(context, 'robot')": "takes no attributes",
+    "context.execute_run['unplanned'] = 1": "none of the data columns",
+    "context.execute_run.update(seconds=1)": "changes the row",
+}
+
+
+@pytest.mark.parametrize(("statement", "said"), NOT_WRITTEN.items())
+def test_what_cannot_be_written_into_a_context_is_named_with_its_line(
+    statement: str, said: str, config: Callable[..., Path]
+) -> None:
+    path = config(f"def start_run(self, context):\n    {statement}")
+    line = path.read_text().splitlines().index(f"        {statement}") + 1
+    with pytest.raises(ConfigError, match=said) as refused:
+        convert(path)
+    assert [finding.where for finding in refused.value.findings] == [f"{path}:{line}"]
+
+
+def test_what_may_be_a_context_is_named(config: Callable[..., Path]) -> None:
+    conversion = convert(config("def start_run(self, context):\n    print((lambda each: each.run_dir)(context))"))
+    assert [str(finding) for finding in conversion.findings if "each.run_dir is left as it is" in str(finding)]
+
+
+def test_an_attribute_of_the_config_may_be_called_like_one_of_the_context(config: Callable[..., Path]) -> None:
+    conversion = convert(
+        config("def start_run(self, context):\n    self.run_dir = context.run_dir\n    self.run_dir.name")
+    )
+    assert "self.run_dir = context.run_folder\n        self.run_dir.name" in conversion.text
+    assert conversion.findings == ()
