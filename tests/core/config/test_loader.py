@@ -79,6 +79,13 @@ def test_a_config_that_exits_while_it_is_loaded_does_not_take_us_with_it(write_c
     assert "SystemExit" in refused(path)[0].problem
 
 
+def test_a_missing_variable_of_the_environment_is_named(write_config: Write) -> None:
+    path = write_config(head="import os\nos.environ['NO_SUCH_NAME']\nclass RobotRunnerConfig:\n    pass\n")
+    assert refused(path)[0].fix == "Set it in the environment: export NO_SUCH_NAME=... before the command."
+    path = write_config(head="{}['NO_SUCH_NAME']\nclass RobotRunnerConfig:\n    pass\n")
+    assert refused(path)[0].fix == "Mend this line."
+
+
 def test_a_missing_package_is_named(write_config: Write) -> None:
     path = write_config(head="import no_such_package\nclass RobotRunnerConfig:\n    pass\n")
     (finding,) = refused(path)

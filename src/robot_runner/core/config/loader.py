@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import os
 import re
 import sys
 import threading
@@ -232,9 +233,15 @@ def _says_where(path: Path, finding: Finding) -> bool:
     return finding.where.startswith(("--set", str(path)))
 
 
+#: Where `os.environ` looks a variable up: that module is frozen into newer Pythons.
+_OF_OS = {os.__file__, "<frozen os>"}
+
+
 def _fix_of(error: BaseException) -> str:
     if isinstance(error, ModuleNotFoundError) and error.name:
         return f"Install the package that brings {error.name!r}, or mend the name."
+    if isinstance(error, KeyError) and traceback.extract_tb(error.__traceback__)[-1].filename in _OF_OS:
+        return f"Set it in the environment: export {error.args[0]}=... before the command."
     if isinstance(error, AttributeError) and is_waiting(error.obj):
         return "A plugin with a bound parameter is built once the run table is made: read its attributes in callbacks."
     if isinstance(error, AttributeError) and error.name and error.obj is not None:
