@@ -13,7 +13,7 @@ import uuid
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -87,18 +87,20 @@ class Experiment:
         return [int(path.name) for path in Path("/proc").glob("[0-9]*") if self._is_ours(int(path.name))]
 
     def keeper(self) -> int:
-        """Return the process that keeps the run which is being executed."""
-        return next(pid for pid in self.processes() if process_stat(pid)[1:2] == [str(self.process.pid)])
+        """Return the process that keeps the run which is being executed, once one is."""
+        return next(iter(wait_until(lambda: self._children_of(self.process.pid), "a run is executed")))
 
     def run_process(self) -> int:
         """Return the process of the run: of its keeper's children the one that leads a group of its own."""
-        children = [pid for pid in self.processes() if process_stat(pid)[1:2] == [str(self.keeper())]]
-        return next(pid for pid in children if process_stat(pid)[2] == str(pid))
+        return next(pid for pid in self._children_of(self.keeper()) if process_stat(pid)[2] == str(pid))
 
     def standby(self) -> int:
         """Return the process that stands by to make the robot safe: the keeper's other child."""
-        keeper = str(self.keeper())
-        return next(pid for pid in self.processes() if process_stat(pid)[1:3] == [keeper, keeper])
+        keeper = self.keeper()
+        return next(pid for pid in self._children_of(keeper) if process_stat(pid)[2] == str(keeper))
+
+    def _children_of(self, parent: int) -> list[int]:
+        return [pid for pid in self.processes() if process_stat(pid)[1:2] == [str(parent)]]
 
     def nobody_is_left(self) -> bool:
         """Wait until none of them lives."""
@@ -113,7 +115,7 @@ class Experiment:
         return state != "Z" and f"{MARK}={self.mark}".encode() in environment.split(b"\0")
 
 
-def wait_until(holds: Callable[[], object], what: str) -> object:
+def wait_until(holds: Callable[[], Any], what: str) -> Any:
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         if result := holds():

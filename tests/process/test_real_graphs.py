@@ -322,8 +322,9 @@ def test_a_robot_stands_still_within_a_second_in_each_of_a_hundred_kills(
     graph: str, start: Start, tmp_path: Path, doomed: str, watchdog: list[str]
 ) -> None:
     config, since, took = written(tmp_path, ["Video"], robot=graph, namespace="/fred", drive_s=60.0), 0.0, []
-    # A run for each try, and a pause in which the robot is seen to stand: an orchestrator that lives goes on by itself.
-    listing = config.read_text().replace("range(1, 2)", f"range({TRIES})").replace("_in_ms = 0", "_in_ms = 1000")
+    # A run for each try, and some more, as one may fail by itself on a busy machine; and a pause in which the robot is
+    # seen to stand: an orchestrator that lives goes on by itself.
+    listing = config.read_text().replace("range(1, 2)", f"range({2 * TRIES})").replace("_in_ms = 0", "_in_ms = 1000")
     config.write_text(listing)
     with simulated_robot(graph, "--namespace", "/fred", *watchdog), witness(graph, "/fred") as looking:
         experiment = start(config=config)
@@ -332,6 +333,8 @@ def test_a_robot_stands_still_within_a_second_in_each_of_a_hundred_kills(
                 experiment = start(config=config)
             took.append(seconds_to_standstill(graph, experiment, looking, doomed, since))
             since = time.time()
+        if experiment.process.poll() is None:
+            experiment.send(signal.SIGINT)
         experiment.end()
         assert experiment.nobody_is_left()
     seconds = sorted(each for each, _ in took)
