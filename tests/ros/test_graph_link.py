@@ -33,6 +33,7 @@ class Noted:
 
     def reach(self, subscribers):
         self.transport.note(f"reach {subscribers}", self.name)
+        return True
 
     def flush(self, seconds):
         self.transport.note("flush", self.name)

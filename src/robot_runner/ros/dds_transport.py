@@ -187,8 +187,9 @@ class _Publisher:
                 fix="Publish more slowly, or with a QoS that may drop messages: a subscriber does not keep up.",
             ) from error
 
-    def reach(self, subscribers: int) -> None:
-        self._session.graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= subscribers, _MATCHING_SECONDS)
+    def reach(self, subscribers: int) -> bool:
+        graph = self._session.graph
+        return graph.wait_for(lambda: len(matched_subscriptions(self._writer)) >= subscribers, _MATCHING_SECONDS)
 
     def flush(self, seconds: float) -> None:
         # Where time runs out, cyclonedds 11.0 raises AttributeError: it looks for the code of that on a wrong class.

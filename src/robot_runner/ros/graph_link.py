@@ -112,14 +112,14 @@ class GraphLink:
             note_sent(name, complete)
         advertised.publisher.publish(complete)
 
-    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
-        """Return once the subscribers of a topic that are there by now would receive what is published."""
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
+        """Return whether the subscribers of a topic that are there would receive what is published, once they do."""
         name = self._name(topic)
         is_known = (name, qos) in self._advertised
         advertised = self._advertise(name, message_type, {}, qos)
         check_type(name, message_type, [advertised.message_type])
-        if is_known:  # who subscribed since then is reached, too
-            advertised.publisher.reach(len(self.subscribers(topic)))
+        # Who subscribed since then is reached, too; a publisher that is new has waited for those that were there.
+        return advertised.publisher.reach(len(self.subscribers(topic))) if is_known else True
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None

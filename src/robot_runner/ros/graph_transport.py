@@ -88,8 +88,8 @@ class TopicPublisher(Protocol):
         """Publish a message that has every field of its type."""
         ...
 
-    def reach(self, subscribers: int) -> None:
-        """Return once so many subscribers would receive what is published, or when that takes too long."""
+    def reach(self, subscribers: int) -> bool:
+        """Return whether so many subscribers would receive what is published, once they do or that takes too long."""
         ...
 
     def flush(self, seconds: float) -> None:

@@ -241,15 +241,16 @@ class _Publisher:
     def close(self) -> None:
         within(REGISTERING_SECONDS, self._publisher.unregister, where=self._topic, doing="leaving the topic")
 
-    def reach(self, subscribers: int) -> None:
+    def reach(self, subscribers: int) -> bool:
         deadline = time.monotonic() + _CONNECTING_SECONDS
         while self._publisher.get_num_connections() < subscribers:
             left = deadline - time.monotonic()
             if left <= 0:
                 connected = self._publisher.get_num_connections()
                 _logger.warning("%s: %d of its %d subscribers are reached", self._topic, connected, subscribers)
-                return
+                return False
             self._arrivals.wait(left)
+        return True
 
 
 def _until(claim: Callable[[], bool], seconds: float) -> None:

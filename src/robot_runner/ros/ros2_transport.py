@@ -160,8 +160,8 @@ class _Publisher:
     def publish(self, message: Message) -> None:
         self._publisher.publish(as_message(self._cls, message))
 
-    def reach(self, subscribers: int) -> None:
-        self._node.until(lambda: self._publisher.get_subscription_count() >= subscribers, _MATCHING)
+    def reach(self, subscribers: int) -> bool:
+        return self._node.until(lambda: self._publisher.get_subscription_count() >= subscribers, _MATCHING)
 
     def flush(self, seconds: float) -> None:
         self._publisher.wait_for_all_acked(Duration(seconds=seconds))

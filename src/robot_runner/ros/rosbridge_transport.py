@@ -293,8 +293,10 @@ class _Publisher:
         operation = {"op": "publish", "topic": self._topic, "msg": to_protocol(self._shape, message)}
         self._session.send(operation)
 
-    def reach(self, subscribers: int) -> None:
-        """Do nothing: the server does not tell whom it reaches."""
+    def reach(self, subscribers: int) -> bool:
+        """Return at once: the server does not tell whom it reaches."""
+        del subscribers
+        return True
 
     def flush(self, seconds: float) -> None:
         del seconds  # the session's own deadline: the server answers at once, or is gone

@@ -231,8 +231,10 @@ class _CommandPublisher:
             self._is_driving = False
         self._robot.command(self._topic, message)
 
-    def reach(self, subscribers: int) -> None:
-        """Do nothing: the robot is there."""
+    def reach(self, subscribers: int) -> bool:
+        """Return at once: the robot is there."""
+        del subscribers
+        return True
 
     def flush(self, seconds: float) -> None:
         """Do nothing: a command is carried out at once."""

@@ -171,8 +171,8 @@ class FakeRobotLink:
         self._check()
         self.publications.append(Publication(self._clock.now(), topic, message_type, message, qos))
 
-    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
-        """Note the topic among those of the graph.
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
+        """Note the topic among those of the graph; whoever is there would receive it.
 
         Raises:
             LinkError: the link was closed, or the fault that was set.
@@ -180,6 +180,7 @@ class FakeRobotLink:
         del qos
         self._check()
         self._advertised[topic] = message_type
+        return True
 
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None

@@ -59,12 +59,21 @@ TABLE = """
 class Told:
     """A robot that writes down what it is told."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, is_reached_after: float = 0.0) -> None:
         self._told = folder / "told"
+        self._reached = time.monotonic() + is_reached_after
 
     def publish(self, topic: str, message_type: str, message: object) -> None:
         with self._told.open("a", encoding="utf-8") as file:
-            file.write(f"{topic} {message_type} {message}\n")
+            heard = "" if self._is_reached else " and is not heard"
+            file.write(f"{topic} {message_type} {message}{heard}\n")
+
+    def advertise(self, topic: str, message_type: str) -> bool:
+        return self._is_reached
+
+    @property
+    def _is_reached(self) -> bool:
+        return time.monotonic() >= self._reached
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
@@ -95,6 +104,22 @@ def test_a_robot_is_told_so_again_and_again_also_where_a_system_cannot_be_made_s
     with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), care=Care.OUT_OF_REACH):
         told = (folder / "told").read_text(encoding="utf-8").splitlines()
     assert len(told) > 2, "it is tried twice, and once each time without saying so again"
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+@pytest.mark.parametrize(("late", "care"), [(1.5, Care.MADE_SAFE), (3600.0, Care.OUT_OF_REACH)])
+def test_a_robot_is_told_until_it_is_reached_and_one_that_never_is_may_be_moving(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, late: float, care: Care
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    robot = Told(folder := experiment.config_path.parent, is_reached_after=late)
+    monkeypatch.setattr(standby_module, "connect_robot", lambda _context: robot)
+    monkeypatch.setattr(standby_module, "_TELLING", 0.2)
+    monkeypatch.setattr(standby_module, "_REACHING", 60.0 if care is Care.MADE_SAFE else 0.5)
+    with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), care=care):
+        told = (folder / "told").read_text(encoding="utf-8").splitlines()
+    assert told[0].endswith("and is not heard")
+    assert told[-1].endswith("and is not heard") is (care is Care.OUT_OF_REACH)
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")

@@ -109,8 +109,11 @@ class Publisher(Protocol):
 class Advertiser(Protocol):
     """Puts topics on the graph before anything is published on them."""
 
-    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> None:
+    def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
         """Return once the subscribers that are there by now would receive a message; it may be called again.
+
+        Returns:
+            whether they would; False where that took too long.
 
         Raises:
             LinkError: the robot cannot be reached, there is no such type, or the topic carries another.
