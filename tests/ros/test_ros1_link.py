@@ -128,12 +128,6 @@ class TestGraph:
         link.close()
         assert own_nodes() == set()
 
-    def test_who_has_joined_and_opened_nothing_is_not_known_to_the_master(self, opened, own_nodes):
-        link = opened()  # as a standby is all the time that its run goes on
-        assert own_nodes() == set()
-        link.publish("chatter", STRING, {"data": "now"})
-        assert len(own_nodes()) == 1
-
     def test_one_node_is_all_robots_of_a_process(self, opened, own_nodes):
         alice, bob = opened("alice"), opened("bob")
         alice.publish("lamp", STRING, {})

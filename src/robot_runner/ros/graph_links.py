@@ -72,8 +72,7 @@ class GraphLinkKind:
         opener: the function that opens it.
         takes_address: whether it has an address, and no options.
         client: the modules that take long to import, and that `module` imports only where they are asked for.
-        is_slow_to_join: whether who has just joined the graph is not heard at once: DDS has to discover it, and to make
-            a node of ROS 1 takes tenths of a second, on a busy machine more.
+        is_slow_to_join: whether who has just joined the graph is not heard at once: DDS has to discover it.
     """
 
     description: str
@@ -187,9 +186,7 @@ class _FoundRobot:
 
 
 # What the entry points of this room name.
-ROS1 = GraphLinkKind(
-    "ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link", client=("rospy",), is_slow_to_join=True
-)
+ROS1 = GraphLinkKind("ROS 1 with rospy", "robot_runner.ros.ros1_link", "open_ros1_link", client=("rospy",))
 ROS2 = GraphLinkKind(
     "ROS 2 with rclpy", "robot_runner.ros.ros2_link", "open_ros2_link", client=("rclpy",), is_slow_to_join=True
 )
