@@ -112,7 +112,7 @@ class PacketCapture:
         self._asked.set()
         delete(self.participant)
         self._flusher.join(_END_SECONDS)
-        if self._flusher.is_alive():  # it waits for who reads the standard input, and so would what closes the capture
+        if self._flusher.is_alive():  # it waits for a reader of the standard input, as closing the capture would
             _logger.warning("the packet capture of domain %s is left open", self._domain.number)
             return
         delete(self._domain)  # closes the capture, at which its reader ends
@@ -167,7 +167,7 @@ class _Sample(ctypes.Structure):
 class _CapturedWriter(DataWriter[Any]):
     """A writer whose packets are captured.
 
-    That of cyclonedds keeps all threads of Python waiting while it writes; who reads the capture could not, and a
+    The writer of cyclonedds blocks all threads of Python while it writes: the capture could not be read, and a
     request that fills the pipe would never be written.
     """
 

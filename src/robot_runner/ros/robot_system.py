@@ -36,7 +36,7 @@ class RobotSystem(System):
         join_beforehand(context, namespace=self.namespace)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot; on the embedded one, goals and messages that are none of their type.
+        """Return what stands in the way: no robot; on the embedded one, messages that do not follow their types.
 
         On a graph they are compared with its own definitions, when it is looked at.
         """

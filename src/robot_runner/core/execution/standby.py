@@ -190,10 +190,10 @@ class _Connection:
         connect_robot(self.contexts(CONFIG_OWNER)).publish(topic, message_type, {})
 
     def stop_again(self, commanded: Sequence[tuple[str, str]]) -> None:
-        """Command the same for some seconds, by topic and type, and until that is heard: who hears it may be new to us.
+        """Repeat the stop command for some seconds, by topic and type, and until every subscriber is reached.
 
         Raises:
-            LinkError: who subscribes the topic is not reached.
+            LinkError: a subscriber of a topic is not reached.
         """
         began = time.monotonic()
         while commanded:

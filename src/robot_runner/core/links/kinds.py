@@ -93,7 +93,7 @@ class JoinsGraph(Protocol):
 
     @property
     def is_slow_to_join(self) -> bool:
-        """Whether who has just joined is not heard at once: who may have to stop a robot joins beforehand."""
+        """Whether a new participant is not heard at once, so that the standby joins beforehand."""
         ...
 
 

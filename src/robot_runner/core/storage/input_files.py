@@ -77,7 +77,7 @@ def read_index(folder: Path) -> list[KeptInput]:
     """Return what the index in a folder of configs says; nothing where there is none.
 
     Raises:
-        StorageError: it cannot be read, or is none of ours.
+        StorageError: it cannot be read, or is not such an index.
     """
     path = folder / INDEX
     if not path.exists():
