@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +30,7 @@ from robot_runner.core.execution.notices import AttemptFinished
 from robot_runner.notebook import from_python
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
@@ -185,17 +186,21 @@ print("interrupted", results.is_interrupted, results.exit_code, flush=True)
 """
 
 
-@pytest.mark.parametrize("threads", [False, True])
-def test_ctrl_c_ends_it_cleanly_with_and_without_threads(tmp_path: Path, threads: bool) -> None:
+@contextmanager
+def in_its_first_run(tmp_path: Path, *, threads: bool) -> Iterator[subprocess.Popen[str]]:
+    """Execute that script, and yield its process once the first run has begun."""
     script = tmp_path / "script.py"
     script.write_text(INTERRUPTED.format(threads=threads))
-    with subprocess.Popen(
-        [sys.executable, str(script), str(tmp_path)], stdout=subprocess.PIPE, text=True, cwd=tmp_path
-    ) as process:
+    words = [sys.executable, str(script), str(tmp_path)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         assert process.stdout is not None
-        for line in process.stdout:
-            if "r_1) starts" in line:
-                break
+        next(line for line in process.stdout if "r_1) starts" in line)
+        yield process
+
+
+@pytest.mark.parametrize("threads", [False, True])
+def test_ctrl_c_ends_it_cleanly_with_and_without_threads(tmp_path: Path, threads: bool) -> None:
+    with in_its_first_run(tmp_path, threads=threads) as process:
         time.sleep(0.5)
         process.send_signal(2)
         out, _ = process.communicate(timeout=60)
@@ -203,18 +208,10 @@ def test_ctrl_c_ends_it_cleanly_with_and_without_threads(tmp_path: Path, threads
 
 
 def test_a_script_that_is_killed_leaves_nobody(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(INTERRUPTED.format(threads=True))
-    with subprocess.Popen(
-        [sys.executable, str(script), str(tmp_path)], stdout=subprocess.PIPE, text=True, cwd=tmp_path
-    ) as process:
-        assert process.stdout is not None
-        for line in process.stdout:
-            if "r_1) starts" in line:
-                break
+    with in_its_first_run(tmp_path, threads=True) as process:
         process.kill()
     deadline = time.monotonic() + 30
-    while time.monotonic() < deadline and (left := _executing(str(script))):
+    while time.monotonic() < deadline and (left := _executing(str(tmp_path / "script.py"))):
         time.sleep(0.1)
     assert not left
 
