@@ -166,10 +166,11 @@ def test_a_thread_ends_a_mission_whose_first_signal_comes_right_before_it_sleeps
     assert "the mission went on" not in executed.log("r_1")
 
 
-def test_a_run_ends_whose_first_stop_request_comes_right_before_it_sleeps(execute: Execute) -> None:
+@pytest.mark.parametrize("run_process", ["fork", "spawn"])
+def test_a_run_ends_whose_first_stop_request_comes_right_before_it_sleeps(execute: Execute, run_process: str) -> None:
     lose = LOSE_FIRST.format(signal="signal.SIGTERM")
     stop = '(context.experiment_folder / ".stop").touch()\ncontext.publish("Energy", 1.0)\ntime.sleep(3600)'
-    executed = ended(execute, f"{lose}{stop}", grace_in_s="100")
+    executed = ended(execute, f"{lose}{stop}", grace_in_s="100", run_process=run_process)
     assert executed.finished.interrupted
     assert "arm closed\narm made safe" in executed.log("r_1")
 
