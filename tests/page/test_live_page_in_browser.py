@@ -53,9 +53,11 @@ def seen(selector: str, pattern: str) -> str:
 def wait_for_whole_samples(browser: Browser, run: str) -> None:
     """Wait until what is shown of a run that has ended is what was kept, each curve once."""
     browser.wait_for(seen("#curves", f"Samples of {run}"))
+    # Files of samples are completed one after the other while a run ends: the last of them is waited for.
+    browser.wait_for(seen("#curve-choice", "Ina219 voltage V"))
     browser.wait_for("!document.getElementById('plots').innerText.includes('being taken')")
     names = browser.evaluate("[...document.querySelectorAll('#curve-choice button')].map(each => each.innerText)")
-    assert (len(names), "Ina219 voltage V" in names) == (len({*names}), True)
+    assert len(names) == len({*names})
 
 
 def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
@@ -162,6 +164,46 @@ def test_of_two_runs_in_flight_a_viewer_chooses_whose_log_and_samples_are_shown(
         (tmp_path / "enough").touch()
         assert experiment.wait(timeout=60) == 0
         browser.wait_for(seen("#counts", "2 of 2 runs done"))
+    assert browser.complaints == []
+
+
+#: Each answer with samples is held back, as a slow network would, until `letThrough` is called.
+HOLDING_BACK = """(() => {
+  const asked = window.fetch;
+  const through = new Promise((done) => { window.letThrough = done; });
+  window.held = 0;
+  window.fetch = async (address, options) => {
+    const answer = await asked(address, options);
+    if (String(address).includes('/curves/')) { window.held += 1; await through; }
+    return answer;
+  };
+})()"""
+
+
+def test_samples_of_a_run_that_ended_before_its_first_ones_had_arrived_are_looked_at_once_more(
+    browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = write_config(
+        "def launch_mission(self, context):\n"
+        "    (context.run_folder / 'a.csv').write_text('time_s,early_W\\n0,1\\n1,2\\n')\n"
+        "    while not Path('go').exists(): context.clock.sleep(0.02)\n"
+        "    (context.run_folder / 'b.csv').write_text('time_s,late_W\\n0,1\\n1,2\\n')\n"
+        "def populate_run_data(self, context): return {'Energy': 1.5}"
+    )
+    root = tmp_path / "results" / "trial"
+    page = serve_page(tmp_path)
+    browser.open(page.links["Here"])
+    browser.evaluate(HOLDING_BACK)
+    with executed(config, "--only", "r_1") as experiment:
+        browser.wait_for("document.querySelector('.experiment-item a')")
+        browser.press(".experiment-item a")
+        browser.wait_for("window.held === 1")
+        (tmp_path / "go").touch()
+        assert experiment.wait(timeout=60) == 0
+        browser.wait_for(seen("#word", "nobody executes it"))
+        browser.evaluate("window.letThrough()")
+        browser.wait_for(seen("#curve-choice", "early W[^]*late W"))
+    assert {each["run"] for each in read_journal(root / "journal.jsonl", kinds={"attempt_finished"})} == {"r_1"}
     assert browser.complaints == []
 
 

@@ -227,8 +227,10 @@ class FollowedExperiment:
     def snapshot(self) -> dict[str, Any]:
         """Return all parts of the page, for a viewer who comes."""
         with self._lock:
-            parts = {"state": self._state(), "table": self._columns(), "findings": self._findings()}
-            return parts | {"means": self._means.told(self._excluded())} | self._of_runs_in_flight()
+            parts: dict[str, Any] = {"state": self._state(), "table": self._columns(), "findings": self._findings()}
+            # Who comes again may have seen a run in flight that has ended meanwhile.
+            parts |= {"means": self._means.told(self._excluded()), "samples": {"runs": {}}}
+            return parts | self._of_runs_in_flight()
 
     def _state(self) -> dict[str, Any]:
         status = self._status

@@ -2,19 +2,19 @@
 import { $, ask, chips, colours, drawing, element, number, setText } from "./parts.js";
 
 const FIRST = [/^power/i, /^cpu_percent$|^cpu/i, /rate|_hz$/i, /^voltage/i];
-const view = { base: "", flying: null, watched: null, versions: {}, chosen: null, run: null, version: -1, files: [], names: [], off: null, plots: [], isAsking: false, isDue: false };
+const view = { base: "", flying: null, watched: null, versions: {}, chosen: null, run: null, version: -1, files: [], names: [], off: null, plots: [], isAsking: false, due: null };
 
 export function begin(base) {
-  Object.assign(view, { base: base, flying: null, watched: null, versions: {}, chosen: null, run: null, version: -1, files: [], names: [], off: null });
+  Object.assign(view, { base: base, flying: null, watched: null, versions: {}, chosen: null, run: null, version: -1, files: [], names: [], off: null, due: null });
   clear();
 }
 
 export function changed(data) {
-  const ended = view.run !== null && view.run === view.flying && !(view.run in data.runs) ? view.run : null;
+  const ended = view.flying && !(view.flying in data.runs) ? view.flying : null;
   view.versions = data.runs;
   view.flying = view.watched in data.runs ? view.watched : Object.keys(data.runs)[0];
   const version = data.runs[view.flying];
-  // A run that has ended is looked at once more: its samples are whole now, and no longer those shown on the way.
+  // A run that has ended is looked at once more: its samples are whole now, and no longer those shown, or asked for, on the way.
   if (ended !== null && view.chosen === null) { load(ended); return; }
   if (view.flying && view.chosen === null && (view.run !== view.flying || view.version !== version)) { view.version = version; load(view.flying); }
 }
@@ -32,12 +32,13 @@ export function choose(run) {
 }
 
 async function load(run, isAsked) {
-  if (view.isAsking) { view.isDue = true; return; }
+  if (view.isAsking) { view.due = { run: run, isAsked: isAsked }; return; }
   view.isAsking = true;
-  const answer = await ask(view.base + "/curves/" + encodeURIComponent(run)).catch(() => null);
+  const base = view.base;
+  const answer = await ask(base + "/curves/" + encodeURIComponent(run)).catch(() => null);
   view.isAsking = false;
-  if (view.isDue) { view.isDue = false; load(view.chosen || view.flying || run, isAsked); return; }
-  if (!answer || !answer.ok) { return; }
+  if (view.due) { const { run: next, isAsked: isNextAsked } = view.due; view.due = null; load(next, isNextAsked); return; }
+  if (!answer || !answer.ok || base !== view.base) { return; }
   const isOther = view.run !== run;
   // What was seen last stays until the next run has samples.
   if (isOther && !answer.said.length && !isAsked) { return; }
