@@ -271,6 +271,33 @@ class TestProcess:
         execute(master_uri, self.LINK.rstrip() + "; link.close(); os._exit(0)\n")
         assert own_nodes() == set()
 
+    def test_a_run_that_was_killed_is_taken_from_the_master_by_the_next_and_a_dead_node_of_another_s_is_not(
+        self, master_uri, opened, own_nodes
+    ):
+        execute(master_uri, self.LINK.rstrip() + "; os._exit(0)\n")
+        (gone,) = own_nodes()
+        with xmlrpc.client.ServerProxy(master_uri) as server:
+            nowhere = f"http://127.0.0.1:{claim_port()}"
+            server.registerPublisher("/move_base", "/lamp", "std_msgs/String", nowhere)
+        assert [each.node for each in opened().publishers("lamp")] == []
+        state = Master(master_uri).state()
+        with xmlrpc.client.ServerProxy(master_uri) as server:
+            server.unregisterPublisher("/move_base", "/lamp", nowhere)
+        assert gone not in state.nodes
+        assert "/move_base" in state.publishers["/lamp"]
+
+    def test_a_run_that_was_killed_is_taken_from_the_master_where_another_process_has_its_address(
+        self, master_uri, opened
+    ):
+        gone = "/robot_runner_1_1769853600000"
+        with xmlrpc.client.ServerProxy(master_uri) as server:  # the master itself answers there, as a node would
+            server.registerPublisher(gone, "/lamp", "std_msgs/String", master_uri)
+            server.registerPublisher("/move_base", "/lamp", "std_msgs/String", master_uri)
+        assert [each.node for each in opened().publishers("lamp")] == ["/move_base"]
+        with xmlrpc.client.ServerProxy(master_uri) as server:
+            server.unregisterPublisher("/move_base", "/lamp", master_uri)
+        assert gone not in Master(master_uri).state().nodes
+
     def test_a_run_s_process_cannot_use_the_orchestrator_s_node(self, master_uri):
         printed = execute(
             master_uri,

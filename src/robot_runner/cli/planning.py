@@ -1,14 +1,12 @@
-"""An experiment as it is named on the command line: by its folder, or by its config file."""
+"""What an experiment would execute: the run table as it is planned from the config, or as it stands in the folder."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import quiet_loading, shown_path
 from robot_runner.cli.design_words import later_orders_in_words
-from robot_runner.cli.parser import UsageError
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import event_manager_for, experiment_folder, grown_model
@@ -17,7 +15,7 @@ from robot_runner.core.config.plugin_checks import gather_plugins
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.design.precision import rule_in_words
-from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
+from robot_runner.core.errors import ConfigError, Finding, StorageError
 from robot_runner.core.events.measure import resolve_columns, with_phases
 from robot_runner.core.execution.begun_experiment import unplanned_additions
 from robot_runner.core.execution.deciding import asking_of, what_follows
@@ -26,14 +24,13 @@ from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import ExcludedRuns, executed_order, moved_in_words, moved_runs
-from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
-from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.parameters import Parameters
@@ -42,10 +39,9 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import MeasureColumns
     from robot_runner.core.execution.durations import Durations
     from robot_runner.core.plugin import Plugin
+    from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import TableSpelling
-
-# The run table that an experiment would be executed with: planned, or as it stands in its folder.
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,80 +233,19 @@ def _plan_on_disk(
     return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings, **told), rows
 
 
-def folder_of_target(target: str, assignments: Sequence[str], *, takes_older: bool = False) -> ExperimentFolder:
-    """Return the folder of the experiment that is meant.
+def configured_folder(path: Path, assignments: Sequence[str]) -> ExperimentFolder:
+    """Return the folder where a config file has its results.
 
     Args:
-        target: a folder or a config file.
+        path: the config file.
         assignments: static parameters to set, as `name=value`.
-        takes_older: whether a folder will do that another tool has filled, with a run table and no manifest.
 
     Raises:
-        UsageError: parameters are set for a folder, which takes none.
         ConfigError: the config file cannot be loaded, or does not say where its results are.
-        StorageError: there is no such file or folder, or no experiment in it.
     """
-    path = Path(target).expanduser()
-    if path.is_dir():
-        if assignments:
-            raise UsageError("--set is for config files", where=target, fix="Leave it out, or name the config file.")
-        return _in_folder(path, takes_older=takes_older)
-    if not path.exists() and path.suffix != ".py":
-        names = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
-        fix = did_you_mean(path.name, names) if len(names) < _MOST_NAMES else "Name a folder that is there."
-        raise StorageError("there is no such file or folder", where=target, fix=fix)
-    return _of_config(path, assignments, takes_older=takes_older)
-
-
-_MOST_NAMES = 20
-
-
-def _in_folder(path: Path, *, takes_older: bool) -> ExperimentFolder:
-    folder = ExperimentFolder.found_at(path.resolve())
-    if folder.manifest.exists() or (takes_older and _is_of_older_tool(folder)):
-        return folder
-    if _is_of_older_tool(folder):
-        raise _older(folder)
-    within = sorted(each.name for each in path.iterdir() if ExperimentFolder(each).manifest.exists())
-    if len(within) == 1:  # a folder of results, such as `experiments`
-        return ExperimentFolder.found_at(path.resolve() / within[0])
-    if within:
-        names = listed(shown_path(path / name) for name in within)
-        fix = f"Name the experiment's own folder: {names}."
-    else:
-        fix = "Name the folder that holds run_table.csv and manifest.json, or the config file."
-    raise StorageError("there is no experiment here", where=str(path), fix=fix)
-
-
-def _is_of_older_tool(folder: ExperimentFolder) -> bool:
-    """Return whether a folder has a run table with runs that were executed, and nothing of ours.
-
-    Raises:
-        StorageError: the run table cannot be read.
-    """
-    if folder.manifest.exists() or not folder.run_table.exists():
-        return False
-    rows = read_run_table(folder.run_table, TableLayout((), stamps=()))
-    return len(rows) > rows.count(RunStatus.TODO)
-
-
-def _older(folder: ExperimentFolder) -> StorageError:
-    fix = "Go on with its config (robot-runner run), or adopt the results (robot-runner import)."
-    return StorageError("another tool executed this experiment", where=shown_path(folder.root), fix=fix)
-
-
-def _of_config(path: Path, assignments: Sequence[str], *, takes_older: bool) -> ExperimentFolder:
     with quiet_loading():
         loaded = load_config(path, parse_assignments(assignments))
         folder = folder_of(loaded)
     if folder is None:
         raise ConfigError.of_findings(read_parameters(loaded)[1])
-    if _is_of_older_tool(folder) and not takes_older:
-        raise _older(folder)
-    if not folder.manifest.exists() and not _is_of_older_tool(folder):
-        raise StorageError(
-            f"this experiment was never executed: there is nothing in {shown_path(folder.root)}",
-            where=str(path),
-            fix=f"Execute it: robot-runner {path}",
-        )
     return folder

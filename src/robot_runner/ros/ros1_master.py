@@ -167,12 +167,23 @@ class Master:
         code, _, uri = self._answer("lookupNode", node)
         return Master(uri, timeout=self._timeout).pid() if code == _SUCCESS else None
 
-    def is_alive(self, node: str) -> bool:
-        """Whether a node answers: one that was killed stays registered at the master."""
-        try:
-            return self.pid_of(node) is not None
-        except LinkError:
-            return False
+    def forget(self, node: str) -> None:
+        """Take away all that a node has registered, in its name: one that was killed does not do so itself.
+
+        Source: wiki.ros.org/ROS/Master_API; `rosnode cleanup` does the same.
+
+        Raises:
+            LinkError: the master does not answer.
+        """
+        state, (code, _, uri) = self.state(), self._answer("lookupNode", node)
+        if code != _SUCCESS:
+            return
+        for name in (name for name, nodes in state.publishers.items() if node in nodes):
+            self._answer("unregisterPublisher", name, uri, caller=node)
+        for name in (name for name, nodes in state.subscribers.items() if node in nodes):
+            self._answer("unregisterSubscriber", name, uri, caller=node)
+        for name in (name for name, nodes in state.services.items() if node in nodes):
+            self._answer("unregisterService", name, self.service(name) or "", caller=node)
 
     def is_serving(self, node: str, topic: str, listener: str) -> bool:
         """Whether a node that publishes a topic sends it to another one, as it tells itself; a node of ours too.
@@ -210,11 +221,11 @@ class Master:
             )
         return value
 
-    def _answer(self, method: str, *arguments: Any) -> tuple[int, str, Any]:
+    def _answer(self, method: str, *arguments: Any, caller: str = _CALLER) -> tuple[int, str, Any]:
         transport = _Transport(self._timeout)
         try:
             with xmlrpc.client.ServerProxy(self.uri, transport=transport, use_builtin_types=True) as server:
-                code, status, value = getattr(server, method)(_CALLER, *arguments)
+                code, status, value = getattr(server, method)(caller, *arguments)
         except TimeoutError as error:
             raise self._silent() from error
         except socket.gaierror as error:

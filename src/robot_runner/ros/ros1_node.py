@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 import socket
 import tempfile
 import threading
@@ -25,6 +26,8 @@ T = TypeVar("T")
 #: How long the master may take to note one more publisher, subscriber or service, s.
 REGISTERING_SECONDS = 5.0
 _NAME = "robot_runner"
+#: Such a name has each of our nodes: rospy adds the number of the process, and when it began.
+_OWN_NODE = re.compile(rf"/{_NAME}_(\d+)_\d+")
 _INSTALL = (
     "Source the setup file of ROS 1 (on Debian: apt install python3-rospy) and start robot-runner from that shell."
 )
@@ -90,6 +93,17 @@ def within(timeout: float, action: Callable[[], T], *, where: str, doing: str) -
         fix = "Look whether the ROS master is alive."
         raise LinkError(f"{doing} took longer than {timeout:g} s", where=where, fix=fix)
     return outcome[0]
+
+
+def pid_in_name(node: str) -> int | None:
+    """Return which process a node was begun in that is, or was, one of Robot Runner's; None where it is another's.
+
+    Example:
+        >>> pid_in_name("/robot_runner_4711_1769853600000"), pid_in_name("/move_base")
+        (4711, None)
+    """
+    found = _OWN_NODE.fullmatch(node)
+    return int(found[1]) if found else None
 
 
 def own_address(master: Master) -> str | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from contextlib import suppress
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from robot_runner.ros.graph_transport import (
     silent_publishers,
 )
 from robot_runner.ros.ros1_actions import Ros1Actions
-from robot_runner.ros.ros1_node import REGISTERING_SECONDS, join_graph, within
+from robot_runner.ros.ros1_node import REGISTERING_SECONDS, join_graph, pid_in_name, within
 from robot_runner.ros.ros1_services import call_service, service_type
 from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, message_class, service_class
 from robot_runner.ros.shapes import plain_type
@@ -140,8 +141,26 @@ class Ros1Transport:
         return [
             GraphEndpoint(node, known, node == own)
             for node in nodes
-            if len(nodes) == 1 or node == own or self._master.is_alive(node)
+            if len(nodes) == 1 or node == own or self._is_alive(node)
         ]
+
+    def _is_alive(self, node: str) -> bool:
+        """Whether a node answers: one that was killed stays registered at the master.
+
+        One of ours is taken away then. Otherwise each run that is killed would leave one more, of which the master
+        tells the robot, and which the robot tries to reach, whenever somebody new publishes.
+        """
+        began = pid_in_name(node)
+        try:
+            answered = self._master.pid_of(node)
+            is_gone = answered not in {None, began}  # its address is somebody else's by now
+        except LinkError as error:
+            answered, is_gone = None, isinstance(error.__cause__, ConnectionRefusedError)
+        if began is None or not is_gone:
+            return answered is not None
+        with suppress(LinkError):
+            self._master.forget(node)
+        return False
 
     @property
     def parameter_server(self) -> Master:

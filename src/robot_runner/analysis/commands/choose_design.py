@@ -23,7 +23,8 @@ from robot_runner.cli.console import (
     print_json,
 )
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
-from robot_runner.cli.planning import folder_of_target, plan_of
+from robot_runner.cli.planning import plan_of
+from robot_runner.cli.target import folder_of_target
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import AnalysisError, did_you_mean

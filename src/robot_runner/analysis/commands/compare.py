@@ -37,7 +37,7 @@ from robot_runner.cli.console import (
     width_of,
 )
 from robot_runner.cli.parser import UsageError, add_json
-from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.target import folder_of_target
 from robot_runner.core.errors import Finding, RobotRunnerError, StorageError
 from robot_runner.core.words import counted, one_line
 

@@ -12,7 +12,7 @@ from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_facts, print_json, shown_path
 from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_json, add_set, add_target
-from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.target import folder_of_target
 
 if TYPE_CHECKING:
     from argparse import Namespace

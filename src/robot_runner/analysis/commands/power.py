@@ -30,7 +30,7 @@ from robot_runner.cli.console import (
 )
 from robot_runner.cli.findings import show_findings
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
-from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.target import folder_of_target
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.batches import GrownRunTableModel

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import shown_path
 from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_set, add_target
-from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.target import folder_of_target
 from robot_runner.core.config.operator_steps import read_answers
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.experiment_status import continue_and_see, questions_of, read_status, require_waiting

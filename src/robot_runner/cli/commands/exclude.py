@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.cli.excluding import exclude_runs
 from robot_runner.cli.parser import add_runs, add_set, add_target
-from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.target import folder_of_target
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:

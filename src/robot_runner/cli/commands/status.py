@@ -14,8 +14,8 @@ from robot_runner.cli.console import UserConsole, output, print_facts, print_jso
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
 from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_json, add_set, add_target
-from robot_runner.cli.planning import folder_of_target
 from robot_runner.cli.screens.plain import continue_command
+from robot_runner.cli.target import folder_of_target
 from robot_runner.core.execution.experiment_status import ExperimentStatus, questions_of, read_status
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 

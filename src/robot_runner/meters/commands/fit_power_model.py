@@ -15,7 +15,7 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.parser import UsageError, add_json, add_set, add_target
-from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.templating import write_new_file
 from robot_runner.core.errors import did_you_mean
 from robot_runner.core.plugin import find_plugin

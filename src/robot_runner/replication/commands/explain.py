@@ -13,7 +13,7 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
 from robot_runner.cli.parser import add_json, add_set, add_target
-from robot_runner.cli.planning import folder_of_target
+from robot_runner.cli.target import folder_of_target
 from robot_runner.core.words import one_line, shown_value
 
 if TYPE_CHECKING:
