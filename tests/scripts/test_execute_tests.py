@@ -66,8 +66,8 @@ def write_tests(folder: Path, files: dict[str, str]) -> None:
     )
 
 
-def execute(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "scripts" / "execute_tests.py"), "--processes", "2", *words]
+def execute(folder: Path, *words: str, by: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
+    command = [*by, sys.executable, str(ROOT / "scripts" / "execute_tests.py"), "--processes", "2", *words]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
 
 
@@ -161,3 +161,10 @@ def test_what_is_made_once_is_made_by_one_process_for_all(tmp_path: Path) -> Non
     makers, processes = zip(*(line.split() for line in (tmp_path / "makers").read_text().splitlines()), strict=True)
     assert len(set(processes)) == 2
     assert len(set(makers)) == 1
+
+
+def test_ctrl_c_reaches_what_tests_start_also_where_a_shell_started_them_in_the_background(tmp_path: Path) -> None:
+    heeds = "import signal\n\n\ndef test_it():\n    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN\n"
+    write_tests(tmp_path, {"room/test_a.py": heeds})
+    answer = execute(tmp_path, by=("sh", "-c", "trap '' INT; exec \"$@\"", "sh"))
+    assert answer.returncode == 0, answer.stdout
