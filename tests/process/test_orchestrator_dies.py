@@ -11,7 +11,7 @@ import sys
 import textwrap
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -139,15 +139,17 @@ def test_killed_the_log_of_the_unfinished_attempt_is_kept(start: Start) -> None:
     assert "moving off" in (experiment.folder / "earlier_attempts" / "r_2" / "1" / "log.txt").read_text()
 
 
-def test_a_closed_terminal_ends_the_experiment_cleanly(start: Start, write_config: Any) -> None:
-    config = write_config(MOVING)
+@contextlib.contextmanager
+def at_terminal(config: Any, *wrapper: str) -> Iterator[tuple[Experiment, int]]:
+    """Execute an experiment at a terminal of its own; yields it, and the end that is closed when the terminal is."""
     master, terminal = pty.openpty()
     mark = uuid.uuid4().hex
     process = subprocess.Popen(
-        [sys.executable, "-m", "robot_runner", "run", str(config)],
+        [*wrapper, sys.executable, "-m", "robot_runner", "run", str(config)],
         stdin=terminal,
         stdout=terminal,
         stderr=terminal,
+        cwd=config.parent,
         start_new_session=True,
         env={**os.environ, MARK: mark},
         # The first terminal that a session leader opens becomes its controlling one: closing it sends SIGHUP.
@@ -157,19 +159,38 @@ def test_a_closed_terminal_ends_the_experiment_cleanly(start: Start, write_confi
     os.set_blocking(master, False)
 
     def show() -> None:  # as a terminal does; one that nobody reads would hold the program up
-        with contextlib.suppress(BlockingIOError):
+        with contextlib.suppress(OSError):  # there is nothing, or with `nohup` nobody who writes to it
             os.read(master, 65536)
 
     experiment = Experiment(config, process, mark)
-    experiment.wait_for("moving", meanwhile=show)
-    wait = ProcessorWait(experiment.processes())
-    closed = time.time()
-    os.close(master)
-    assert experiment.stops_within_a_second(closed, wait)
-    process.wait(timeout=PATIENCE)
+    try:
+        experiment.wait_for("moving", meanwhile=show)
+        yield experiment, master
+    finally:
+        process.kill()
+        process.wait(timeout=PATIENCE)
+
+
+def test_a_closed_terminal_ends_the_experiment_cleanly(start: Start, write_config: Any) -> None:
+    config = write_config(MOVING)
+    with at_terminal(config) as (experiment, terminal):
+        wait = ProcessorWait(experiment.processes())
+        closed = time.time()
+        os.close(terminal)
+        assert experiment.stops_within_a_second(closed, wait)
+        experiment.process.wait(timeout=PATIENCE)
     again = start(config=config)
     assert again.end() == 0
     assert again.statuses == ["Done"] * 4
+
+
+def test_with_nohup_a_closed_terminal_ends_nothing(write_config: Any) -> None:
+    with at_terminal(write_config(MOVING), "nohup") as (experiment, terminal):
+        os.close(terminal)
+        time.sleep(1.0)  # the request of a terminal that is closed comes twice in a row
+        assert experiment.process.poll() is None
+        experiment.send(signal.SIGTERM)
+        assert experiment.process.wait(timeout=PATIENCE) == 130
 
 
 def test_a_second_orchestrator_is_refused_and_told_who_holds_the_experiment(start: Start) -> None:

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -25,14 +23,14 @@ from robot_runner.cli.guard import INTERRUPTED, REFUSED, SOME_FAILED, guarded
 from robot_runner.cli.parser import parser_of
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.interruption import STOP_SIGNALS
+from robot_runner.core.execution.interruption import stop_signals_taken
 from robot_runner.core.storage.claim_locks import claim_holders
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from types import FrameType
 
     from robot_runner.cli.queued_experiments import ExperimentQueue, QueuedExperiment
@@ -199,7 +197,7 @@ class QueueRunner:
     def execute(self) -> int:
         """Execute them, and return the exit code: 1 where one failed or was refused, 130 where the user ended it."""
         failed = False
-        with self._queue.attended(), self._signals_passed_on():
+        with self._queue.attended(), stop_signals_taken(self._take_signal):
             while not self._is_ending:
                 left = self._left()
                 if not left and not self._stays:
@@ -260,15 +258,6 @@ class QueueRunner:
                 return process.wait()
             finally:
                 self._process = None
-
-    @contextmanager
-    def _signals_passed_on(self) -> Iterator[None]:
-        earlier = {number: signal.signal(number, self._take_signal) for number in STOP_SIGNALS}
-        try:
-            yield
-        finally:
-            for number, handler in earlier.items():
-                signal.signal(number, handler)
 
     def _take_signal(self, number: int, _frame: FrameType | None) -> None:
         self._is_ending = True

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import signal
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PackageError
+from robot_runner.core.execution.interruption import stop_signals_taken
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import REQUIREMENTS, WHEELS
@@ -222,9 +222,5 @@ def _passed_on() -> Iterator[list[subprocess.Popen[bytes]]]:
         for process in processes:
             process.send_signal(number)
 
-    before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
+    with stop_signals_taken(pass_on):
         yield processes
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

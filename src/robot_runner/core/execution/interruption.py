@@ -19,7 +19,7 @@ from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInt
 from robot_runner.core.secret_names import without_environment_secrets
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import FrameType
 
     from robot_runner.core.events.manager import RobotRunnerEvents
@@ -40,6 +40,25 @@ ASK_AGAIN = 0.2
 #: A terminal that closes sends SIGHUP twice in a row, and some shells repeat SIGTERM: within this many seconds, that
 #: is one request and not two.
 _SAME_REQUEST = 1.0
+
+
+def heeded_stop_signals() -> list[signal.Signals]:
+    """Return the stop signals, without SIGHUP where it is ignored.
+
+    That is how `nohup` has a program go on after its terminal was closed.
+    """
+    return [each for each in STOP_SIGNALS if each != signal.SIGHUP or signal.getsignal(each) is not signal.SIG_IGN]
+
+
+@contextmanager
+def stop_signals_taken(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """While this lasts, a handler takes the signals that ask a program to stop."""
+    earlier = {number: signal.signal(number, handler) for number in heeded_stop_signals()}
+    try:
+        yield
+    finally:
+        for number, before in earlier.items():
+            signal.signal(number, before)
 
 
 class InterruptGate:
@@ -178,12 +197,12 @@ class Interruption:
         os.set_blocking(self._writer, False)
         os.set_blocking(self._reader, False)
         self._earlier_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
-        self._earlier = {number: signal.signal(number, self._count_signal) for number in STOP_SIGNALS}
+        self._signals = stop_signals_taken(self._count_signal)
+        self._signals.__enter__()
         return self
 
     def __exit__(self, *raised: object) -> None:
-        for number, handler in self._earlier.items():
-            signal.signal(number, handler)
+        self._signals.__exit__(None, None, None)
         signal.set_wakeup_fd(self._earlier_wakeup)
         os.close(self._reader)
         os.close(self._writer)

@@ -7,7 +7,6 @@ is printed once all of it is there; Ctrl-C or SIGTERM ends it.
 
 from __future__ import annotations
 
-import signal
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.cli.console import output
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.errors import LinkError, did_you_mean
+from robot_runner.core.execution.interruption import stop_signals_taken
 from robot_runner.core.links.connect import SIMULATED, link_findings
 from robot_runner.core.words import counted, shown_duration
 
@@ -117,9 +117,5 @@ def _ending() -> Iterator[list[int]]:
         del frame
         noted.append(number)
 
-    earlier = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    try:
+    with stop_signals_taken(note):
         yield noted
-    finally:
-        for number, handler in earlier.items():
-            signal.signal(number, handler)
