@@ -18,6 +18,8 @@ import pytest
 from tests.process.conftest import MARK, PATIENCE, Experiment, wait_until
 from tests.processor_wait import OWN_WAITS, ProcessorWait
 
+from robot_runner.core.storage.journal import read_journal
+
 Start = Callable[..., Any]
 
 #: The second run moves until it is told to stop, and says when it was.
@@ -273,6 +275,38 @@ def note_keeper(self):
     experiment.end()
     assert experiment.nobody_is_left()
     assert resumes(start, experiment)
+
+
+SUSPENDED = """
+def launch_mission(self, context):
+    if context.run_id != "r_2": return
+    self.flag("moving").touch()
+    while not self.flag("suspended").exists(): context.clock.sleep(0.01)
+    for number in range(self.shared): context.share(number=number, way="x" * 100)
+    self.flag("arrived").touch()
+def flag(self, name): return Path(__file__).parent / name
+"""
+
+
+@pytest.mark.parametrize(
+    ("settings", "shared", "seconds"),
+    [("shared = 3000", 3000, 0.0), ("shared, run_deadline_in_s = 30, 10", 30, 10.5)],
+    ids=["more than a pipe takes", "for longer than the deadline"],
+)
+def test_a_mission_goes_on_while_its_orchestrator_is_suspended_and_what_it_said_is_kept(
+    start: Start, settings: str, shared: int, seconds: float
+) -> None:
+    experiment = start(settings + SUSPENDED)
+    begun = experiment.wait_for("moving").stat().st_mtime
+    experiment.send(signal.SIGSTOP)
+    (experiment.config.parent / "suspended").touch()
+    experiment.wait_for("arrived")
+    time.sleep(max(0.0, begun + seconds - time.time()))
+    experiment.send(signal.SIGCONT)
+    assert experiment.end() == 0, experiment.output
+    assert experiment.statuses == ["Done"] * 4
+    records = read_journal(experiment.folder / "journal.jsonl", kinds={"shared"})
+    assert [each["values"]["number"] for each in records] == list(range(shared))
 
 
 def test_a_keeper_that_does_not_answer_is_given_up_and_its_run_is_ended(start: Start) -> None:

@@ -38,7 +38,7 @@ class PipedProcess:
         )
         os.close(requests)
         os.close(replies)
-        self._writer = RecordWriter(request)
+        self._writer = RecordWriter(request, waits=True)
         self._reader = RecordReader(self.descriptor)
 
     def ask(self, kind: str, fields: Mapping[str, Any]) -> None:

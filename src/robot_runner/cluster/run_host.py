@@ -275,7 +275,7 @@ def main(requests: int, writer: int, folder: Path) -> None:
     """
     os.setsid()
     use_no_streams()
-    tell = RecordWriter(writer)
+    tell = RecordWriter(writer, waits=True)
     try:
         session = json.loads((folder.parent / "snapshot.json").read_text(encoding="utf-8"))
         shared = (Path(session["root"]), Path(session["runs"])) if session["is_shared"] else None

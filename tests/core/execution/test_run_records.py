@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
+from typing import Any
 
 import pytest
 
-from robot_runner.core.execution.task import FINISHED, RecordWriter
+from robot_runner.core.execution.task import FINISHED, RecordReader, RecordWriter
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has pipes that keep writes apart")
@@ -34,3 +36,32 @@ def test_what_a_run_publishes_in_its_evaluation_crosses_the_pipe_in_one_write_an
     assert arrived == [*published, (FINISHED, {})]
     os.close(writing)
     os.close(reading)
+
+
+def test_a_run_does_not_wait_for_an_orchestrator_that_does_not_read_and_loses_nothing_of_what_it_said() -> None:
+    reading, writing = os.pipe()
+    report = RecordWriter(writing)
+    said = [("shared", {"number": number, "text": "x" * number}) for number in range(1000)]  # 500 kB: a pipe takes 64
+    for kind, fields in said:
+        report(kind, fields)
+
+    reader = RecordReader(reading)
+    arrived: list[tuple[str, dict[str, Any]]] = []
+    end = threading.Thread(target=report, args=(FINISHED, {}))  # the last one waits until all have been taken
+    end.start()
+    while not arrived or arrived[-1][0] != FINISHED:
+        arrived += reader.read()[0]
+    end.join()
+    assert arrived == [*said, (FINISHED, {})]
+    os.close(writing)
+    os.close(reading)
+
+
+def test_a_run_whose_orchestrator_is_gone_does_not_wait_with_what_it_holds() -> None:
+    reading, writing = os.pipe()
+    report = RecordWriter(writing)
+    for number in range(1000):
+        report("shared", {"number": number, "text": "x" * 1000})
+    os.close(reading)
+    report(FINISHED, {})
+    os.close(writing)

@@ -247,8 +247,8 @@ class _Supervision:
         if self._awaits_records:
             self._take_records()
         if self._end is None:
-            self._enforce()
-            if not self._keeper.look():
+            if not self._keeper.look():  # a run that has ended meanwhile took no longer than it did
+                self._enforce()
                 return False
             self._end = self._ending()
         wait = next(self._end, None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import select
 import threading
 import time
 from collections import defaultdict
@@ -169,6 +170,11 @@ FINISHED = "finished"
 #: The event in which a run is evaluated: its last.
 _POPULATE = "populate_run_data"
 
+#: How much of one write a pipe takes at once or not at all, bytes (PIPE_BUF of Linux; POSIX asks for 512).
+_AT_ONCE = 4096
+#: What is held at most for an orchestrator that does not read, bytes: an hour of 50 records a second.
+_MOST_HELD = 32 << 20
+
 _encode = json.JSONEncoder(ensure_ascii=True, separators=(",", ":"), default=str).encode
 
 
@@ -178,15 +184,20 @@ class RecordWriter:
     Measures that are published while the run is evaluated cross the pipe in one write, with the next record of another
     kind; there always is one. Those of a longer event are sent at once, as a mission may last for hours.
 
-    Attributes:
+    A mission does not wait for an orchestrator that waits for a disk, or was suspended: the robot would drive on as it
+    was commanded last. What the pipe does not take is held, and sent with the next record.
+
+    Args:
         descriptor: of the pipe.
+        waits: whether each record is waited for until the pipe has taken it, where no robot is driven meanwhile.
     """
 
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, *, waits: bool = False) -> None:
+        os.set_blocking(descriptor, waits)
         self.descriptor = descriptor
         self._lock = threading.Lock()
         self._event = ""
-        self._held: list[str] = []
+        self._held = bytearray()
 
     def __call__(self, kind: str, fields: dict[str, Any]) -> None:
         """Send one record, without what the environment keeps secret.
@@ -196,21 +207,35 @@ class RecordWriter:
         line = f"{_encode([kind, sentences_without_secrets(fields)])}\n"
         with self._lock:
             self._event = fields["event"] if kind == "event" else self._event
-            self._held.append(line)
+            self._held += line.encode()
             if kind == "measure" and self._event == _POPULATE:
                 return
-            data = memoryview("".join(self._held).encode())
-            self._held.clear()
+            self._send(waits=kind == FINISHED or len(self._held) > _MOST_HELD)
+
+    def _send(self, *, waits: bool) -> None:
+        """Write what is held, as far as the pipe takes it, or all of it where that is waited for."""
+        while self._held:
             try:
-                while data:
-                    data = data[os.write(self.descriptor, data) :]
+                written = os.write(self.descriptor, self._held[:_AT_ONCE])
+            except BlockingIOError:
+                if not waits:
+                    return
+                _await_room(self.descriptor)
+                continue
             except BrokenPipeError:
-                return
+                written = len(self._held)
+            del self._held[:written]
 
     def close(self) -> None:
         """Close this end: a process that does not report must not keep the pipe open."""
         os.close(self.descriptor)
         self.descriptor = -1
+
+
+def _await_room(descriptor: int) -> None:
+    poll = select.poll()
+    poll.register(descriptor, select.POLLOUT)
+    poll.poll()
 
 
 class RecordReader:
