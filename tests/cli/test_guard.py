@@ -1,17 +1,19 @@
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import pytest
+from tests.command_line import PROGRAM
 
 from robot_runner.cli.guard import guarded
 from robot_runner.core.errors import ConfigError, Finding, LinkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import pytest
 
 
 def raising(error: BaseException) -> Callable[[], int]:
@@ -103,3 +105,17 @@ def test_a_terminal_without_unicode_is_no_fault(program: str, tmp_path: Path) ->
     )
     assert answer.returncode == 2
     assert "?.py is refused: 1 error." in answer.stdout
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_hold_nothing_up_and_get_no_file_of_the_experiment(
+    write_config: Callable[..., Path], closed: str
+) -> None:
+    config = write_config("def launch_mission(self, context): import os; os.write(1, b'x'); os.write(2, b'y')")
+    command = f'exec "$@" {closed}'
+    done = subprocess.run(["sh", "-c", command, "sh", PROGRAM, "run", str(config)], check=False, timeout=120)
+    assert done.returncode == 0
+    folder = config.parent / "results" / "trial"
+    kinds = [json.loads(line)["kind"] for line in (folder / "journal.jsonl").read_text().splitlines()]
+    assert kinds[-1] == "experiment_finished"
+    assert "xy" in (folder / "runs" / "r_1" / "log.txt").read_text()

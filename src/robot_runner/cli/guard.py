@@ -21,6 +21,7 @@ BROKEN_PIPE = 141
 
 def guarded(command: Callable[[], int], *, show_traceback: bool = False) -> int:
     """Execute a command and return its exit code, whatever it raises and prints."""
+    _replace_closed_streams()
     _make_streams_lenient()
     earlier = guard_streams()
     try:
@@ -105,6 +106,22 @@ def _explained(error: Exception, *, show_traceback: bool) -> int:
 
         traceback.print_exception(error)
     return REFUSED
+
+
+def _replace_closed_streams() -> None:
+    """Open nothing where a standard stream is closed: the next file that is opened would get what is printed."""
+    import os  # noqa: PLC0415 - as above
+
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            nothing = os.open(os.devnull, os.O_RDWR)
+            if nothing != number:
+                os.dup2(nothing, number)
+                os.close(nothing)
+            os.set_inheritable(number, True)  # noqa: FBT003 - the system's own signature
+            stream = open(number, "r" if number == 0 else "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - as long as the process
+            setattr(sys, name, stream)
+            setattr(sys, f"__{name}__", stream)
 
 
 def _make_streams_lenient() -> None:

@@ -117,7 +117,7 @@ def instances(of: type, expected: str) -> Kind:
 
 _FOLDER_NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._-]{0,126}[A-Za-z0-9_-])?")
 NAME = Kind(
-    "a name that can name a folder: letters, digits, blanks, '.', '_' and '-', 128 at most",
+    "a name that can name a folder: the letters a to z, digits, blanks, '.', '_' and '-', 128 at most",
     lambda value: isinstance(value, str) and _FOLDER_NAME.fullmatch(value) is not None,
 )
 PATH = Kind(
