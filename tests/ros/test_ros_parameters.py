@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +18,7 @@ from robot_runner.plugins import treatment
 from robot_runner.plugins.systems import Lifecycle, RosParameters
 from robot_runner.ros.kept_settings import KeptSettings, left_settings
 from robot_runner.ros.lifecycle import LifecycleState
-from robot_runner.ros.restored_settings import check_left_settings
+from robot_runner.ros.restored_settings import PUT_BACK_BY, check_left_settings
 from robot_runner.testing import (
     FakeClock,
     FakeLinks,
@@ -228,6 +230,18 @@ def test_an_experiment_without_such_a_plugin_says_that_settings_are_left(state):
     assert list(check_left_settings("Config", Parameters, [Lifecycle({"/a": "active"})])) == []
     (state / "broken.json").write_text("{", encoding="utf-8")
     assert len(left_settings("states", "dds:domain=7")) == 1
+
+
+def test_settings_that_are_left_are_told_where_nothing_has_imported_the_plugin_that_set_them():
+    assert {each.kind: each.__name__ for each in (RosParameters, Lifecycle)} == PUT_BACK_BY
+    left({"/planner": {"speed": 1.0}}, {"/planner": {"speed": 0.2}})
+    program = f"""
+from types import SimpleNamespace
+from {check_left_settings.__module__} import check_left_settings
+print(*check_left_settings("Config", SimpleNamespace(robot="dds:domain=7"), []))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert f"parameters of /planner are still as RosParameters set them in process {_DEAD}" in done.stdout
 
 
 def test_a_robot_is_known_again_under_another_name_of_its_graph(state, monkeypatch):

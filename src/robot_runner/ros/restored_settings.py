@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
@@ -29,6 +30,8 @@ _log = logging.getLogger(__name__)
 
 #: How often a node is looked for that is not there yet, s.
 _LOOK = 0.1
+#: The plugin that puts back each kind of settings: an experiment without it has not imported it.
+PUT_BACK_BY = MappingProxyType({"parameters": "RosParameters", "states": "Lifecycle"})
 _BY_HAND = "Set it by hand, or restart the node."
 
 
@@ -247,10 +250,11 @@ def check_left_settings(where: str, parameters: Parameters, plugins: Sequence[Pl
 
     An experiment with a plugin of the kind puts them back itself, and says so.
     """
-    kinds = {plugin.kind for plugin in plugins if isinstance(plugin, RestoredSettings)}
-    for each in RestoredSettings.__subclasses__():
-        for kept in left_settings(each.kind, parameters.robot) if each.kind not in kinds else ():
-            fix = f"Restart the nodes, or execute an experiment with {each.__name__} on this robot: it puts them back."
+    cared_for = {plugin.kind for plugin in plugins if isinstance(plugin, RestoredSettings)}
+    for kind in PUT_BACK_BY.keys() - cared_for:
+        for kept in left_settings(kind, parameters.robot):
+            plugin = PUT_BACK_BY[kind]
+            fix = f"Restart the nodes, or execute an experiment with {plugin} on this robot: it puts them back."
             yield Finding.warning(where, _left(kept), fix)
 
 
