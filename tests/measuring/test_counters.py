@@ -55,6 +55,21 @@ def test_each_core_is_told_by_itself():
     assert utilisation_of([before, after], cores=2)[1].cores == (0.0, 100.0)
 
 
+def test_a_core_that_is_switched_on_tells_from_its_second_look_on():
+    # Its counters go on from where they stood when it was switched off, as Linux keeps them.
+    looks = [
+        sample(0, 1000, 500, cores=(CoreCounters(1000, 500), None)),
+        sample(1, 1100, 600, cores=(CoreCounters(1100, 600), CoreCounters(90_000, 10_000))),
+        sample(2, 1300, 700, cores=(CoreCounters(1200, 700), CoreCounters(90_100, 10_025))),
+    ]
+    assert [one.cores for one in utilisation_of(looks, cores=2)] == [(None, None), (0.0, None), (0.0, 75.0)]
+
+
+def test_counters_of_all_cores_that_fall_cost_one_look_only():
+    looks = [sample(0, 90_000, 10_000), sample(1, 1000, 500), sample(2, 1100, 550)]
+    assert [one.cpu for one in utilisation_of(looks, cores=1)] == [None, None, 50.0]
+
+
 def test_a_process_counts_by_its_share_of_all_cores():
     looks = [
         sample(0.0, 0, 0, processes=(process(7, 50.0),)),

@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import pytest
 from tests.measuring.busy_core import busy_core, needs_affinity, wait
@@ -9,6 +12,7 @@ from tests.measuring.busy_core import busy_core, needs_affinity, wait
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.measuring import local_host
+from robot_runner.measuring.cpu_counters import utilisation_of
 from robot_runner.measuring.host import FileHost, HostLink, ProcessHost, ReportingSampler
 from robot_runner.measuring.local_host import LocalHost
 
@@ -65,6 +69,66 @@ def test_this_very_process_is_found_by_its_number(host):
     assert (here.count, nobody.count) == (1, 0)
     assert here.memory > 0.0
     assert nobody.memory == 0.0
+
+
+@pytest.fixture
+def jetson(monkeypatch, tmp_path):
+    """A machine of six cores of which 1 and 2 are switched off, as on a Jetson TX2, and psutil's view of it."""
+    times = {core: SimpleNamespace(user=100.0 * core, idle=1000.0) for core in range(6)}
+    online = [0, 3, 4, 5]
+
+    class Times(NamedTuple):
+        user: float
+        idle: float
+
+    def cpu_times(*, percpu=False):
+        there = [Times(times[core].user, times[core].idle) for core in online]
+        everything = Times(sum(each.user for each in times.values()), sum(each.idle for each in times.values()))
+        return there if percpu else everything
+
+    fake = SimpleNamespace(
+        cpu_times=cpu_times,
+        cpu_count=lambda: len(online),
+        virtual_memory=lambda: SimpleNamespace(total=8e9, available=6e9),
+    )
+    listed = tmp_path / "online"
+    listed.write_text("0,3-5\n", encoding="ascii")
+    monkeypatch.setattr(local_host, "_psutil", lambda: fake)
+    monkeypatch.setattr(local_host, "_ONLINE", str(listed))
+    return SimpleNamespace(times=times, online=online, listed=listed)
+
+
+def test_cores_keep_their_numbers_where_others_are_switched_off(jetson):
+    counters = local_host._Counters(()).read()
+    assert [core and core.total for core in counters.cores] == [1000.0, None, None, 1300.0, 1400.0, 1500.0]
+
+
+def test_a_core_that_is_switched_off_does_not_move_the_utilisation_of_all(jetson):
+    counters = local_host._Counters(())
+    looks = [counters.read()]
+    for core in jetson.online:
+        jetson.times[core].idle += 10.0
+    jetson.online.remove(4)
+    jetson.listed.write_text("0,3,5\n", encoding="ascii")
+    looks.append(counters.read())
+    told = utilisation_of([replace(look, time=float(at)) for at, look in enumerate(looks)], cores=4)
+    assert [one.cpu for one in told] == [None, 0.0]
+
+
+def test_a_list_of_cores_that_says_something_else_leaves_them_in_their_order(jetson):
+    jetson.listed.write_text("0-5\n", encoding="ascii")
+    assert len(local_host._Counters(()).read().cores) == 4
+    jetson.listed.unlink()
+    assert len(local_host._Counters(()).read().cores) == 4
+
+
+def test_a_process_stays_the_same_where_the_computers_clock_is_set(monkeypatch):
+    psutil = pytest.importorskip("psutil")
+    booted = iter(range(1_700_000_000, 1_700_001_000))
+    monkeypatch.setattr("psutil._pslinux.boot_time", lambda: float(next(booted)), raising=False)
+    monkeypatch.setattr(local_host, "_RESCAN", 0.0)
+    processes = local_host.LocalProcesses(psutil, [f"pid:{os.getpid()}"])
+    assert len({one.started for _ in range(4) for one in processes.counters()}) == 1
 
 
 def test_files_are_read_at_the_rate(host, tmp_path):

@@ -11,7 +11,7 @@ from robot_runner.measuring.on_board_sampler import counter_sample, file_sample
 
 def test_a_core_that_is_switched_off_leaves_its_place_empty():
     sample = counter_sample(["1.5", ":300:200,0:100:50,2:200:150", "8:4", ""])
-    assert sample.cores == (CoreCounters(100, 50), CoreCounters(0, 0), CoreCounters(200, 150))
+    assert sample.cores == (CoreCounters(100, 50), None, CoreCounters(200, 150))
     assert sample.whole == CoreCounters(300, 200)
     assert (sample.memory_total, sample.memory_available) == (8192.0, 4096.0)
     assert sample.processes == ()

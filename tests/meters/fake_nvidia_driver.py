@@ -13,13 +13,14 @@ SUCCESS, INVALID_ARGUMENT, NOT_SUPPORTED, DRIVER_NOT_LOADED, GPU_IS_LOST = 0, 2,
 
 @dataclass
 class FakeGpu:
-    """What a GPU says; energy in mJ grows by its power, which may be a function of time."""
+    """What a GPU says; energy in mJ grows by its power, which may be a function of time, if it `counts`."""
 
     watts: float | Callable[[float], float] = 50.0
     utilisation: int = 40
     memory_used: int = 2 << 30
     memory_total: int = 8 << 30
     has_counter: bool = True
+    counts: bool = True
     is_lost: bool = False
 
 
@@ -69,7 +70,7 @@ class FakeNvidiaDriver:
         gpu = self._handles[id(handle)]
         if not gpu.has_counter:
             return NOT_SUPPORTED
-        millijoules._obj.value = 5_000_000 + round(1000 * self._watts(gpu) * self.clock.now())
+        millijoules._obj.value = 5_000_000 + gpu.counts * round(1000 * self._watts(gpu) * self.clock.now())
         return SUCCESS
 
     def nvmlDeviceGetUtilizationRates(self, handle, rates):  # noqa: N802

@@ -21,6 +21,7 @@ parser.add_argument("--silent", action="store_true")
 parser.add_argument("--fails", action="store_true")
 parser.add_argument("--leaves-child")
 parser.add_argument("--mutters", action="store_true")
+parser.add_argument("--watts", default="5.0")
 arguments = parser.parse_args()
 
 if arguments.fails:
@@ -45,7 +46,7 @@ def say(text: str) -> None:
 
 def say_row() -> None:
     now = time.time()
-    say(f"{now * 1000:.3f},5.0,20,{5000 * (now - begun):.3f},{os.getpid()}")
+    say(f"{now * 1000:.3f},{arguments.watts},20,{5000 * (now - begun):.3f},{os.getpid()}")
 
 
 try:

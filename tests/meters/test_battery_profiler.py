@@ -64,6 +64,38 @@ def test_a_battery_that_does_not_measure_its_current_yields_no_energy(measure, c
     assert facts["measures_current"] is False
 
 
+def _problems(context):
+    return [finding.problem for finding in context.broker.findings]
+
+
+def test_a_current_that_is_told_for_a_part_of_the_mission_yields_no_energy_of_the_whole(measure):
+    context = measure(lambda time: {"voltage": 12.0, "current": -0.5 if time > 55.0 else math.nan, "percentage": 0.5})
+    assert context.measures["MeanVoltage"] == pytest.approx(12.0)
+    assert context.measures["Energy"] is None
+    assert any(problem.startswith("the battery's current was NaN in ") for problem in _problems(context))
+
+
+def test_a_message_without_a_number_now_and_then_is_bridged(measure):
+    context = measure(lambda time: {"voltage": 12.0, "current": math.nan if round(time * 10) % 4 == 0 else -0.5})
+    assert context.measures["Energy"] == pytest.approx(60.0)
+    assert not _problems(context)
+
+
+def test_an_energy_below_nothing_is_doubted(measure):
+    context = measure(lambda _: {"voltage": 12.0, "current": 0.5, "percentage": 0.5})
+    assert context.measures["Energy"] == pytest.approx(-60.0)
+    assert _problems(context) == [
+        "the energy is -60 J: the robot tells its current with the wrong sign, or was charged"
+    ]
+
+
+def test_a_state_of_charge_that_is_told_in_percent_is_doubted(measure):
+    context = measure(lambda time: {"voltage": 12.0, "current": -0.5, "percentage": 85.0 - 0.01 * (time - 50.0)})
+    assert _problems(context) == [
+        "the robot says percentage = 85, where sensor_msgs/BatteryState has 0 to 1: ChargeUsed may be 100-fold"
+    ]
+
+
 def test_a_robot_that_falls_silent_yields_no_value_and_a_warning(measure):
     context = measure(lambda time: {"voltage": 12.0} if time < 55.0 else None)
     assert set(context.measures.values()) == {None}

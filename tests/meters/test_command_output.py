@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,9 +16,9 @@ MEASURE = Measure("Value", "W", "A value.")
 WINDOW = Window(0.0, 2.0)
 
 
-def value(aggregate: Aggregate, times, values, window=WINDOW, *, reach=0.0, factor=1.0):
+def value(aggregate: Aggregate, times, values, window=WINDOW, *, factor=1.0):
     column = CommandColumn("x", MEASURE, aggregate, factor)
-    return column.value(times, [{"x": each} for each in values], window, reach=reach)
+    return column.value(times, [{"x": each} for each in values], window)
 
 
 @pytest.mark.parametrize(
@@ -41,6 +43,23 @@ def test_a_row_that_straddles_an_edge_counts_by_its_share():
 def test_a_counter_is_read_at_the_edges_of_the_window():
     assert value(Aggregate.INCREASE, [-1.0, 1.0, 3.0], [10, 20, 40]) == pytest.approx(15.0)
     assert value(Aggregate.RATE, [-1.0, 1.0, 3.0], [10, 20, 40]) == pytest.approx(7.5)
+
+
+@pytest.mark.parametrize("times", [[-1.0, 4.0, 9.0], [0.5, 5.0, 9.5], [1.0, 5.0, 20.0], [-5.0, 5.0, 15.0]])
+def test_rows_that_do_not_reach_the_edges_yield_no_less(times):
+    # A program that counts 3 a second, and says a row each few seconds.
+    window, counts = Window(0.0, 10.0), [3.0 * (later - sooner) for sooner, later in pairwise([times[0] - 5.0, *times])]
+    assert value(Aggregate.SUM, times, counts, window) == pytest.approx(30.0)
+    assert value(Aggregate.INCREASE, times, [3.0 * time for time in times], window) == pytest.approx(30.0)
+    assert value(Aggregate.RATE, times, [3.0 * time for time in times], window) == pytest.approx(3.0)
+
+
+def test_a_counter_that_was_read_once_shows_no_growth():
+    assert value(Aggregate.INCREASE, [1.0], [10]) is None
+
+
+def test_rows_of_one_moment_are_added_up():
+    assert value(Aggregate.SUM, [0.0, 1.0, 1.0, 2.0], [9, 3, 4, 5]) == pytest.approx(12.0)
 
 
 def test_a_counter_that_fell_tells_nothing():

@@ -8,14 +8,17 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Origin
-from robot_runner.measuring.meter_process import MeterProcess
-from robot_runner.plugins import Circumstances, Measure
+from robot_runner.measuring.meter_process import Ending, MeterProcess
+from robot_runner.meters import command
+from robot_runner.meters.command import Measured
+from robot_runner.plugins import Circumstances, Measure, Window
 from robot_runner.plugins.profilers import Aggregate, CommandColumn, CommandProfiler, TimeColumn
 from robot_runner.testing import ProfilerContract, make_context, rehearse
 
@@ -78,6 +81,15 @@ def test_columns_become_measures(measure, time_column):
     assert not [problem for problem in problems(context) if "program" in problem or "column" in problem]
 
 
+def test_a_wall_clock_that_is_set_while_it_stamps_the_rows_is_told(tmp_path, monkeypatch):
+    steps = [0.0]
+    monkeypatch.setattr(command, "time", SimpleNamespace(time=lambda: time.time() + steps[0]))
+    plugin = profiler(time=TimeColumn("time_ms", unit=0.001))
+    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+    rehearse(context, plugin, mission=lambda: (time.sleep(0.2), steps.__setitem__(0, 0.5)))
+    assert any("the clock of the samples is known to 0.5" in problem for problem in problems(context))
+
+
 def test_the_output_may_be_a_file(measure):
     context = measure("--output", "{output}", output="meter.csv")
     assert context.measures["CPU"] == pytest.approx(20.0)
@@ -87,6 +99,43 @@ def test_the_output_may_be_a_file(measure):
 def test_what_the_program_says_in_between_is_no_row(measure):
     context = measure("--mutters")
     assert context.measures["CPU"] == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(
+    ("cell", "told"), [("N/A", "'N/A'"), ('"5,0"', "'5,0'"), ("5.0 W", "'5.0 W'"), ("nan", "'nan'")]
+)
+def test_a_column_that_holds_no_numbers_has_no_value_and_says_why(measure, cell, told):
+    context = measure("--watts", cell)
+    assert (context.measures["Energy"], context.measures["CPU"]) == (None, pytest.approx(20.0))
+    (problem,) = (each for each in problems(context) if "no number" in each)
+    assert problem.endswith(f"rows hold no number in column 'watts', the first {told}")
+
+
+def _rows_of_ten_seconds(cells):
+    plugin = CommandProfiler(command=["meter"], columns=COLUMNS[:1], period_s=0.1)
+    times = [number / 10 for number in range(-1, 102)]
+    window = Window(0.0, 10.0)
+    ending = Ending(0, was_asked=True, was_killed=False, complaint="")
+    rows = [{"watts": cells(time)} for time in times]
+    plugin._measured = measured = Measured(rows, times, window, window, ending)
+    return plugin._evaluated(window), list(plugin.doubts(measured))
+
+
+def test_numbers_that_cover_a_part_of_the_window_pass_for_no_value_of_the_whole():
+    values, doubts = _rows_of_ten_seconds(lambda time: "5.0" if time < 3.0 else "")
+    assert values == {}
+    assert doubts == ["71 of 101 rows hold no number in column 'watts'"]
+
+
+def test_a_single_text_among_numbers_is_told_and_costs_no_value():
+    values, doubts = _rows_of_ten_seconds(lambda time: "err" if time == 3.0 else "5.0")
+    assert values["Energy"] == pytest.approx(50.0)
+    assert doubts == ["1 of 101 rows hold no number in column 'watts', the first 'err'"]
+
+
+def test_a_column_that_is_filled_in_now_and_then_is_no_doubt():
+    values, doubts = _rows_of_ten_seconds(lambda time: "5.0" if round(time * 10) % 3 == 0 else "")
+    assert (values["Energy"], doubts) == (pytest.approx(50.0), [])
 
 
 def test_raw_output_and_samples_are_kept(measure):

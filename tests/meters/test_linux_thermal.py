@@ -86,6 +86,18 @@ def test_the_hottest_zone_and_the_mean_frequency_are_told(measure, board, clock)
     assert context.measures["MeanFrequency"] == pytest.approx(1.25e9)
 
 
+def test_frequencies_are_kept_under_the_numbers_of_their_cores(measure, board):
+    board.frequency(5, 2_000_000)  # 2 to 4 are switched off
+    context = measure()
+    with (context.raw_data_folder / "samples.csv").open(newline="") as file:
+        first = next(csv.DictReader(file))
+    assert {name: cell for name, cell in first.items() if name.startswith("frequency_cpu")} == {
+        "frequency_cpu0_Hz": "1500000000",
+        "frequency_cpu1_Hz": "1500000000",
+        "frequency_cpu5_Hz": "2000000000",
+    }
+
+
 def test_zones_can_be_chosen(measure):
     assert measure(zones=["acpitz"]).measures["MaxTemperature"] == pytest.approx(30.0)
 
@@ -140,12 +152,40 @@ def test_what_a_machine_does_not_tell_is_missing_and_told_by_the_check(measure, 
 
 
 def test_a_sensor_that_falls_asleep_leaves_its_cell_empty(measure, board, clock):
-    clock.at(5.25, lambda: write(board.root / "class/thermal/thermal_zone1/temp", ""))
+    clock.at(9.25, lambda: write(board.root / "class/thermal/thermal_zone1/temp", ""))
     context = measure(zones=["cpu-thermal"])
     assert context.measures["MaxTemperature"] == pytest.approx(45.0)
     with (context.raw_data_folder / "samples.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert (rows[0]["temperature_degC"], rows[-1]["temperature_degC"]) == ("45.000", "")
+
+
+def test_zones_that_measure_nothing_are_left_out(measure, board):
+    board.zone("thermal_zone2", "PMIC-Die", 100.0)  # a Jetson's, which shows that and nothing else
+    board.zone("thermal_zone3", "gpu-thermal", -256.0)  # of a GPU that sleeps
+    board.zone("thermal_zone4", "broken", 200.0)
+    context = measure()
+    assert context.measures["MaxTemperature"] == pytest.approx(45.0)
+    assert not problems(context)
+
+
+def test_a_zone_that_shows_no_temperature_for_a_time_is_told(measure, board, clock):
+    clock.at(5.25, lambda: board.zone("thermal_zone1", "cpu-thermal", -256.0))
+    assert any(problem.startswith("a thermal zone could not be read in 10 of 21") for problem in problems(measure()))
+
+
+def test_a_hottest_zone_that_falls_asleep_is_told_for_the_others_stand_for_it(measure, board, clock):
+    clock.at(5.25, (board.root / "class/thermal/thermal_zone1/temp").unlink)
+    told = "a thermal zone could not be read in 10 of 21 samples: where it is the hottest, the temperatures are too low"
+    assert told in problems(measure())
+
+
+def test_a_temperature_that_is_told_for_a_part_of_the_window_is_not_that_of_the_whole(measure, board, clock):
+    clock.at(4.25, (board.root / "class/thermal/thermal_zone1/temp").unlink)
+    context = measure(zones=["cpu-thermal"])
+    assert (context.measures["MaxTemperature"], context.measures["MeanTemperature"]) == (None, None)
+    assert context.measures["MeanFrequency"] == pytest.approx(1.5e9)
+    assert "the temperature was told in 9 of 21 samples only: no value" in problems(context)
 
 
 def test_a_machine_that_tells_nothing_is_refused(tmp_path):

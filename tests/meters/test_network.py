@@ -18,7 +18,7 @@ from tests.meters.fake_sysfs import write
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.meters import network
-from robot_runner.meters.network import counted
+from robot_runner.meters.counters import unwrapped
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import Network
 from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
@@ -98,14 +98,19 @@ def test_a_counter_of_32_bits_goes_round(measure, clock, tmp_path):
     wlan = FakeInterface(tmp_path / "net", "wlan0")
     wlan.show(rx_bytes=2**32 - 100)
     clock.at(5.25, lambda: wlan.show(rx_bytes=50))
-    assert measure(tmp_path / "net").measures["Received"] == 150
+    context = measure(tmp_path / "net")
+    assert context.measures["Received"] == 150
+    assert not context.broker.findings
 
 
 def test_an_interface_that_was_set_up_anew_counts_from_0(measure, clock, tmp_path):
     wlan = FakeInterface(tmp_path / "net", "wlan0")
     wlan.show(rx_bytes=10_000)
     clock.at(5.25, lambda: wlan.show(rx_bytes=40))
-    assert measure(tmp_path / "net").measures["Received"] == 40
+    context = measure(tmp_path / "net")
+    assert context.measures["Received"] == 40
+    told = [finding.problem for finding in context.broker.findings]
+    assert "interface 'wlan0' was set up anew: what it counted shortly before that is lost" in told
 
 
 @given(steps=st.lists(st.integers(0, 2**30), max_size=40), start=st.integers(0, 2**32 - 1))
@@ -113,7 +118,7 @@ def test_a_counter_of_32_bits_is_followed_exactly_however_often_it_goes_round(st
     counts = [start]
     for step in steps:
         counts.append((counts[-1] + step) % 2**32)
-    assert counted(counts)[-1] == sum(steps)
+    assert unwrapped(counts, 2**32)[-1] == sum(steps)
 
 
 def test_raw_counters_are_kept(measure, tmp_path):

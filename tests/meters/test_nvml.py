@@ -69,6 +69,12 @@ def test_without_a_counter_energy_is_the_integral_of_power(measure):
     assert (row["gpu0_power_W"], row["gpu0_energy_J"]) == ("10.000", "")
 
 
+def test_a_counter_that_stands_still_is_told_and_power_takes_its_place(measure):
+    context = measure(FakeGpu(50.0, counts=False))
+    assert context.measures["Energy"] == pytest.approx(1000.0)
+    assert problems(context) == ["the energy counter of GPU 0 stood still: its energy is the integral of its power"]
+
+
 def test_a_gpu_that_is_lost_half_way_costs_the_values_and_not_the_run(measure, clock):
     gpu = FakeGpu()
     clock.at(15.0, lambda: setattr(gpu, "is_lost", True))

@@ -12,8 +12,10 @@ from tests.meters.fake_sysfs import write
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.measuring.meter_process import Ending
+from robot_runner.meters.command import Measured
 from robot_runner.meters.perf_stat import parse_perf
-from robot_runner.plugins import Circumstances
+from robot_runner.plugins import Circumstances, Window
 from robot_runner.plugins.profilers import PerfStat
 from robot_runner.testing import ProfilerContract, make_context, rehearse
 
@@ -136,6 +138,38 @@ def test_recorded_rows_are_read():
     rows = [row for row in parse_perf(RECORDED.splitlines()) if row]
     assert [row.get("task-clock") for row in rows] == ["400.71", None, None, None]
     assert rows[2] == {"span": "0.200243912", "cycles": None, "cycles counted": None}
+
+
+def test_a_decimal_comma_is_read_as_a_point(tmp_path):
+    # What perf 6.1 writes in the locale de_DE.UTF-8.
+    recorded = RECORDED.replace("400.71", "400,71").replace("100.00", "100,00").replace("50.00", "50,00")
+    plugin = PerfStat(events=["task-clock", "cache-misses"], interval_ms=100, program=stand_in(tmp_path, recorded))
+    plugin.period_s = 0.3
+    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+    rehearse(context, plugin, mission=lambda: time.sleep(0.4))
+    problems = [finding.problem for finding in context.broker.findings]
+    assert context.measures["TaskClock"] is not None
+    assert "'cache-misses' was counted in 50 % of the time only, and scaled up by perf" in problems
+
+
+def test_a_comma_in_the_name_of_an_event_stays():
+    (row,) = parse_perf(["     0.2;7;;cpu/event=0x3c,umask=0x0/;200;100,00;;"])
+    assert row["cpu/event=0x3c,umask=0x0/"] == "7"
+
+
+def test_a_process_that_sleeps_has_counted_nothing():
+    # What perf 6.1 wrote of a process that slept (`--pid`).
+    (row,) = parse_perf(["     0.200336515;<not counted>;msec;task-clock;0;100.00;;"])
+    assert row == {"span": "0.200336515", "task-clock": "0", "task-clock counted": "100.00"}
+
+
+def test_an_event_that_had_no_counter_in_an_interval_is_unknown_there_and_doubted():
+    plugin = PerfStat(events=["cycles"])
+    rows = parse_perf(["  0.2;500;;cycles;200;100.00;;", "  0.4;<not counted>;;cycles;0;0.00;;"])
+    window = Window(0.0, 1.0)
+    measured = Measured(rows, [0.2, 0.4], window, window, Ending(0, was_asked=True, was_killed=False, complaint=""))
+    assert rows[1]["cycles"] is None
+    assert any("'cycles' was counted in 0 % of the time only" in problem for problem in plugin.doubts(measured))
 
 
 def test_measures_are_named_after_events():

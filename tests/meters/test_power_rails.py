@@ -80,6 +80,13 @@ def test_the_siblings_of_the_ina219_are_read_in_si_units(tree, files):
     assert reading(rail)[:3] == pytest.approx((7.6, 12.4, 0.613))
 
 
+@pytest.mark.parametrize("files", rail_trees.INA2XX, ids=lambda files: files["name"])
+def test_power_that_flows_back_is_negative_though_the_chips_power_register_has_no_sign(tree, files):
+    tree.hwmon({**files, "curr1_input": "-613"})
+    (rail,) = found(tree).values()
+    assert reading(rail)[:3] == pytest.approx((-7.6, 12.4, -0.613), rel=1e-3)
+
+
 def test_the_energy_counter_of_an_ina228_is_found(tree):
     tree.hwmon(rail_trees.INA228)
     assert reading(found(tree)["ina228"]).joules == pytest.approx(123.456789)

@@ -111,6 +111,11 @@ def test_a_histogram_tells_how_often_and_how_long(tmp_path, exporter):
     assert context.measures["LatencySecondsSum"] == pytest.approx(0.75)
 
 
+def test_the_sum_of_a_histogram_has_the_unit_of_what_it_adds_up():
+    metrics = [ScrapedMetric(selector=f"latency_seconds_{each}") for each in ("sum", "count")]
+    assert [metric.yields.unit for metric in metrics] == ["s", "1"]
+
+
 def test_a_counter_that_was_set_back_counts_on_and_is_doubted(tmp_path, exporter):
     clock = FakeClock()
     clock.at(2.5, lambda: exporter.tell("inc joules 10"))

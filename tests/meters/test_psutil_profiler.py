@@ -213,3 +213,41 @@ def test_a_process_that_was_never_there_has_no_value_and_is_told_of():
     assert measured.means()["CPU_talker"] is None
     assert measured.means()["CPU_core7"] is None
     assert list(measured.doubts()) == ["no process name:talker was seen", "the computer tells of no core 7"]
+
+
+def test_a_process_that_ended_before_the_mission_is_told_of():
+    def seen(at):
+        return (ProcessUtilisation(1 if at < 2 else 0, 5.0 if at < 2 else 0.0, 0.0),)
+
+    samples = [UtilisationSample(float(at), 50.0, 10.0, processes=seen(at)) for at in range(6)]
+    selection = Selection(("name:talker",))
+    measured = Utilisation(samples, Window(2.0, 5.0), selection, SamplingReport(rate=1.0), is_simulated=False)
+    told = "no process name:talker was there in the measured window, only before or after it"
+    assert list(measured.doubts()) == [told]
+
+
+def test_a_core_that_was_switched_off_for_a_part_of_the_window_has_no_value_and_is_told_of():
+    cores = [(None, None)] + [(20.0, None if 3 <= at < 13 else 90.0) for at in range(1, 21)]
+    samples = [UtilisationSample(float(at), 50.0, 10.0, cores=told) for at, told in enumerate(cores)]
+    selection = Selection((), (0, 1))
+    measured = Utilisation(samples, Window(0.0, 20.0), selection, SamplingReport(rate=1.0), is_simulated=False)
+    assert (measured.means()["CPU_core0"], measured.means()["CPU_core1"]) == (pytest.approx(20.0), None)
+    told = "the computer tells of core 1 for a part of the window only: it was switched off meanwhile"
+    assert list(measured.doubts()) == [told]
+
+
+def test_a_core_that_is_switched_off_among_others_is_told_of():
+    samples = [UtilisationSample(float(at), 50.0, 10.0, cores=(50.0, None, 50.0)) for at in range(3)]
+    selection = Selection((), (1,))
+    measured = Utilisation(samples, Window(0.0, 2.0), selection, SamplingReport(rate=1.0), is_simulated=False)
+    assert measured.means()["CPU_core1"] is None
+    assert list(measured.doubts()) == ["the computer tells of no core 1"]
+
+
+def test_a_core_that_is_switched_off_has_no_column_among_the_samples(tmp_path):
+    samples = [UtilisationSample(0.0, None, 10.0, cores=(None, None, None))]
+    samples += [UtilisationSample(float(at), 50.0, 10.0, cores=(50.0, None, 50.0)) for at in (1, 2)]
+    measured = Utilisation(samples, Window(0.0, 2.0), Selection(), SamplingReport(rate=1.0), is_simulated=False)
+    measured.write(tmp_path, None)
+    heading = (tmp_path / "samples.csv").read_text(encoding="ascii").splitlines()[0]
+    assert heading == "time_s,cpu_percent,memory_percent,cpu_core0_percent,cpu_core2_percent"

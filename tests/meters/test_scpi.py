@@ -165,6 +165,22 @@ def test_what_cannot_be_is_refused(settings):
         Scpi("TCPIP::127.0.0.1::1::SOCKET", **settings)
 
 
+@pytest.mark.parametrize(
+    ("answer", "number"),
+    [
+        ("150 mA", 0.15),
+        ("7600MW", 7.6),
+        ("1.2 kW", 1200.0),
+        ("12.5 V", 12.5),
+        ("1.250E+01A,0.3", 12.5),
+        ("1.2 kWh", 1.2),  # as `energy_unit` says
+        ("3,mA", 3.0),
+    ],
+)
+def test_a_prefix_of_an_answers_unit_counts(answer, number):
+    assert parse_number(answer) == pytest.approx(number)
+
+
 @pytest.mark.parametrize("answer", ["", "ERR", "9.9E37", "-9.9E37", "9.91E+37"])
 def test_answers_that_are_no_number_are_refused(answer):
     with pytest.raises(ValueError, match="the instrument answered"):

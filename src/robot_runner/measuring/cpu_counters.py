@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from robot_runner.measuring.host import ProcessUtilisation, UtilisationSample
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.measuring.device_clock import ClockMap
 
@@ -52,7 +52,7 @@ class CounterSample:
     Attributes:
         time: on the clock that stamped it, s.
         whole: all cores together.
-        cores: each core; empty where the computer does not tell.
+        cores: each core, None for one that is switched off; empty where the computer does not tell.
         memory_total: physical memory, bytes; 0 where the computer does not tell.
         memory_available: what programs could still get of it, bytes.
         processes: those that selectors matched.
@@ -60,10 +60,20 @@ class CounterSample:
 
     time: float
     whole: CoreCounters
-    cores: tuple[CoreCounters, ...]
+    cores: tuple[CoreCounters | None, ...]
     memory_total: float
     memory_available: float
     processes: tuple[ProcessCounters, ...] = ()
+
+
+def placed_cores(counters: Mapping[int, CoreCounters]) -> tuple[CoreCounters | None, ...]:
+    """Return the counters of cores in the order of their numbers, None for those in between that are switched off.
+
+    Example:
+        >>> placed_cores({0: CoreCounters(9, 5), 2: CoreCounters(9, 9)})[1] is None
+        True
+    """
+    return tuple(map(counters.get, range(max(counters, default=-1) + 1)))
 
 
 @dataclass(slots=True)
@@ -127,14 +137,14 @@ def utilisation_of(
                 host_time=None if to_run is None else sample.time,
             )
         )
-        if before is None or cpu is not None:
+        if before is None or sample.whole.total != before.whole.total:
             before, spent = sample, [0.0] * selectors
     return found
 
 
-def _busy(before: CoreCounters, after: CoreCounters) -> float | None:
-    total = after.total - before.total
-    if total <= 0:
+def _busy(before: CoreCounters | None, after: CoreCounters | None) -> float | None:
+    total = 0.0 if before is None or after is None else after.total - before.total
+    if before is None or after is None or total <= 0:
         return None
     # The counter of idle time of some kernels goes back by a step now and then.
     return min(100.0, max(0.0, 100.0 * (1.0 - (after.idle - before.idle) / total)))

@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.measuring.cpu_counters import CoreCounters, CounterSample, ProcessCounters, utilisation_of
+from robot_runner.measuring.cpu_counters import (
+    CoreCounters,
+    CounterSample,
+    ProcessCounters,
+    placed_cores,
+    utilisation_of,
+)
 from robot_runner.measuring.host import SUBJECT_VARIABLE, FileSample, SamplingReport, UtilisationSample, checked_words
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 
@@ -27,6 +33,8 @@ if TYPE_CHECKING:
 _RESCAN = 1.0
 #: Looks during which a process may still turn into another program.
 _YOUNG = 5
+#: Which cores are switched on, such as `0,3-5`. Source: Linux, Documentation/admin-guide/cputopology.rst.
+_ONLINE = "/sys/devices/system/cpu/online"
 _INTERPRETERS = ("python", "perl", "ruby", "node", "sh", "bash", "dash")
 
 
@@ -68,12 +76,13 @@ class LocalProcesses:
         self._ages = {pid: self._ages.get(pid, 0) + 1 for pid in self._psutil.pids()}
         for pid, age in self._ages.items():
             if age <= _YOUNG:
-                self._matched.pop(pid, None)
-                self._look_at(pid)
+                self._look_at(pid, self._matched.pop(pid, (None, ()))[0])
 
-    def _look_at(self, pid: int) -> None:
+    def _look_at(self, pid: int, before: Any) -> None:
         try:
             process = self._psutil.Process(pid)
+            if process == before:
+                process = before  # the time of its start, once told, stays when the computer's clock is set
             name, words = process.name(), process.cmdline()
         except self._psutil.Error:
             return
@@ -279,16 +288,27 @@ class _Counters:
 
     def read(self) -> CounterSample:
         """Return the counters of this moment; the caller adds their time."""
-        cores = tuple(map(_core, self._psutil.cpu_times(percpu=True)))
+        cores = list(map(_core, self._psutil.cpu_times(percpu=True)))
         memory = self._psutil.virtual_memory()
         return CounterSample(
             time=0.0,
-            whole=CoreCounters(sum(core.total for core in cores), sum(core.idle for core in cores)),
-            cores=cores,
+            # The sum of the cores would fall and rise by hours where one of them is switched off and on.
+            whole=_core(self._psutil.cpu_times()),
+            cores=placed_cores(dict(zip(_online_cores(len(cores)), cores, strict=True))),
             memory_total=memory.total,
             memory_available=memory.available,
             processes=self._processes.counters() if self._processes else (),
         )
+
+
+def _online_cores(count: int) -> Sequence[int]:
+    """Return the numbers of the cores that psutil tells of, which leaves out those that are switched off."""
+    spans = [span.partition("-") for span in (_first_line(_ONLINE) or "").split(",")]
+    try:
+        numbers = [core for first, _, last in spans for core in range(int(first), int(last or first) + 1)]
+    except ValueError:  # not Linux
+        numbers = []
+    return numbers if len(numbers) == count else range(count)
 
 
 def _core(times: Any) -> CoreCounters:

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.measuring.clock_offset import ClockRecord
-from robot_runner.measuring.cpu_counters import CoreCounters, CounterSample, ProcessCounters, utilisation_of
+from robot_runner.measuring.cpu_counters import (
+    CoreCounters,
+    CounterSample,
+    ProcessCounters,
+    placed_cores,
+    utilisation_of,
+)
 from robot_runner.measuring.host import FileSample, SamplingReport, UtilisationSample
 from robot_runner.measuring.on_board_session import FORMS, new_token
 
@@ -32,12 +38,12 @@ def counter_sample(fields: Sequence[str]) -> CounterSample | None:
     try:
         time, cores, memory, processes = fields
         counters = dict(map(_core, cores.split(",")))
+        whole = counters.pop(-1)
         total, available = map(float, memory.split(":"))
         return CounterSample(
             time=float(time),
-            whole=counters[-1],
-            # A core that is switched off has no line of its own.
-            cores=tuple(counters.get(place, CoreCounters(0.0, 0.0)) for place in range(max(counters) + 1)),
+            whole=whole,
+            cores=placed_cores(counters),  # one that is switched off has no line of its own
             memory_total=total * _KILOBYTE,
             memory_available=available * _KILOBYTE,
             processes=tuple(map(_process, filter(None, processes.split(",")))),

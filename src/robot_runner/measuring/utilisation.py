@@ -120,7 +120,7 @@ class Utilisation:
         return {
             "CPU": self._mean_of_intervals(lambda sample: sample.cpu),
             "Memory": self._mean(lambda sample: sample.memory),
-            **{f"CPU_core{core}": self._mean_of_intervals(_core(core)) for core in self.selection.cores},
+            **{f"CPU_core{core}": self._core_mean(core) for core in self.selection.cores},
             **{name: value for place in range(len(self.selection.labels)) for name, value in self._process(place)},
         }
 
@@ -136,9 +136,13 @@ class Utilisation:
         for place, selector in enumerate(self.selection.processes):
             if self.samples and not self._was_seen(place):
                 yield f"no process {selector} was seen"
+            elif self.samples and not self._was_seen(place, within=self.window):
+                yield f"no process {selector} was there in the measured window, only before or after it"
         for core in self.selection.cores:
-            if self.samples and core >= max(len(sample.cores) for sample in self.samples):
+            if self.samples and not self._tells_of(core):
                 yield f"the computer tells of no core {core}"
+            elif self.quality.is_sufficient and not self._covers(core):
+                yield f"the computer tells of core {core} for a part of the window only: it was switched off meanwhile"
 
     def write(self, folder: Path, mission: Window | None) -> None:
         """Write `samples.csv`, and `quality.json` with the quality over the mission; None where there was none."""
@@ -159,6 +163,18 @@ class Utilisation:
         told += [(sample.time, value) for sample in self.samples[1:] if (value := pick(sample)) is not None]
         return mean_of_intervals(Series([time for time, _ in told], [value for _, value in told]), self.window)
 
+    def _core_mean(self, core: int) -> float | None:
+        return self._mean_of_intervals(_core(core)) if self._covers(core) else None
+
+    def _tells_of(self, core: int) -> bool:
+        """Whether any sample does: a core that is switched off has its place, and nothing in it."""
+        return any(_core(core)(sample) is not None for sample in self.samples)
+
+    def _covers(self, core: int) -> bool:
+        """Whether the samples that tell of a core cover enough of the window."""
+        told = [sample.time for sample in self.samples if _core(core)(sample) is not None]
+        return quality_of([*self.times[:1], *told], self.window, self.report.rate).is_sufficient
+
     def _mean(self, pick: Callable[[UtilisationSample], float | None]) -> float | None:
         told = [(sample.time, value) for sample in self.samples if (value := pick(sample)) is not None]
         series = Series([time for time, _ in told], [value for _, value in told])
@@ -171,15 +187,20 @@ class Utilisation:
         yield f"CPU_{label}", cpu if was_seen else None
         yield f"Memory_{label}", memory if was_seen else None
 
-    def _was_seen(self, place: int) -> bool:
-        return any(sample.processes[place].count for sample in self.samples)
+    def _was_seen(self, place: int, *, within: Window | None = None) -> bool:
+        return any(
+            sample.processes[place].count
+            for sample in self.samples
+            if within is None or within.start <= sample.time <= within.end
+        )
 
     def _columns(self) -> Iterator[Column]:
         yield Column("time_s", self.times)
         yield self._column("cpu_percent", lambda sample: sample.cpu)
         yield self._column("memory_percent", lambda sample: sample.memory)
         for core in range(max((len(sample.cores) for sample in self.samples), default=0)):
-            yield self._column(f"cpu_core{core}_percent", _core(core))
+            if self._tells_of(core):
+                yield self._column(f"cpu_core{core}_percent", _core(core))
         for place, label in enumerate(self.selection.labels):
             yield from self._process_columns(place, label)
         if any(sample.host_time is not None for sample in self.samples):

@@ -14,17 +14,20 @@ from robot_runner.core.links.connect import connect_robot, is_simulation, robot_
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.measuring.series import Series, cut, energy, mean
+from robot_runner.measuring.series import Series, cut, integrate, mean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import Message, Subscription
     from robot_runner.core.plugin import Circumstances
 
 _TYPE = "sensor_msgs/BatteryState"
+#: Above this share a state of charge is told in percent; boards that reckon it from the voltage exceed 1 by little.
+_FULLEST = 1.5
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
+_FIX_MESSAGES = "Look at its messages, with `ros2 topic echo` or `rostopic echo`, before you use this run."
 
 
 @dataclass(slots=True)
@@ -179,6 +182,8 @@ class Battery(Profiler):
         details = {"is_simulated": heard.is_simulated, "measures_current": mission.measures_current}
         quality = quality_of(heard.times, window, self.rate_hz)
         report_quality(context, quality, window, sampled=self._sampled, fix=_FIX, details=details)
+        for problem, names in self._doubts(mission, window):
+            context.doubt(problem, fix=_FIX_MESSAGES, measures=names)
         publish_measures(
             context,
             self.measures,
@@ -186,18 +191,49 @@ class Battery(Profiler):
             origin=Origin.SIMULATED if heard.is_simulated else Origin.MEASURED,
         )
 
+    def _doubts(self, heard: _Heard, window: Window) -> Iterator[tuple[str, Sequence[str]]]:
+        """Yield what is doubtful about what the robot says, and about which measures."""
+        told = (
+            ("voltage", heard.series(heard.voltage), ("MeanVoltage", "MinVoltage")),
+            ("charge", heard.series(heard.charge), ("ChargeUsed",)),
+            ("current", heard.power(), ("Energy",)),
+        )
+        is_sufficient = quality_of(heard.times, window, self.rate_hz).is_sufficient
+        for quantity, series, names in told:
+            if is_sufficient and len(series) and not len(self._sufficient(series, window)):
+                missing = len(heard.times) - len(series)
+                yield f"the battery's {quantity} was NaN in {missing} of {len(heard.times)} messages: no value", names
+        fullest = max(heard.series(heard.charge).values, default=0.0) / 100
+        if fullest > _FULLEST:
+            yield (
+                f"the robot says percentage = {fullest:.3g}, where {_TYPE} has 0 to 1: ChargeUsed may be 100-fold",
+                ("ChargeUsed",),
+            )
+        joules = self._values(heard, window).get("Energy")
+        if joules is not None and joules < 0:
+            yield (
+                f"the energy is {joules:.4g} J: the robot tells its current with the wrong sign, or was charged",
+                ("Energy",),
+            )
+
+    def _sufficient(self, series: Series, window: Window) -> Series:
+        """Return the samples where they cover enough of the window, else none."""
+        return series if quality_of(series.times, window, self.rate_hz).is_sufficient else Series([], [])
+
     def _values(self, heard: _Heard, window: Window) -> Mapping[str, float | None]:
         """Return the measures over a part of the mission, at whose edges the nearest messages within stand for it."""
         if not quality_of(heard.times, window, self.rate_hz).is_sufficient:
             return {}
         reach = 5 / self.rate_hz
-        voltage = cut(heard.series(heard.voltage), window, reach=reach)
-        charge = cut(heard.series(heard.charge), window, reach=reach)
+        voltage, charge, power = (
+            cut(self._sufficient(series, window), window, reach=reach)
+            for series in (heard.series(heard.voltage), heard.series(heard.charge), heard.power())
+        )
         return {
             "MeanVoltage": mean(voltage),
             "MinVoltage": min(voltage.values, default=None),
             "ChargeUsed": charge.values[0] - charge.values[-1] if len(charge) > 1 else None,
-            "Energy": energy(heard.power(), window, reach=reach),
+            "Energy": integrate(power),
         }
 
 

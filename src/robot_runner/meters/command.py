@@ -16,10 +16,19 @@ from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import Ending, MeterProcess, Record
 from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.meters.command_output import CommandColumn, Parse, Row, TimeColumn, parse_csv, row_times
+from robot_runner.meters.command_output import (
+    Aggregate,
+    CommandColumn,
+    Parse,
+    Row,
+    TimeColumn,
+    TimeKind,
+    parse_csv,
+    row_times,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
@@ -95,6 +104,7 @@ class CommandProfiler(Profiler):
     _measured: Measured | None
     _fault: str
     _utc_offset: float
+    _clock_step: float | None  # by how much the wall clock, which stamps the rows, was set meanwhile, s
 
     def __init__(  # noqa: PLR0913 - each is one habit of a program that we did not write
         self,
@@ -184,6 +194,8 @@ class CommandProfiler(Profiler):
         if self._sampled is not None:
             process.wait(lambda: len(process.records) > count, seconds=aftermath)
         ending = process.stop(self._stop_signal, grace=self.grace_s)
+        if self._time is not None and self._time.kind is TimeKind.UTC:
+            self._clock_step = abs(self._clock.now() - time.time() - self._utc_offset)
         mission = context.times.window(self._clock)
         if self._sampled is None or mission is None:
             return
@@ -229,23 +241,50 @@ class CommandProfiler(Profiler):
         if measured.rows and missing:
             lacking, found = (", ".join(map(repr, names)) for names in (missing, there))
             yield f"the program's output has no column {lacking}; it has {found}"
+        yield from dict.fromkeys(self._cell_doubts(measured))
+
+    def _cell_doubts(self, measured: Measured) -> Iterator[str]:
+        """Yield where cells hold texts such as `N/A`, `7,5` or `7.5 W`, or too few hold anything."""
+        window = measured.window
+        rows = [
+            row for time, row in zip(measured.times, measured.rows, strict=True) if window.start <= time <= window.end
+        ]
+        for column in self.columns:
+            told = [
+                (row[column.source], number)
+                for row, number in zip(rows, column.values(rows), strict=True)
+                if column.source in row
+            ]
+            missing = [cell for cell, number in told if number is None]
+            texts = [cell for cell in missing if cell and isinstance(cell, str)]
+            if texts or (missing and not self._is_told(column, measured, window)):
+                first = f", the first {texts[0]!r}" if texts else ""
+                yield f"{len(missing)} of {len(told)} rows hold no number in column {column.source!r}{first}"
+
+    def _is_told(self, column: CommandColumn, measured: Measured, window: Window) -> bool:
+        """Whether the cells that hold a number cover enough of a window; the last one may stand alone."""
+        if column.aggregate is Aggregate.LAST:
+            return True
+        numbers = zip(measured.times, column.values(measured.rows), strict=True)
+        return self._quality([time for time, number in numbers if number is not None], window).is_sufficient
 
     def _report_quality(self, context: RobotRunnerContext, measured: Measured) -> None:
         details = {**clock_details(context), "command": self.command, "program": asdict(measured.ending)}
-        quality = self._quality(measured, measured.window)
+        quality = self._quality(measured.times, measured.window)
         report_quality(context, quality, measured.window, sampled=measured.sampled, fix=self._look, details=details)
 
-    def _quality(self, measured: Measured, window: Window) -> SampleQuality:
-        moments = list(dict.fromkeys(measured.times))  # some programs write several rows at once
-        return quality_of(moments, window, 1 / self.period_s)
+    def _quality(self, times: Sequence[float], window: Window) -> SampleQuality:
+        moments = list(dict.fromkeys(times))  # some programs write several rows at once
+        return quality_of(moments, window, 1 / self.period_s, clock_uncertainty=self._clock_step)
 
     def _evaluated(self, window: Window) -> Mapping[str, float | None]:
         measured = self._measured
-        if measured is None or not self._quality(measured, window).is_sufficient:
+        if measured is None or not self._quality(measured.times, window).is_sufficient:
             return {}
         return {
-            column.measure.name: column.value(measured.times, measured.rows, window, reach=2 * self.period_s)
+            column.measure.name: column.value(measured.times, measured.rows, window)
             for column in self.columns
+            if self._is_told(column, measured, window)
         }
 
     def _read(self, records: Sequence[Record], window: Window, sampled: Window, ending: Ending) -> Measured:
@@ -286,7 +325,7 @@ class CommandProfiler(Profiler):
         return f"Look at {self.output or 'stdout.txt'} and stderr.txt in the folder of {self.name}."
 
     def _forget(self) -> None:
-        self._process = self._begun_at = self._sampled = self._measured = None
+        self._process = self._begun_at = self._sampled = self._measured = self._clock_step = None
         self._fault = ""
 
     def _refuse_what_cannot_be(self) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Over
 from robot_runner.measuring.device_clock import fit_clock
-from robot_runner.measuring.series import Series, cut, mean_of_intervals
+from robot_runner.measuring.series import Series, cut, growth, mean_of_intervals
 
 if TYPE_CHECKING:
     from robot_runner.core.events.measure import Measure
@@ -29,7 +29,7 @@ class Aggregate(Enum):
     """How the rows of a column become the value of a measure.
 
     For MEAN, INTEGRAL and SUM each row tells of the time since the row before; where the window begins or ends
-    between two rows, it counts by its share.
+    between two rows, it counts by its share. What lies beyond the outermost rows is taken to be as on average.
     """
 
     MEAN = "mean over the measured window"
@@ -112,21 +112,20 @@ class CommandColumn:
         numbers = (_number(row.get(self.source)) for row in rows)
         return [None if number is None else number * self.factor for number in numbers]
 
-    def value(self, times: Sequence[float], rows: Sequence[Row], window: Window, *, reach: float) -> float | None:
+    def value(self, times: Sequence[float], rows: Sequence[Row], window: Window) -> float | None:
         """Return the value of the measure; None where the rows tell nothing of the window.
 
         Args:
             times: when each row was taken, s on the run's clock.
             rows: the rows.
             window: the measured one.
-            reach: how far beyond the outermost rows their values hold, s.
         """
         known = [(time, value) for time, value in zip(times, self.values(rows), strict=True) if value is not None]
         series = Series([time for time, _ in known], [value for _, value in known])
         if self.aggregate in _PICK:
             within = [value for time, value in known if window.start <= time <= window.end]
             return _PICK[self.aggregate](within) if within else None
-        value = _MEASURE[self.aggregate](series, window, reach)
+        value = _MEASURE[self.aggregate](series, window)
         if self.aggregate is Aggregate.RATE and value is not None:
             return value / window.duration if window.duration else None
         return value
@@ -139,36 +138,32 @@ _PICK: Mapping[Aggregate, Callable[[list[float]], float]] = {
 }
 
 
-def _integral(series: Series, window: Window, reach: float) -> float | None:
-    del reach
+def _integral(series: Series, window: Window) -> float | None:
     mean = mean_of_intervals(series, window)
     return None if mean is None else mean * window.duration
 
 
-def _mean(series: Series, window: Window, reach: float) -> float | None:
-    del reach
-    return mean_of_intervals(series, window)
+def _sum(series: Series, window: Window) -> float | None:
+    total = seen = 0.0
+    for (sooner, later), value in zip(pairwise(series.times), series.values[1:], strict=False):
+        if later > sooner:
+            inside = max(0.0, min(later, window.end) - max(sooner, window.start))
+            total += value * inside / (later - sooner)
+            seen += inside
+        elif window.start < later <= window.end:  # a further row of the same moment
+            total += value
+    return total * window.duration / seen if seen else None
 
 
-def _sum(series: Series, window: Window, reach: float) -> float | None:
-    del reach
-    shares = [
-        value * (min(later, window.end) - max(sooner, window.start)) / (later - sooner)
-        for (sooner, later), value in zip(pairwise(series.times), series.values[1:], strict=False)
-        if sooner < window.end and later > window.start
-    ]
-    return math.fsum(shares) if shares else None
-
-
-def _increase(series: Series, window: Window, reach: float) -> float | None:
+def _increase(series: Series, window: Window) -> float | None:
     """Return by how much a counter grew; None where it fell, since what it counted in between is unknown."""
-    counter = cut(series, window, reach=reach).values
+    counter = cut(series, window).values
     falls = any(later < sooner for sooner, later in pairwise(counter))
-    return None if len(counter) < 2 or falls else counter[-1] - counter[0]  # noqa: PLR2004 - one value shows no growth
+    return None if falls else growth(series, window)
 
 
-_MEASURE: Mapping[Aggregate, Callable[[Series, Window, float], float | None]] = {
-    Aggregate.MEAN: _mean,
+_MEASURE: Mapping[Aggregate, Callable[[Series, Window], float | None]] = {
+    Aggregate.MEAN: mean_of_intervals,
     Aggregate.INTEGRAL: _integral,
     Aggregate.SUM: _sum,
     Aggregate.INCREASE: _increase,

@@ -9,13 +9,13 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-def unwrapped(counts: Sequence[float], wraps_at: float | None = None) -> list[float]:
+def unwrapped(counts: Sequence[int] | Sequence[float], wraps_at: float | None = None) -> list[float]:
     """Return a counter that goes on where the true one began at 0 again, from 0 at its first count.
 
     Args:
         counts: as they were read, oldest first.
-        wraps_at: the value at which the counter begins at 0 again; None where a lower count can only mean that it was
-            set to 0 meanwhile, so that what it counted since then is all that is known.
+        wraps_at: the value at which the counter begins at 0 again; None where it never does. Where it did not, a lower
+            count can only mean that it was set to 0 meanwhile, so that what it counted since then is all that is known.
 
     Example:
         >>> unwrapped([90, 97, 5], wraps_at=100)
@@ -26,16 +26,26 @@ def unwrapped(counts: Sequence[float], wraps_at: float | None = None) -> list[fl
     total: float = 0
     totals: list[float] = [0] if counts else []
     for sooner, later in pairwise(counts):
-        total += later - sooner if later >= sooner else later if wraps_at is None else later - sooner + wraps_at
+        total += later if later < sooner else later - sooner
+        if wraps_at is not None and _goes_round(sooner, later, wraps_at):
+            total += wraps_at - sooner
         totals.append(total)
     return totals
 
 
-def fall_count(counts: Sequence[float]) -> int:
-    """Return how often a counter was lower than at the reading before.
+def fall_count(counts: Sequence[int] | Sequence[float], wraps_at: float | None = None) -> int:
+    """Return how often a counter was lower than at the reading before, though it had not gone round.
 
     Example:
-        >>> fall_count([90, 97, 5, 6])
-        1
+        >>> fall_count([90, 97, 5, 6]), fall_count([90, 97, 5, 6], wraps_at=100)
+        (1, 0)
     """
-    return sum(later < sooner for sooner, later in pairwise(counts))
+    return sum(
+        later < sooner and (wraps_at is None or not _goes_round(sooner, later, wraps_at))
+        for sooner, later in pairwise(counts)
+    )
+
+
+def _goes_round(sooner: float, later: float, wraps_at: float) -> bool:
+    """Whether a counter began at 0 again by itself: it was read often enough to count less than half its range."""
+    return later < sooner <= wraps_at and sooner - later > wraps_at / 2

@@ -7,7 +7,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.events.measure import Measure, Over
-from robot_runner.measuring.quality import Column
+from robot_runner.measuring.quality import Column, quality_of
 from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
@@ -144,7 +144,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         for place, names in enumerate(self._names):
             joules = self._energy(sampling, place)[0]
             watts = joules / window.duration if joules is not None and window.duration else None
-            means = [mean(cut(_series(sampling, place, each), window, reach=reach)) for each in ("voltage", "current")]
+            means = [mean(cut(_told(sampling, place, each), window, reach=reach)) for each in ("voltage", "current")]
             values |= zip(names, (joules, watts, *means), strict=True)
         return values
 
@@ -178,11 +178,11 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         return integral, "power" if integral is not None else ""
 
     def _counted(self, sampling: Sampling[Readings], place: int) -> float | None:
-        counter = _series(sampling, place, "joules")
+        counter = _told(sampling, place, "joules")
         return growth(Series(counter.times, unwrapped(counter.values)), sampling.window)
 
     def _integral(self, sampling: Sampling[Readings], place: int) -> float | None:
-        return energy(_series(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
+        return energy(_told(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
 
     def _is_trusted(self, sampling: Sampling[Readings], place: int, counted: float) -> bool:
         is_fine = self._blur(sampling, counted) <= _FINE * counted
@@ -206,6 +206,7 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         if integral is not None and integral < 0:
             yield f"the energy{{of}} is {integral:.4g} J: the meter is the wrong way round, or the load feeds back"
         yield from _stuck(sampling, place)
+        yield from _partly_told(sampling, place)
 
 
 def _series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
@@ -218,6 +219,22 @@ def _series(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
             told.setdefault(time if reading.time is None else reading.time, value)
     times = sorted(told)
     return Series(times, [told[time] for time in times])
+
+
+def _told(sampling: Sampling[Readings], place: int, quantity: str) -> Series:
+    """Return one quantity of a channel where it was told for enough of the window, else nothing."""
+    moments = zip(sampling.times, sampling.readings, strict=True)
+    times = [time for time, readings in moments if getattr(readings[place], quantity) is not None]
+    is_sufficient = quality_of(times, sampling.window, sampling.rate).is_sufficient
+    return _series(sampling, place, quantity) if is_sufficient else Series([], [])
+
+
+def _partly_told(sampling: Sampling[Readings], place: int) -> Iterator[str]:
+    readings = [each[place] for each in sampling.within().readings]
+    for quantity, word in (("power", "power"), ("voltage", "voltage"), ("current", "current"), ("joules", "energy")):
+        told = sum(getattr(reading, quantity) is not None for reading in readings)
+        if 0 < told < len(readings) and not len(_told(sampling, place, quantity)):
+            yield f"the {word}{{of}} was told in {told} of {len(readings)} readings only"
 
 
 def _falls(sampling: Sampling[Readings], place: int) -> int:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
-from robot_runner.measuring.quality import Column
+from robot_runner.measuring.quality import Column, quality_of
 from robot_runner.measuring.series import Series, cut, mean
+from robot_runner.meters.machine.machine_state import is_measured, is_plausible
 from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class ThermalReading:
         temperature: of the hottest zone, degC.
         frequency: mean over the cores, Hz.
         core_frequencies: of each core, Hz, in the order of their numbers; None for one that does not tell.
+        silent_zones: how many zones could not be read.
         throttle_count: how often it was throttled since the machine started.
         is_held_back: whether the kernel or the firmware holds it back now.
         is_under_voltage: whether the supply voltage is too low now.
@@ -53,6 +55,7 @@ class ThermalReading:
     is_held_back: bool | None
     is_under_voltage: bool = False
     core_frequencies: tuple[float | None, ...] = ()
+    silent_zones: int = 0
 
 
 class _Machine:
@@ -61,8 +64,10 @@ class _Machine:
     def __init__(self, root: Path, zones: Sequence[str] | None) -> None:
         thermal, cpus = root / "class" / "thermal", root / "devices" / "system" / "cpu"
         self.zone_types = {path: _text(path / "type") for path in sorted(thermal.glob("thermal_zone*"))}
-        chosen = [path for path, kind in self.zone_types.items() if zones is None or kind in zones]
-        self.temperatures = [path / "temp" for path in chosen if _number(path / "temp") is not None]
+        chosen = [
+            path for path, kind in self.zone_types.items() if (is_measured(kind) if zones is None else kind in zones)
+        ]
+        self.temperatures = [path / "temp" for path in chosen if _temperature(path / "temp") is not None]
         self.frequencies = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_cur_freq"), key=_core_number)
         self.counters = sorted(cpus.glob("cpu[0-9]*/thermal_throttle/*_throttle_count"))
         coolers = [path for path in sorted(thermal.glob("cooling_device*")) if _cools_processor(path)]
@@ -74,20 +79,22 @@ class _Machine:
         return bool(self.counters or self.coolers or self.firmware)
 
     def read(self) -> ThermalReading:
-        hottest = max(_numbers(self.temperatures), default=None)
+        told = [_temperature(path) for path in self.temperatures]
+        temperatures = [celsius for celsius in told if celsius is not None]
         clocks = [_number(path) for path in self.frequencies]
         frequencies = [clock for clock in clocks if clock is not None]
         counts = _numbers(self.counters)
         states = _numbers(self.coolers)
         flags = [int(_text(path) or "0", 16) for path in self.firmware]
-        told = bool(states or flags)
+        tells = bool(states or flags)
         return ThermalReading(
-            temperature=None if hottest is None else hottest * _MILLI,
+            temperature=max(temperatures, default=None),
             frequency=math.fsum(frequencies) / len(frequencies) * _KILO if frequencies else None,
             throttle_count=int(sum(counts)) if counts else None,
-            is_held_back=any(states) or any(flag & _HELD_BACK_BITS for flag in flags) if told else None,
+            is_held_back=any(states) or any(flag & _HELD_BACK_BITS for flag in flags) if tells else None,
             is_under_voltage=any(flag & _UNDER_VOLTAGE_BIT for flag in flags),
             core_frequencies=tuple(None if clock is None else clock * _KILO for clock in clocks),
+            silent_zones=len(self.temperatures) - len(temperatures),
         )
 
     def close(self) -> None:
@@ -115,6 +122,12 @@ def _number(path: Path) -> float | None:
     return None
 
 
+def _temperature(path: Path) -> float | None:
+    """Return the temperature of a zone, degC; None where it is asleep, gone or broken."""
+    number = _number(path)
+    return number * _MILLI if number is not None and is_plausible(number * _MILLI) else None
+
+
 def _numbers(paths: Sequence[Path]) -> list[float]:
     return [number for path in paths if (number := _number(path)) is not None]
 
@@ -126,7 +139,8 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
 
     Args:
         name: tells several instances apart; the class's name if left out.
-        zones: the types of the thermal zones to read, such as `x86_pkg_temp` or `cpu-thermal`; None for all.
+        zones: the types of the thermal zones to read, such as `x86_pkg_temp` or `cpu-thermal`; None for all that
+            measure something.
         rate_hz: readings a second, Hz.
         root: where sysfs is.
 
@@ -177,6 +191,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         self.zones = None if zones is None else tuple(zones)
         self.root = root
         self._facts: Mapping[str, Any] = {}
+        self._cores: Sequence[int] = ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way, and which measures will be missing on this machine."""
@@ -209,6 +224,7 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         problem = self._nothing(machine)
         if problem:
             raise PluginError(problem, where=self.name, fix=self._fix(machine))
+        self._cores = list(map(_core_number, machine.frequencies))
         zones = [machine.zone_types[path.parent] for path in machine.temperatures]
         self._facts = {"zones": zones, "cores": len(machine.frequencies), "throttle_counters": len(machine.counters)}
         return machine
@@ -223,25 +239,26 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
             Column("is_held_back", [_digit(each.is_held_back) for each in readings], "%d"),
             Column("is_under_voltage", [_digit(each.is_under_voltage) for each in readings], "%d"),
             *(
-                Column(f"frequency_cpu{core}_Hz", [each.core_frequencies[core] for each in readings], "%.0f")
-                for core in range(max((len(each.core_frequencies) for each in readings), default=0))
+                Column(f"frequency_cpu{core}_Hz", [each.core_frequencies[place] for each in readings], "%.0f")
+                for place, core in enumerate(self._cores)
             ),
         ]
 
     def values(self, sampling: Sampling[ThermalReading]) -> Mapping[str, float | None]:
         """Return the means and the maximum, and how much of the time the processor was held back."""
         reach = 5 / self.rate_hz
-        temperature = cut(_series(sampling, "temperature"), sampling.window, reach=reach)
+        temperature = cut(_sufficient(sampling, "temperature"), sampling.window, reach=reach)
         held_back = _held_back(sampling.within().readings)
         return {
             "MaxTemperature": max(temperature.values, default=None),
             "MeanTemperature": mean(temperature),
-            "MeanFrequency": mean(cut(_series(sampling, "frequency"), sampling.window, reach=reach)),
+            "MeanFrequency": mean(cut(_sufficient(sampling, "frequency"), sampling.window, reach=reach)),
             "Throttled": 100.0 * sum(held_back) / len(held_back) if held_back else None,
         }
 
     def doubts(self, sampling: Sampling[ThermalReading]) -> Iterable[str]:
-        """Yield that the processor was held back or starved of voltage."""
+        """Yield that the processor was held back or starved of voltage, and that sensors were silent."""
+        yield from _silences(sampling)
         sampling = sampling.within()
         held_back = _held_back(sampling.readings)
         if any(held_back):
@@ -273,6 +290,26 @@ def _digit(flag: bool | None) -> int | None:
 
 def _series(sampling: Sampling[ThermalReading], quantity: str) -> Series:
     return known_series(sampling, attrgetter(quantity))
+
+
+def _sufficient(sampling: Sampling[ThermalReading], quantity: str) -> Series:
+    """Return one quantity where it was told for enough of the window, else nothing."""
+    series = _series(sampling, quantity)
+    return series if quality_of(series.times, sampling.window, sampling.rate).is_sufficient else Series([], [])
+
+
+def _silences(sampling: Sampling[ThermalReading]) -> Iterable[str]:
+    within = sampling.within()
+    silent = sum(reading.silent_zones > 0 for reading in within.readings)
+    if silent:
+        yield (
+            f"a thermal zone could not be read in {silent} of {len(within.readings)} samples: where it is the hottest, "
+            "the temperatures are too low"
+        )
+    for quantity in ("temperature", "frequency"):
+        told = len(_series(within, quantity))
+        if told and not len(_sufficient(sampling, quantity)):
+            yield f"the {quantity} was told in {told} of {len(within.readings)} samples only: no value"
 
 
 def _held_back(readings: Sequence[ThermalReading]) -> list[bool]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shutil
 import signal
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -14,6 +13,7 @@ from robot_runner.measuring.measured_machine import machine_clock, simulation_fi
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
+from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from robot_runner.measuring.periodic import Sampling
 
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "rx_dropped", "tx_dropped")
-#: Counters are as wide as a machine word: on a 32-bit Raspberry Pi OS they begin at 0 again after 4 GiB.
-_WORD = 1 << 32
+#: Counters are as wide as a machine word: on a 32-bit Raspberry Pi OS they begin at 0 again after 4 GiB. Any other fall
+#: is an interface that was set up anew and counts from 0.
+WORD = 1 << 32
 #: What `capture` keeps of each packet: headers, and no more of what is said than it must.
 _SNAP_LENGTH = 128
 _GRACE = 5.0
@@ -35,24 +36,6 @@ _STARTUP = 30.0
 
 #: The counters of each interface, one after the other.
 Counters = tuple[int, ...]
-
-
-def counted(counts: Sequence[int]) -> list[int]:
-    """Return what a counter had counted since its first reading at each, also where it began at 0 again.
-
-    A fall from below 2^32 to far below it is a counter of 32 bits that went round; any other fall is an interface that
-    was set up anew and counts from 0.
-
-    Example:
-        >>> counted([2**32 - 10, 5, 20]), counted([900, 7])
-        ([0, 15, 30], [0, 7])
-    """
-    total, totals = 0, [0] if counts else []
-    for sooner, later in pairwise(counts):
-        went_round = later < sooner < _WORD and sooner - later > _WORD // 2
-        total += later - sooner if later >= sooner else later + (_WORD - sooner if went_round else 0)
-        totals.append(total)
-    return totals
 
 
 class _Interfaces:
@@ -184,7 +167,7 @@ class Network(PolledProfiler[Counters]):
         """Return what all interfaces together have counted."""
         totals = dict.fromkeys(_COUNTERS, 0)
         for place, counts in enumerate(self._counts(sampling)):
-            grown = growth(Series(sampling.times, counted(counts)), sampling.window)
+            grown = growth(Series(sampling.times, unwrapped(counts, WORD)), sampling.window)
             if grown is None:
                 return {}
             totals[_COUNTERS[place % len(_COUNTERS)]] += round(grown)
@@ -197,8 +180,12 @@ class Network(PolledProfiler[Counters]):
         }
 
     def doubts(self, sampling: Sampling[Counters]) -> Iterable[str]:
-        """Yield that tshark failed."""
-        del sampling
+        """Yield that an interface was set up anew, and that tshark failed."""
+        counts = self._counts(sampling.within())
+        for place, name in enumerate(self._names):
+            its = counts[place * len(_COUNTERS) : (place + 1) * len(_COUNTERS)]
+            if any(fall_count(each, WORD) for each in its):
+                yield f"interface {name!r} was set up anew: what it counted shortly before that is lost"
         if self._ending is not None and (
             not self._ending.was_asked or self._ending.exit_code not in {0, -signal.SIGINT}
         ):

@@ -15,7 +15,7 @@ from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
@@ -191,15 +191,26 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
             "GPUMemory": _mean([self._mean(sampling, place, "memory") for place in places]),
         }
 
+    def doubts(self, sampling: Sampling[tuple[GpuReading, ...]]) -> Iterator[str]:
+        """Yield where an energy counter stood still while power was drawn."""
+        for place, gpu in enumerate(self.gpus or range(len(self._names))):
+            if self._counted(sampling, place) == 0 and self._energy(sampling, place):
+                yield f"the energy counter of GPU {gpu} stood still: its energy is the integral of its power"
+
     def details(self) -> Mapping[str, Any]:
         """Return the names of the GPUs."""
         return {"gpus": self._names}
 
     def _energy(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
+        counted = self._counted(sampling, place)
+        integral = energy(_series(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
+        return counted or (counted if integral is None else integral)
+
+    def _counted(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
+        """Return by how much the GPU's energy counter grew, J; None where it has none, or was set back."""
         counter = _series(sampling, place, "joules")
-        if len(counter) > 1 and counter.values[-1] >= counter.values[0]:
-            return growth(counter, sampling.window)
-        return energy(_series(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
+        is_usable = len(counter) > 1 and counter.values[-1] >= counter.values[0]
+        return growth(counter, sampling.window) if is_usable else None
 
     def _mean(self, sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> float | None:
         return mean(cut(_series(sampling, place, quantity), sampling.window, reach=5 / self.rate_hz))

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 _INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generic (Ubuntu)."
 _DEFAULT_EVENTS = ("task-clock", "context-switches", "page-faults", "instructions", "cycles", "cache-misses")
 #: Percentage of the time that an event was counted below which it is worth a warning; perf scales up what it missed.
-_FULL_TIME = 90.0
+_FULL_TIME, _ALL_TIME = 90.0, 100.0
 _SEPARATOR = ";"  # events may have commas in their names
-_NOT_SUPPORTED = ("<not supported>", "<not counted>")
+_NOT_SUPPORTED, _NOT_COUNTED = "<not supported>", "<not counted>"
 _TRIAL_SECONDS = 10.0
 #: The highest /proc/sys/kernel/perf_event_paranoid with which a user may count on all processors (man perf_event_open).
 _MOST_PARANOID = 0
@@ -33,6 +33,9 @@ _MOST_PARANOID = 0
 
 def parse_perf(records: Sequence[str]) -> list[Row | None]:
     """Return one row for each event and interval of `perf stat -I ... -x ;`.
+
+    perf writes `<not counted>` in two cases (tools/perf/util/stat-display.c): with 100 %, the process did not execute
+    in the interval, and nothing happened; with less, other events had the counters, and nobody knows what happened.
 
     Example:
         >>> parse_perf(["     1.000116;2003.19;msec;task-clock;2003192961;100.00;2.000;CPUs utilized"])
@@ -47,8 +50,12 @@ def _row(cells: Sequence[str]) -> Row | None:
     if len(cells) < 6 or cells[0].lstrip().startswith("#"):  # noqa: PLR2004 - time, count, unit, event, run time, share
         return None
     time, count, _, event, _, share = (cell.strip() for cell in cells[:6])
-    is_told = count not in _NOT_SUPPORTED
-    return {"span": time, event: count if is_told else None, f"{event} counted": share if is_told else None}
+    count, share = count.replace(",", "."), share.replace(",", ".")  # perf writes the decimal sign of the language
+    if count == _NOT_SUPPORTED:
+        return {"span": time, event: None, f"{event} counted": None}
+    if count == _NOT_COUNTED:
+        return {"span": time, event: "0" if float(share or 0) >= _ALL_TIME else None, f"{event} counted": share}
+    return {"span": time, event: count, f"{event} counted": share}
 
 
 class PerfStat(CommandProfiler):
@@ -123,7 +130,7 @@ class PerfStat(CommandProfiler):
         yield from super().doubts(measured)
         for event in self.events:
             told = [row[event] for row in measured.rows if event in row]
-            shares = [float(row[f"{event} counted"] or 0) for row in measured.rows if row.get(event)]
+            shares = [float(share) for row in measured.rows if (share := row.get(f"{event} counted"))]
             if told and not shares:
                 yield f"this machine cannot count {event!r}"
             elif shares and min(shares) < _FULL_TIME:
@@ -158,7 +165,7 @@ class PerfStat(CommandProfiler):
         if trial.returncode:
             said = " ".join(trial.stderr.split())[:200]
             return [Finding.error(where, f"perf refuses: {said}", "Choose events that `perf list` names.")]
-        refused = [event for event in self.events if f"{_NOT_SUPPORTED[0]};;{event};" in trial.stderr]
+        refused = [event for event in self.events if f"{_NOT_SUPPORTED};;{event};" in trial.stderr]
         problem = "this machine cannot count"
         return [Finding.warning(where, f"{problem} {event!r}: no value", "Leave it out.") for event in refused]
 

@@ -119,7 +119,8 @@ class ScrapedMetric:
         stem = self.name.removesuffix("_total")
         camel = "".join(part[:1].upper() + part[1:] for part in re.split("[_:]+", stem))
         suffix = "".join("_" + re.sub(r"\W+", "_", value).strip("_") for value in self.labels.values())
-        unit = next((unit for ending, unit in _UNITS.items() if stem.endswith(f"_{ending}")), "1")
+        told = stem.removesuffix("_sum")  # a histogram's or summary's sum has the unit of what it adds up
+        unit = next((unit for ending, unit in _UNITS.items() if told.endswith(f"_{ending}")), "1")
         what, over = ("increase", Over.SUM) if self.counts else ("mean", Over.MEAN)
         return Measure(camel + suffix, unit, f"{self.selector}, {what} over the measured window.", over=over)
 

@@ -12,11 +12,11 @@ from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
-from robot_runner.meters.counters import unwrapped
+from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
@@ -198,6 +198,13 @@ class Rapl(PolledProfiler[Counters]):
             by_kind[domain.kind] += counted * _MICRO
         others = {_measure_of(kind).name: by_kind[kind] for kind in self.domains}
         return {"Energy": by_kind["package"], "MeanPower": by_kind["package"] / sampling.window.duration, **others}
+
+    def doubts(self, sampling: Sampling[Counters]) -> Iterator[str]:
+        """Yield that a counter was set to 0, as by a computer that was suspended."""
+        within = sampling.within().readings
+        for place, domain in enumerate(self._domains):
+            if fall_count([reading[place] for reading in within], domain.wraps_at):
+                yield f"the counter of {domain.label} was set back: what it counted shortly before that is lost"
 
     def details(self) -> Mapping[str, Any]:
         """Return which domains were read, and where their counters begin at 0 again."""

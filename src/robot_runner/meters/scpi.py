@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 _INSTALL = "Install it: pip install 'robot-runner[scpi]'."
 _ENERGY_UNITS = {"J": 1.0, "Wh": 3600.0, "kWh": 3.6e6}
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
+#: A number, and the prefix of its unit where an instrument answers `150 mA`; the unit of an energy counter is declared.
+_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)(?:\s*([munk])[WVA]\b)?", re.IGNORECASE)
+_PREFIXES = {"m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 #: What stands for an overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
 _NO_NUMBER = 9.9e37
 #: What stands in the way where an instrument cannot be opened, by a word of what PyVISA says.
@@ -43,11 +45,11 @@ _REMEDY = "Look whether it is switched on, its address, and whether its remote i
 
 
 def parse_number(answer: str) -> float:
-    """Return the number with which an instrument's answer begins; a unit or further numbers may follow.
+    """Return the number with which an instrument's answer begins, in W, V or A; further numbers may follow.
 
     Example:
-        >>> parse_number("+1.25000E+01,V")
-        12.5
+        >>> parse_number("+1.25000E+01,V"), parse_number("150mA")
+        (12.5, 0.15)
 
     Raises:
         ValueError: it begins with none, or stands for an overload or for no number.
@@ -58,7 +60,7 @@ def parse_number(answer: str) -> float:
     number = float(match[1])
     if not math.isfinite(number) or abs(number) >= _NO_NUMBER:
         raise ValueError(f"the instrument answered {answer.strip()[:40]!r}: an overload, or no value")
-    return number
+    return number * _PREFIXES.get((match[2] or "").lower(), 1.0)
 
 
 class _Instrument:

@@ -68,11 +68,15 @@ class Rail:
     def read(self, lines: Mapping[str, str | None]) -> ElectricalReading:
         """Return what the lines of the files say, by path; power is voltage times current where no file tells it.
 
+        The same where a chip of the INA family tells of a current backwards: its power register has no sign (Linux,
+        drivers/hwmon/ina2xx.c).
+
         Raises:
             ValueError: a file could not be read, or holds no number.
         """
         told = {quantity: _number(file, lines.get(file.path)) for quantity, file in self.files.items()}
-        if "power" not in told and {"voltage", "current"} <= told.keys():
+        is_backwards = self.chip.startswith("ina") and told.get("current", 0.0) < 0
+        if ("power" not in told or is_backwards) and {"voltage", "current"} <= told.keys():
             told["power"] = told["voltage"] * told["current"]
         return ElectricalReading(**told)
 

@@ -86,6 +86,20 @@ def test_a_driver_that_was_told_of_another_shunt_is_mended(tree, host, where, fi
     assert reading == pytest.approx((0.613, 12.4, 7.6), rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("where", "files"),
+    [
+        ("hwmon/hwmon3", {**HWMON, "curr1_input": "-613"}),
+        ("iio/iio:device0", {**IIO, "in_voltage0_raw": "-6130"}),
+    ],
+)
+def test_power_that_flows_back_is_negative_though_the_chips_power_register_has_no_sign(tree, host, where, files):
+    tree(where, files)
+    sensor = found(host)
+    reading = sensor.read(host.read_files(sensor.paths), shunt_ohm=0.1)
+    assert reading == pytest.approx((-0.613, 12.4, -7.6), rel=1e-3)
+
+
 def test_of_several_sensors_one_must_be_named(tree, host):
     folders = [tree("hwmon/hwmon1", HWMON), tree("hwmon/hwmon2", HWMON)]
     with pytest.raises(LinkError, match="there are 2 sensors") as caught:

@@ -36,6 +36,13 @@ def test_a_whole_computer_is_understood(tmp_path: Path) -> None:
     assert found.is_under_voltage is None  # no firmware tells
 
 
+def test_a_zone_that_measures_nothing_is_not_the_hottest(tmp_path: Path) -> None:
+    copy = ComputerCopy(tmp_path)
+    copy.write("sys/class/thermal/thermal_zone2/temp", 100000)
+    copy.write("sys/class/thermal/thermal_zone2/type", "PMIC-Die")
+    assert MachineFiles(SystemFiles(tmp_path)).conditions().temperature == pytest.approx(61.5)
+
+
 def test_a_fan_does_not_hold_the_processor_back_and_a_cooling_device_of_the_processor_does(tmp_path: Path) -> None:
     copy = ComputerCopy(tmp_path)
     copy.write("sys/class/thermal/cooling_device1/cur_state", 3)  # the fan

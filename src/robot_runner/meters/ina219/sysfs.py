@@ -89,7 +89,9 @@ class SysfsSensor:
         # The driver reckoned with the shunt that it was told of.
         micro_watt, milli_ampere, milli_volt = numbers
         mended = self.shunt_ohm / shunt_ohm
-        return Reading(milli_ampere * 1e-3 * mended, milli_volt * 1e-3, micro_watt * 1e-6 * mended)
+        current, voltage = milli_ampere * 1e-3 * mended, milli_volt * 1e-3
+        # The chip's power register has no sign, its current register has one (Linux, drivers/hwmon/ina2xx.c).
+        return Reading(current, voltage, current * voltage if current < 0 else micro_watt * 1e-6 * mended)
 
     def _of_iio(self, numbers: Sequence[int], shunt_ohm: float) -> Reading:
         shunt_volt, bus_volt = (raw * scale * 1e-3 for raw, scale in zip(numbers, self.scales, strict=True))

@@ -22,8 +22,10 @@ _TICKS = 100.0
 _KILO, _MILLI, _MICRO = 1e3, 1e-3, 1e-6
 _MOST = 1 << 16
 _PF_KTHREAD = 0x00200000  # linux/sched.h
-#: Zones that show no such temperature, in degC, are asleep or broken.
+#: Zones that show no such temperature, in degC, are asleep or broken; a GPU that sleeps shows -256.
 _PLAUSIBLE = (-40.0, 150.0)
+#: Zones that measure nothing: NVIDIA's Jetsons show 100 degC there, always (balena-os/balena-jetson, issue 142).
+_DUMMY_ZONES = ("PMIC-Die",)
 #: Cooling devices that hold the processor back; the others are fans and the like.
 _PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "thermal-idle")
 #: The firmware of a Raspberry Pi (raspberrypi/linux, pull request 2397), in hexadecimal: bit 0 is under-voltage; bits
@@ -195,14 +197,18 @@ class MachineFiles:
         self._governors = _named(policies, "scaling_governor")
         self._frequencies = _named(policies, "scaling_cur_freq")
         self._limits = _named(policies, "scaling_max_freq")
-        self._temperatures = [path for path in _named(thermal, "temp") if "thermal_zone" in path]
         self._counters = files.list_files(f"{_CPU}/cpu[0-9]*/thermal_throttle/*_throttle_count")
-        types = [path for path in _named(thermal, "type") if "cooling_device" in path]
-        kinds = zip(types, files.read_files(types) if types else (), strict=True)
+        types = _named(thermal, "type")
+        kinds = dict(zip(types, files.read_files(types) if types else (), strict=True))
+        self._temperatures = [
+            path
+            for path in _named(thermal, "temp")
+            if "thermal_zone" in path and is_measured(kinds.get(f"{path.removesuffix('temp')}type"))
+        ]
         self._coolers = [
             f"{path.removesuffix('type')}cur_state"
-            for path, kind in kinds
-            if (kind or "").startswith(_PROCESSOR_COOLERS)
+            for path, kind in kinds.items()
+            if "cooling_device" in path and (kind or "").startswith(_PROCESSOR_COOLERS)
         ]
         self._cheap = [
             *(_NO_TURBO, _BOOST, _FIRMWARE),
@@ -253,7 +259,6 @@ class MachineFiles:
             return [number for path in paths if (number := _number(texts[path])) is not None]
 
         temperatures = [each * _MILLI for each in numbers(self._temperatures)]
-        plausible = [each for each in temperatures if _PLAUSIBLE[0] < each < _PLAUSIBLE[1]]
         counts, coolers = numbers(self._counters), numbers(self._coolers)
         flags = _hexadecimal(texts[_FIRMWARE])
         tells = bool(coolers) or flags is not None
@@ -263,12 +268,22 @@ class MachineFiles:
             is_turbo=_turbo(_number(texts[_NO_TURBO]), _number(texts[_BOOST])),
             frequency=_mean(numbers(self._frequencies), _KILO),
             limit=_mean(numbers(self._limits), _KILO),
-            temperature=max(plausible, default=None),
+            temperature=max(filter(is_plausible, temperatures), default=None),
             throttle_count=int(sum(counts)) if counts else None,
             is_held_back=any(coolers) or bool(now & _HELD_BACK) if tells else None,
             is_under_voltage=None if flags is None else bool(now & _UNDER_VOLTAGE),
             firmware_flags=(now | now >> _EVER) & (_UNDER_VOLTAGE | _HELD_BACK),
         )
+
+
+def is_measured(zone: str | None) -> bool:
+    """Whether a thermal zone of this type measures a temperature."""
+    return zone not in _DUMMY_ZONES
+
+
+def is_plausible(celsius: float) -> bool:
+    """Whether a thermal zone that shows this temperature, degC, measures it."""
+    return _PLAUSIBLE[0] < celsius < _PLAUSIBLE[1]
 
 
 def _named(paths: Iterable[str], name: str) -> list[str]:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import AnalysisError
-from robot_runner.meters.network import counted
+from robot_runner.meters.counters import unwrapped
+from robot_runner.meters.network import WORD
 from robot_runner.meters.power_model.raw_columns import heading_of, read_numbers
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ class Components:
         if not self.traffic or not places:
             return None
         before, after = places
-        total = sum(counted([int(column[before]), int(column[after])])[-1] for column in self.traffic.columns)
+        total = sum(unwrapped([int(column[before]), int(column[after])], WORD)[-1] for column in self.traffic.columns)
         return total / _MEGA / (self.traffic.times[after] - self.traffic.times[before])
 
     def gpu(self, start: float, end: float) -> float | None:

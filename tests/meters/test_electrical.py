@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import pytest
+
+from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
+from robot_runner.testing import FakeClock, make_context, rehearse
+
+
+class ScriptedMeter(ElectricalProfiler):
+    """Says what a function of time says."""
+
+    def __init__(self, say):
+        super().__init__(name="Meter", rate_hz=10.0)
+        self._say = say
+
+    def open(self, context):
+        self._clock = context.clock
+        return self
+
+    def read(self):
+        return (self._say(self._clock.now()),)
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def measure(tmp_path):
+    def execute(say):
+        clock, plugin = FakeClock(), ScriptedMeter(say)
+        context = make_context(tmp_path, plugin, robot=None, clock=clock)
+        rehearse(context, plugin, mission=lambda: clock.sleep(10.0))
+        return context.measures, [finding.problem for finding in context.broker.findings]
+
+    return execute
+
+
+def wobbling(time):
+    return 12.0 + 0.001 * (round(time * 10) % 2)
+
+
+def test_power_that_is_told_for_a_part_of_the_window_is_not_that_of_the_whole(measure):
+    measures, problems = measure(lambda time: ElectricalReading(8.0 if time > 6.0 else None, wobbling(time)))
+    assert (measures["Energy"], measures["MeanPower"]) == (None, None)
+    assert measures["MeanVoltage"] == pytest.approx(12.0, abs=0.01)
+    assert problems == ["the power was told in 40 of 101 readings only"]
+
+
+def test_a_counter_that_is_told_for_a_part_of_the_window_does_not_stand_for_the_whole(measure):
+    measures, problems = measure(
+        lambda time: ElectricalReading(None, wobbling(time), joules=8.0 * time if time > 6.0 else None)
+    )
+    assert measures["Energy"] is None
+    assert problems == ["the energy was told in 40 of 101 readings only"]
+
+
+def test_a_reading_without_power_now_and_then_is_bridged(measure):
+    measures, problems = measure(
+        lambda time: ElectricalReading(None if round(time * 10) % 3 == 0 else 8.0, wobbling(time))
+    )
+    assert measures["Energy"] == pytest.approx(80.0)
+    assert not problems
