@@ -242,6 +242,12 @@ def test_what_no_column_is_for_is_kept_aside_and_the_row_does_not_shift(
     [
         ("float('nan')", ""),
         ("float('inf')", ""),
+        ("__import__('numpy').float32('nan')", ""),
+        ("__import__('numpy').float32('-inf')", ""),
+        ("__import__('numpy').datetime64('NaT')", ""),
+        ("__import__('decimal').Decimal('NaN')", ""),
+        ("__import__('decimal').Decimal('Infinity')", ""),
+        ("__import__('numpy').ma.masked", ""),
         ("[1, 2]", "[1, 2]"),
         ("True", "True"),
         ("' '", ""),

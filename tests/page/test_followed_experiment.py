@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.analysis import experiment_folders
 
+from robot_runner.core.execution import experiment_status
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.lock import Holder
+from robot_runner.page import followed_experiment
 from robot_runner.page.followed_experiment import FollowedExperiment
 from robot_runner.page.found_experiments import FoundExperiments, id_of
 from robot_runner.page.journal_tail import JournalTail
@@ -83,6 +87,102 @@ def test_records_reach_rows_means_and_findings(root: Path) -> None:
     means = next(each for each in parts["means"] if each["factor"] == "Task")
     assert any(cells[0][1] == pytest.approx(886.0) for cells in (each["cells"] for each in means["rows"]))
     assert parts["findings"]["last"][-1]["problem"] == "it is odd"
+
+
+@pytest.fixture
+def held(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have every experiment be executed by somebody: no process sees the locks that are its own."""
+    for module in (experiment_status, followed_experiment):
+        monkeypatch.setattr(module, "holder_of", lambda _: Holder(1, "lab", AT))
+
+
+def means_of(parts: dict[str, Any]) -> list[Any]:
+    """Return how many runs the means of each task are of, and these means."""
+    task = next(each for each in parts["means"] if each["factor"] == "Task")
+    return [row["cells"][0][:2] for row in task["rows"]]
+
+
+def test_a_run_that_is_left_out_is_in_no_mean_from_then_on(root: Path) -> None:
+    followed = FollowedExperiment(root)
+    settled(followed)
+    with (root / "journal.jsonl").open("a") as journal:
+        journal.write(line("excluded", run="r_1", reason="the door was open"))
+        journal.flush()
+        assert means_of(settled(followed)) == means_of(followed.snapshot()) == [[1, 872.0], [2, 835.0]]
+        journal.write(line("included", run="r_1"))
+        journal.flush()
+        assert means_of(settled(followed)) == [[2, 871.0], [2, 835.0]]
+
+
+@pytest.mark.usefixtures("held")
+def test_who_comes_while_a_run_goes_on_is_told_what_is_left_by_then(root: Path) -> None:
+    begun = datetime.now(UTC) - timedelta(seconds=600)
+    left = {"run": 1000.0, "others": 50.0, "is_least": False}
+    with (root / "journal.jsonl").open("a") as journal:
+        journal.write(json.dumps(json.loads(begin("r_1")) | {"at": begun.isoformat(), "left": left}) + "\n")
+        journal.flush()
+        followed = FollowedExperiment(root)
+        told = settled(followed)["state"]["left"]
+        assert told == pytest.approx(450.0, abs=60)
+        followed._history._left_at = (begun - timedelta(seconds=200)).isoformat()  # as if that long had passed since
+        assert followed.snapshot()["state"]["left"] == pytest.approx(told - 200, abs=60)
+
+
+def test_a_folder_that_is_gone_is_told_and_shown_again_once_it_is_back(root: Path) -> None:
+    followed = FollowedExperiment(root)
+    settled(followed)
+    away = root.rename(root.with_name("renamed"))
+    state = settled(followed)["state"]
+    assert (state["word"], "no longer there" in state["problem"]["problem"]) == ("unreadable", True)
+    away.rename(root)
+    settled(followed)
+    assert followed.snapshot()["state"]["word"] == "done"
+
+
+def test_a_journal_in_the_place_of_one_that_was_removed_is_read_from_its_beginning(tmp_path: Path) -> None:
+    path, away = tmp_path / "journal.jsonl", tmp_path / "away"
+    tail = JournalTail(path)
+    path.write_text(begin("r_1"))
+    tail.read()
+    path.rename(away)
+    assert tail.read() == []
+    away.write_text(begin("r_1") + begin("r_2"))  # the system gives the number of a file that was removed again
+    away.rename(path)
+    assert [each["run"] for each in tail.read()] == ["r_1", "r_2"]
+    assert tail.has_begun_anew
+
+
+def test_an_experiment_that_begins_anew_has_no_doubts_of_the_one_before(root: Path) -> None:
+    followed = FollowedExperiment(root)
+    settled(followed)
+    journal = root / "journal.jsonl"
+    with journal.open("a") as file:
+        file.write(begin("r_1") + end("r_1", 900.0, doubts=("the sensor was at its limit",)))
+    settled(followed)
+    assert followed.rows(0, 1)["rows"][0][5] == ["Energy"]
+    again = journal.with_name("again")
+    again.write_text(line("experiment_started", runs=4))
+    again.replace(journal)
+    settled(followed)
+    assert followed.rows(0, 1)["rows"][0][5] == []
+
+
+@pytest.mark.usefixtures("held")
+def test_the_curves_of_a_run_that_is_tried_again_are_those_of_the_new_attempt(root: Path) -> None:
+    samples = root / "runs" / "r_1" / "Ina219" / "samples.csv"
+    samples.parent.mkdir(parents=True, exist_ok=True)
+    with (root / "journal.jsonl").open("a") as journal:
+        journal.write(begin("r_1"))
+        journal.flush()
+        samples.write_text("time_s,power_w\n" + "".join(f"{second},1.0\n" for second in range(5)))
+        followed = FollowedExperiment(root)
+        version = settled(followed)["samples"]["runs"]["r_1"]
+        samples.write_text("time_s,power_w\n" + "".join(f"{second},2.0\n" for second in range(9)))
+        journal.write(end("r_1", None, status="failed").replace('"is_last":true', '"is_last":false') + begin("r_1"))
+        journal.flush()
+        assert settled(followed)["samples"]["runs"]["r_1"] > version
+        (curves,) = (each for each in followed.curves("r_1") if each["plugin"] == "Ina219")
+        assert curves["columns"][0]["low"] == [2.0] * 9
 
 
 def test_the_journal_is_read_once_and_torn_or_damaged_lines_harm_nothing(tmp_path: Path) -> None:

@@ -255,6 +255,24 @@ def test_a_page_goes_on_after_its_server_was_started_anew(
         assert text(browser, "#link") == "live"
 
 
+def test_how_long_a_run_goes_on_is_told_by_the_clock_of_the_experiment(
+    browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = write_config("def launch_mission(self, context): context.clock.sleep(600)")
+    root = tmp_path / "results" / "trial"
+    with executed(config):
+        wait_until(lambda: any(read_journal(root / "journal.jsonl", kinds={"attempt_started"})))
+        page = serve_page(root)
+        wrong = browser.call(
+            "Page.addScriptToEvaluateOnNewDocument", source="Date.now = () => Date.parse('2050-01-01')"
+        )
+        try:
+            browser.open(page.links["Here"])
+            browser.wait_for(seen("#flight-list [data-since]", "^for [0-9]+ (s|min)"))
+        finally:
+            browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=wrong["identifier"])
+
+
 def make_large(root: Path, runs: int) -> None:
     """Write the experiment of many runs that are done, as it is on disk."""
     root.mkdir(parents=True)

@@ -83,8 +83,8 @@ def test_other_sites_and_names_are_refused(page: ServedPage, one: str) -> None:
     own = f"127.0.0.1:{page.port}"
     rebound = page.ask("/", Host=f"evil.example:{page.port}")
     assert (rebound.status, "not served under that name" in rebound.json["problem"]) == (421, True)
-    assert page.ask("/", Host="127.0.0.1:1").status == 421
     assert page.ask("/", Host=f"localhost:{page.port}").status == 200
+    assert page.ask("/", Host="[::1]").status == 200
     assert page.ask(f"{one}/rows", Sec_Fetch_Site="cross-site").status == 403
     assert page.ask(f"{one}/rows", Origin="http://evil.example").status == 403
     assert page.act(f"{one}/pause", {}, Origin="http://evil.example").status == 403
@@ -95,6 +95,26 @@ def test_other_sites_and_names_are_refused(page: ServedPage, one: str) -> None:
     assert page.ask(f"{one}/pause", method="POST", body={}, Origin=f"http://{own}").status == 403  # as a form would
     assert page.act(f"{one}/pause", {"a": "x" * 70_000}).status == 413
     assert page.act(f"{one}/pause", ["no object"]).status == 400
+
+
+def test_a_folder_whose_name_is_no_text_is_shown_as_any(serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"caf\xe9")
+    (folder / os.fsdecode(b"gar\xe7on")).mkdir(parents=True)
+    (folder / os.fsdecode(b"gar\xe7on") / "journal.jsonl").touch()
+    page = serve_page(folder)
+    assert page.ask("/api/about").json["name"] == "caf?"
+    metrics = page.ask("/metrics")
+    assert (metrics.status, b'folder="caf?/gar?on"' in metrics.body) == (200, True)
+
+
+def test_proxies_and_tunnels_may_have_a_port_of_their_own(
+    serve_page: Callable[..., ServedPage], tmp_path: Path
+) -> None:
+    page = serve_page(tmp_path, "--name", "lab.example")
+    login = {"key": page.key()}
+    assert page.act("/api/login", login, Host="lab.example", Origin="https://lab.example").status == 200
+    assert page.act("/api/login", login, Host="localhost:9000", Origin="http://localhost:9000").status == 200
+    assert page.act("/api/login", login, Host="lab.example", Origin="https://lab.example:9000").status == 403
 
 
 def test_every_answer_forbids_what_the_page_does_not_need(page: ServedPage, one: str) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import gzip
+import io
 import json
+import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -127,6 +131,26 @@ def test_keys_links_and_what_is_half_written_stay_behind(copied, tmp_path):
     assert "`robot.pem`" in _text(packed.path, "README.md")
 
 
+def test_a_file_whose_name_is_no_text_stays_behind_and_is_told(copied, tmp_path):
+    Path(os.fsdecode(os.fsencode(copied) + b"/runs/r_1/caf\xe9.txt")).write_text("from another system\n")
+    cut_off = gzip.compress(b"x")[:-4]
+    with tarfile.open(copied / "runs" / "r_1" / "old.tar", "w") as archive:
+        member = tarfile.TarInfo(os.fsdecode(b"caf\xe9.gz"))
+        member.size = len(cut_off)
+        archive.addfile(member, io.BytesIO(cut_off))
+    packed = _pack(copied, tmp_path / "small.zip")
+    assert [each.name for each in packed.left_out] == [r"runs/r_1/caf\udce9.txt"]
+    assert [r"caf\udce9" in each.why for each in packed.not_searched] == [True]
+    assert json.loads(_text(packed.path, "package.json"))["left_out"][0]["name"] == packed.left_out[0].name
+
+
+def test_files_in_whose_place_the_package_has_its_own_are_told(copied, tmp_path, unpacked):
+    (copied / "README.md").write_text("The door was open on Monday.\n", encoding="utf-8")
+    packed = _pack(copied, tmp_path / "small.zip")
+    assert [each.name for each in packed.left_out] == ["README.md"]
+    assert _pack(unpacked, tmp_path / "again.zip").left_out == (), "they are of the package before"
+
+
 def test_a_binary_file_with_a_secret_is_left_out_unless_it_is_kept(copied, tmp_path):
     (copied / "recording.db3").write_bytes(b"\0\1\2 /home/ada/bags \0")
     assert [each.name for each in _pack(copied, tmp_path / "a.zip").left_out] == ["recording.db3"]
@@ -195,6 +219,13 @@ def test_a_file_that_is_no_package_is_not_replaced(copied, tmp_path):
     with pytest.raises(PackageError, match="is not a package"):
         pack(copied, tmp_path / "notes.zip")
     assert (tmp_path / "notes.zip").read_text(encoding="utf-8") == "mine"
+
+
+def test_a_folder_is_not_taken_for_a_file_to_be_removed(copied, tmp_path):
+    (tmp_path / "packages").mkdir()
+    with pytest.raises(PackageError, match="is a folder") as refused:
+        _pack(copied, tmp_path / "packages")
+    assert refused.value.fix == f"Name a file in it: {tmp_path / 'packages' / 'small.zip'}"
 
 
 def test_memory_does_not_grow_with_the_size_of_a_file(copied, tmp_path):

@@ -58,6 +58,12 @@ def test_an_intact_package_is_intact_zipped_and_unpacked(packed, unpacked):
     assert _verify(unpacked).file_count == packed.file_count
 
 
+def test_what_a_desktop_leaves_in_a_folder_that_is_looked_at_is_no_alteration(unpacked):
+    (unpacked / ".DS_Store").write_bytes(b"Bud1")
+    (unpacked / "runs" / "Thumbs.db").write_bytes(b"Thumbs")
+    assert _verify(unpacked).is_intact
+
+
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.999])
 def test_a_truncated_package_is_refused(packed, tmp_path, share):
     content = packed.path.read_bytes()

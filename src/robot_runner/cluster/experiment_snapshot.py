@@ -46,7 +46,10 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
     robot = experiment.parameters.robot
     return {
         "config": experiment.config_path.name,
-        "files": {path.relative_to(root).as_posix(): path.read_text("utf-8") for path in config_files(experiment)},
+        # Byte by byte, each as the character of its number: Python reads the encoding from the file itself.
+        "files": {
+            path.relative_to(root).as_posix(): path.read_bytes().decode("latin-1") for path in config_files(experiment)
+        },
         # A robot that was found by `auto` was found here, and is meant there as well.
         "set": {**experiment.overrides, **({"robot": robot} if isinstance(robot, str) else {})},
         "batches": "".join(line.decode("utf-8").rstrip("\n") + "\n" for line in batches),
@@ -67,7 +70,7 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
     for name, text in snapshot["files"].items():
         path = folder / "source" / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        path.write_bytes(text.encode("latin-1"))
     settings = {**snapshot["set"], "cluster": _NO_CLUSTER, "results_output_path": str(folder / "experiments")}
     path = folder / "source" / snapshot["config"]
     if snapshot["batches"]:  # the design has grown; where to look for that is known once the config was read

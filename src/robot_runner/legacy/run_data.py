@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,11 @@ from robot_runner.legacy.run_tables import PROGRESS, value_of
 if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.legacy.run_tables import EarlierDesign
+
+
+#: How numbers are written that are none, of Python, NumPy and pandas: many are no `float`, as one of 32 bits.
+_NO_VALUE = frozenset({"nan", "nat", "<na>", "--"})
+_INFINITE = frozenset({"inf", "-inf", "infinity", "-infinity"})
 
 
 def as_mapping(returned: Any) -> Mapping[Any, Any]:
@@ -60,12 +64,13 @@ def _publish(context: RobotRunnerContext, column: Any, name: str, value: Any) ->
 
 def _plain(context: RobotRunnerContext, column: Any, name: str, value: Any) -> MeasureValue:
     """Return a value as a cell can hold it: what is no number, bool or text stands there as its text."""
-    if isinstance(value, float) and math.isnan(value):
-        problem = f"{column} is not a number (nan): there is no value"
+    written = "" if isinstance(value, str) else str(value).casefold()
+    if written in _NO_VALUE:
+        problem = f"{column} is not a number ({value}): there is no value"
         context.doubt(problem, fix="Return None where there is no value.", measures=[name])
         return None
-    if isinstance(value, float) and math.isinf(value):
-        return value  # refused by the gate, with a reason
+    if written in _INFINITE:
+        return float(value)  # refused by the gate, with a reason
     try:
         return as_measure_value(str(column), value, where="config")
     except MeasureError:

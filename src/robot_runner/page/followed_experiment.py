@@ -49,7 +49,6 @@ class FollowedExperiment:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.table = FollowedTable()
         self._lock = threading.Lock()
         self._begin_anew()
 
@@ -57,6 +56,7 @@ class FollowedExperiment:
         self._files = ExperimentFolder.found_at(self.folder)
         self._tail = JournalTail(self._files.journal)
         self._history = ExperimentHistory()
+        self.table = FollowedTable()
         self._means = MeansSoFar(self.table)
         self._status: ExperimentStatus | None = None
         self._error: RobotRunnerError | None = None
@@ -68,6 +68,7 @@ class FollowedExperiment:
         self._refused_table = (0, 0)
         self._since_table: dict[str, Mapping[str, Any]] = {}
         self._robot: str | None = None
+        self._left_out: set[int] = set()
         self._has_caught_up = False
 
     @property
@@ -108,6 +109,9 @@ class FollowedExperiment:
         if self._tail.has_begun_anew:
             self._begin_anew()
             records = self._tail.read()
+        if self._status is not None and not self.folder.exists():
+            self._signs = ()  # once it is back, that is told
+            raise StorageError("the experiment's folder is no longer there", fix="Was it moved, renamed or removed?")
         parts: dict[str, Any] = {}
         if self._table_is_due:
             parts |= self._read_table()
@@ -144,6 +148,7 @@ class FollowedExperiment:
         if self._has_caught_up:
             self._history.take_rows(rows)
         self._means.begin_anew()
+        self._left_out = set()
         return {"table": self._columns()}
 
     def _take(self, record: Mapping[str, Any]) -> None:
@@ -173,6 +178,8 @@ class FollowedExperiment:
             left = record.get("left")
             expected = left.get("run") if isinstance(left, dict) else None
             self._doing[record["run"]] = {"since": record["at"], "attempt": record["attempt"], "expected": expected}
+            if (earlier := self._curves.get(record["run"])) is not None:  # its files are written anew
+                self._curves[record["run"]] = RunCurves(self._files, record["run"], earlier.version + 1)
             self._slots[record["run"]] = record.get("slot", 1)
         elif kind == "attempt_finished":
             self._doing.pop(record["run"], None)
@@ -193,12 +200,13 @@ class FollowedExperiment:
         parts["state"] = self._state()
         parts["findings"] = self._findings()
         changed, self.table.changed = self.table.changed, set()
-        self._means.forget(changed)
+        before, self._left_out = self._left_out, self._excluded()
+        self._means.forget(changed | (before ^ self._left_out))
         if changed and "table" not in parts:
             told = sorted(changed)[:_MOST_ROWS]
             parts["rows"] = {"rows": [self.table.row(place) for place in told], "is_all": len(changed) <= _MOST_ROWS}
-        if changed or "table" in parts:
-            parts["means"] = self._means.told(self._excluded())
+        if changed or "table" in parts or before != self._left_out:
+            parts["means"] = self._means.told(self._left_out)
 
     def _mark_in_flight(self) -> None:
         """Have the rows of runs in flight say so; where nobody executes them any longer, they are to do again."""
@@ -247,7 +255,7 @@ class FollowedExperiment:
             "word": self._word(),
             "counts": {name: getattr(status, name) for name in ("run_count", "done", "failed", "todo", "warm_ups")},
             "excluded": len(status.excluded),
-            "left": status.seconds_left,
+            "left": self._seconds_left(status),
             "left_is_least": status.left_is_least,
             "told_at": time.time(),
             "in_flight": [self._flying(each) for each in status.in_flight],
@@ -264,6 +272,11 @@ class FollowedExperiment:
             "has_report": (self._files.report / "report.html").is_file(),
             "problem": None,
         }
+
+    def _seconds_left(self, status: ExperimentStatus) -> float | None:
+        """Return how long it takes from this moment: the status is as old as the last record."""
+        left = self._history.left if status.holder is not None else None
+        return status.seconds_left if left is None else left.after(self._history.since_left)
 
     def _problem(self) -> dict[str, str] | None:
         if self._error is None:

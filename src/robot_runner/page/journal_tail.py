@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 #: How much is read at once: some 4,000 records, which take 50 ms.
 _AT_ONCE = 1_000_000
+#: In the place of a file that was removed: the next one is another, though the system may give it the same number.
+_GONE = (-1, -1)
 
 
 class JournalTail:
@@ -50,6 +52,8 @@ class JournalTail:
         try:
             found = self._path.lstat()
         except OSError:  # missing, or where nobody may look: opening says so
+            if self._file is not None:
+                self._file = _GONE
             return []
         if self._file == (found.st_dev, found.st_ino) and found.st_size == self._size and not self.is_behind:
             return []

@@ -6,6 +6,7 @@ import hashlib
 import hmac
 import ipaddress
 import os
+import re
 import secrets
 import socket
 import time
@@ -124,20 +125,17 @@ def known_names(more: Iterable[str] = ()) -> frozenset[str]:
     return frozenset({"localhost", name, f"{name.partition('.')[0]}.local", *(each.casefold() for each in more)})
 
 
-def is_known_host(header: str, port: int, names: frozenset[str]) -> bool:
+def is_known_host(header: str, names: frozenset[str]) -> bool:
     """Return whether a request was addressed to this machine.
 
     A page elsewhere whose name was rebound to this address sends its own name; an address in figures cannot be rebound.
+    The port may be any: proxies and tunnels have their own.
 
     Example:
-        >>> is_known_host("127.0.0.1:8642", 8642, frozenset()), is_known_host("evil.example:8642", 8642, frozenset())
+        >>> is_known_host("127.0.0.1:8642", frozenset()), is_known_host("evil.example:8642", frozenset())
         (True, False)
     """
-    host, colon, given = header.rpartition(":") if not header.endswith("]") else (header, "", "")
-    if not colon:
-        host, given = header, "80"
-    if given != str(port):
-        return False
+    host = re.sub(r":[0-9]*$", "", header)
     try:
         ipaddress.ip_address(host.removeprefix("[").removesuffix("]"))
     except ValueError:

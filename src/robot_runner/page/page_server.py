@@ -191,7 +191,7 @@ class LivePage:
 
     def _refused(self, method: str, headers: dict[str, str], address: str) -> Response | None:
         is_action = method not in {"GET", "HEAD"}
-        if not is_known_host(headers.get("host", ""), self._settings.port, self._settings.names):
+        if not is_known_host(headers.get("host", ""), self._settings.names):
             return _plain(421, "This page is not served under that name. robot-runner watch --name NAME adds one.")
         if not is_of_same_origin(headers, is_action=is_action):
             return _plain(403, "This request comes from another site.")
@@ -237,7 +237,8 @@ class LivePage:
         only = await asyncio.to_thread(lambda: self._found.only)
         may_act = self.role(request) is Role.ACTS
         links = {"LOOKS": self._settings.keys.key(Role.LOOKS)}
-        return JSONResponse({"only": only, "may_act": may_act, "name": self._settings.folder.name, "links": links})
+        told = {"only": only, "may_act": may_act, "name": self._settings.folder.name, "links": links}
+        return Response(as_json(told), media_type="application/json")
 
     async def _index_events(self, request: Request) -> Any:
         return self._stream(request, self._index)
@@ -287,7 +288,8 @@ class LivePage:
         del request
         told = (await asyncio.to_thread(self._found.look))["experiments"]
         viewers = self._followers.viewers + len(self._index)
-        return Response(metrics_text(told, viewers), media_type="text/plain; version=0.0.4; charset=utf-8")
+        text = metrics_text(told, viewers).encode("utf-8", "replace")  # the name of a folder need not be text
+        return Response(text, media_type="text/plain; version=0.0.4; charset=utf-8")
 
     async def _folder(self, request: Request) -> Path:
         folder = await asyncio.to_thread(self._found.folder, request.path_params["experiment"])

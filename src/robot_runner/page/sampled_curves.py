@@ -195,14 +195,15 @@ class RunCurves:
     Args:
         files: the experiment's folder.
         run_id: the run.
+        version: grows whenever there is anything new.
     """
 
-    def __init__(self, files: ExperimentFolder, run_id: str) -> None:
+    def __init__(self, files: ExperimentFolder, run_id: str, version: int = 0) -> None:
         self._files = files
         self.run_id = run_id
         self._folder = files.run(run_id)
         self._known: dict[Path, _SampleFile] = {}
-        self.version = 0
+        self.version = version
 
     def look(self) -> bool:
         """Read what was appended since; returns whether there is more to read at once."""

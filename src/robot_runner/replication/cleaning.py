@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.words import one_line
 from robot_runner.replication.contents import LeftOut, PackedFile
 from robot_runner.replication.redaction import Hits, Redactor, grammar_of, is_binary
 from robot_runner.replication.searched_files import recoded, search, wide_encoding
@@ -71,7 +72,7 @@ class Cleaning:
         if encoding := _asked(file.path, wide_encoding):
             return self._cleaned(file, encoding)
         searched = _asked(file.path, lambda path: search(path, self.redactor))
-        self.unread += [LeftOut(file.name, why) for why in searched.unread]
+        self.unread += [LeftOut(file.name, one_line(why)) for why in searched.unread]
         if searched.found:
             found = in_words(searched.found)
             why = f"the file holds {found}, and nothing in it can be replaced (--keep packs it as it is)"

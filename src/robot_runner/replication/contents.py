@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from robot_runner.core.errors import PackageError, did_you_mean
 from robot_runner.core.storage.input_files import read_index, shown_input
 from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.words import one_line
 from robot_runner.replication.redaction import forbidden_name
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ WHEELS = "environment/wheels"
 MANIFEST, TABLE, SCHEMA = "manifest.json", "run_table.csv", "run_table.schema.json"
 REGISTRATION = "registration.json"
 
-#: What packing makes anew; files of these names in an experiment's folder are not taken.
+#: What packing makes anew; files of these names in an experiment's folder are left out.
 #: A licence's text that somebody put there is.
 GENERATED = frozenset(
     {CRATE, DESCRIPTION, SUMS, README, CONTAINERFILE, DATA_PACKAGE, ENVIRONMENT, REQUIREMENTS, CITATION, ZENODO, BADGES}
@@ -174,8 +175,10 @@ CONFIG_OWNER = "config"
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
 _TRANSIENT = re.compile(
     r"\.(?:lock|control|outliving|(?:alive|standing_by)(?:_\d+)?)|current_log(?:_\d+)?\.txt"
-    r"|.*\.tmp|.*\.pyc|\.DS_Store|Thumbs\.db|.*~"
+    r"|.*\.tmp|.*\.pyc|.*~"
 )
+#: What file managers leave in folders that somebody has looked at.
+DESKTOP_FILES = frozenset({".DS_Store", "Thumbs.db"})
 _TRANSIENT_FOLDERS = frozenset({"__pycache__", ".git", ".ipynb_checkpoints", ".venv"})
 
 
@@ -195,7 +198,7 @@ class PackedFile:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """Something that does not go into the package, and why."""
+    """Something that does not go into the package, and why; both can be printed."""
 
     name: str
     why: str
@@ -224,13 +227,14 @@ def choose_contents(folder: ExperimentFolder, run_ids: Sequence[str], raw: Seque
     files: list[PackedFile] = []
     left_out: list[LeftOut] = []
     runs, counts, unwanted = set(run_ids), Counter[str](), Counter[str]()
+    is_package = (folder.root / DESCRIPTION).exists()
     for name, path, status in _walk(folder.root):
         owner = _run_owner(folder, runs, name)
         counts.update([owner] if owner else ())
-        if name in GENERATED or _TRANSIENT.fullmatch(path.name):
+        if path.name in DESKTOP_FILES or _TRANSIENT.fullmatch(path.name) or (is_package and name in GENERATED):
             continue
         if why := _fault(name, status):
-            left_out.append(LeftOut(name, why))
+            left_out.append(LeftOut(one_line(name), why))
         elif owner and not {ALL, owner} & set(raw):
             unwanted[owner] += 1
         else:
@@ -281,6 +285,8 @@ def _fault(name: str, status: os.stat_result) -> str | None:
         return "a symbolic link"
     if not stat.S_ISREG(status.st_mode):
         return "not a regular file"
+    if name in GENERATED:
+        return "the package has a file of its own there; rename it, and it is packed"
     if forbidden_name(name.rpartition("/")[2]):
         return "files of this name hold keys or passwords"
     return fault_of_name(name)

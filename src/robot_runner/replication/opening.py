@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.replication.contents import DESCRIPTION, SUMS, fault_of_name
+from robot_runner.replication.contents import DESCRIPTION, DESKTOP_FILES, SUMS, fault_of_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -168,6 +168,8 @@ def _unpacked(root: Path) -> OpenPackage:
     try:
         for path in sorted(Path(top, name) for top, folders, files in os.walk(root) for name in (*folders, *files)):
             name, status = path.relative_to(root).as_posix(), path.lstat()
+            if stat.S_ISREG(status.st_mode) and path.name in DESKTOP_FILES:
+                continue
             if stat.S_ISREG(status.st_mode):
                 sizes[name] = status.st_size
             elif not stat.S_ISDIR(status.st_mode):

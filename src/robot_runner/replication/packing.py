@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -159,6 +160,9 @@ def _refuse(files: ExperimentFolder, target: Path) -> None:
     if files.root in target.resolve().parents:
         fix = "Name a file outside the experiment's folder."
         raise PackageError("a package cannot be part of what it holds", where=str(target), fix=fix)
+    if target.is_dir():
+        fix = f"Name a file in it: {target / files.root.name}.zip"
+        raise PackageError("this is a folder, and a package is a file", where=str(target), fix=fix)
     if target.exists() and not _is_package(target):
         fix = "Name another file, or remove that one."
         raise PackageError("a file of this name exists, and is not a package", where=str(target), fix=fix)
@@ -196,6 +200,8 @@ def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
     if not any(files.config.glob("*.py")):
         yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
     if not files.report.exists():
-        yield Finding.warning(where, "there is no report in it", f"Make one first: robot-runner report {where}")
+        yield Finding.warning(
+            where, "there is no report in it", f"Make one first: robot-runner report {shlex.quote(where)}"
+        )
     if undone := undone_count(rows):
         yield Finding.warning(where, f"{undone} of {len(rows)} runs are not done", "Resume the experiment first.")

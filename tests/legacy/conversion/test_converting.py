@@ -259,6 +259,14 @@ def test_a_parameter_that_is_made_of_the_name_still_is(
     assert prepare_own(new).experiment.folder.root == new.parent / "sorting_results" / "sorting" / "sorting"
 
 
+def test_the_folder_is_known_where_the_class_ends_with_its_declaration(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    old = config("def populate_run_data(self, context: RunnerContext): return {'seconds': self.experiment_path.name}")
+    old.write_text(f"{old.read_text().rstrip()}\n\n    experiment_path: Path = None\n")  # as in the tool's template
+    assert measures_of(converted(old), ["seconds"]) == [["sorting"]] * 8
+
+
 def test_a_name_that_the_class_goes_on_to_change_is_the_experiments(
     config: Callable[..., Path], converted: Callable[[Path], Path]
 ) -> None:
@@ -532,6 +540,16 @@ def test_what_has_no_counterpart_is_named_with_its_line(
     with pytest.raises(ConfigError) as refused:
         convert(path)
     assert f"{path}:7: {problem}" in str(refused.value)
+
+
+def test_a_question_that_is_asked_through_the_tool_is_named_with_its_line(config: Callable[..., Path]) -> None:
+    line = "from ProgressManager.Output.OutputProcedure import OutputProcedure as output"
+    use = "def before_run(self): self.is_dry = output.query_yes_no('Is the floor dry?')"
+    path = config(use, head=RUNNER.replace("from pathlib", f"{line}\nfrom pathlib"))
+    number = next(at for at, text in enumerate(path.read_text().splitlines(), 1) if "query_yes_no" in text)
+    with pytest.raises(ConfigError) as refused:
+        convert(path)
+    assert f"{path}:{number}: output.query_yes_no has no counterpart here" in str(refused.value)
 
 
 def test_a_neighbour_that_is_written_for_the_earlier_tool_has_to_be_mended_first(

@@ -41,6 +41,13 @@ class TestPack:
         assert "there is no report" in answer.err
         assert (tmp_path / "small.zip").exists()
 
+    def test_what_to_do_next_can_be_pasted(self, robot_runner, tmp_path):
+        (tmp_path / "small").rename(tmp_path / "my study")
+        answer = robot_runner("pack", "my study", "--no-hashes", "--no-wheels")
+        assert "robot-runner verify 'my study.zip'" in answer.out
+        assert f"robot-runner report '{tmp_path / 'my study'}'" in answer.err
+        assert "robot-runner replicate 'my study.zip'" in robot_runner("verify", "my study.zip").out
+
     def test_json_is_all_that_is_printed(self, robot_runner):
         facts = robot_runner("pack", "small", "--to", "a.zip", "--raw", "none", "--no-wheels", "--json").json
         assert {each["name"] for each in facts["left_out"]} == {

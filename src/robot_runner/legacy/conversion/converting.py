@@ -275,7 +275,7 @@ class _Converting:
         self.imports.findings += convert_contexts(self._tree, self._session, self._edits, columns)
         self._rename_members(config)
         convert_run_tables(self._session, self._tree, self.imports, self._edits)
-        convert_names(self._tree, self.imports, self._edits)
+        convert_names(self._tree, self._recognised.path, self.imports, self._edits)
         convert_lists_of_callbacks(config, self._edits)
         convert_parameters(config, self._experiment.parameters.results_output_path, self._edits)
         self._edits.insert(self._edits.line_start(min(lines, default=1)), self.imports.lines())

@@ -10,6 +10,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
 from robot_runner.legacy.recognition import is_earlier_import
 from robot_runner.legacy.run_ids import clone_around
+from robot_runner.legacy.stand_ins.machinery import OutputProcedure
 from robot_runner.legacy.stand_ins.modules import MODULES
 from robot_runner.legacy.syntax import Edits, attributes_of, imports_of, names_of_types, nodes, used_names
 
@@ -191,9 +192,9 @@ def _converted_module(file: Path, beside: dict[str, str]) -> str | None:
         return None
     edits, converted = Edits(text), ConvertedImports()
     lines = convert_imports(tree, Taking(file, converted, used_names(tree), names_of_types(tree)), edits)
+    convert_names(tree, file, converted, edits)
     if converted.ours or any(finding.is_error for finding in converted.findings):
         return None
-    convert_names(tree, converted, edits)
     edits.insert(edits.line_start(min(lines, default=1)), converted.lines())
     beside |= converted.beside
     return edits.applied()
@@ -208,8 +209,9 @@ _RENAMED_EVENTS = {
 }
 
 
-def convert_names(tree: ast.Module, converted: ConvertedImports, edits: Edits) -> None:
+def convert_names(tree: ast.Module, path: Path, converted: ConvertedImports, edits: Edits) -> None:
     """Rename what a file has of the earlier tool, wherever it uses it; what it printed through the tool, it prints."""
+    prints = set()
     for call in nodes(tree, ast.Call):
         match call.func:
             case ast.Attribute(value=ast.Name(id=name), attr=called) if (
@@ -218,8 +220,14 @@ def convert_names(tree: ast.Module, converted: ConvertedImports, edits: Edits) -
                 end = edits.end_of(call.args[0])
                 edits.replace_span(edits.start_of(call), edits.start_of(call.args[0]), "print(")
                 edits.replace_span(end, edits.end_of(call), ")")
+                prints.add(call.func)
             case _:
                 pass
+    for owner, used in attributes_of(tree, converted.outputs):
+        if used not in prints and hasattr(OutputProcedure, used.attr):
+            problem = f"{owner.id}.{used.attr} has no counterpart here"
+            fix = "Write this part by hand (`input` asks the user), then convert the file."
+            converted.findings.append(Finding.error(f"{path}:{used.lineno}", problem, fix))
     for _, event in attributes_of(tree, converted.events):
         if event.attr in _RENAMED_EVENTS:
             edits.replace(event, f"RobotRunnerEvents.{_RENAMED_EVENTS[event.attr]}")

@@ -33,16 +33,20 @@ def convert_parameters(config: ast.ClassDef, results: Path, edits: Edits) -> Non
         results: where the earlier tool kept results.
         edits: takes the changes.
     """
+    is_asked = any(node.attr == "experiment_path" for node in nodes(config, ast.Attribute))
     for statement in walk_bodies(config.body):
         _rename_reads_of_name(statement, edits)
         for target in _targets(statement):
             if target.id == "name":
                 edits.replace(target, "experiment_name")
+            elif target.id == "experiment_path" and is_asked:  # which may be the end of the class
+                edits.replace(statement, _PATH_PROPERTY.strip())
+                is_asked = False
             elif target.id == "experiment_path":
                 edits.remove_lines(statement.lineno, statement.end_lineno or statement.lineno)
             elif target.id == "results_output_path" and not results.expanduser().is_absolute():
                 _begin_in_current_folder(statement, edits)
-    if any(node.attr == "experiment_path" for node in nodes(config, ast.Attribute)):
+    if is_asked:
         edits.insert(edits.end_of(config), f"\n{_PATH_PROPERTY}")
 
 

@@ -93,7 +93,7 @@ function tick() {
   const when = state.host ? (state.started_at ? "began " + moment(state.started_at) : "") : state.finished_at ? "ended " + moment(state.finished_at) : "";
   setText($("left"), [about, when].filter(Boolean).join(" · "));
   document.querySelectorAll("[data-since]").forEach((each) => {
-    const seconds = (Date.now() - Date.parse(each.dataset.since)) / 1000;
+    const seconds = state.told_at - Date.parse(each.dataset.since) / 1000 + passed;  // a phone may have another time
     const expected = Number(each.dataset.expected);
     setText(each, "for " + duration(seconds) + (expected ? seconds <= expected ? ", about " + duration(expected - seconds) + " left" : ", longer than the " + duration(expected) + " expected" : ""));
   });

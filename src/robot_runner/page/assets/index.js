@@ -23,7 +23,7 @@ function item(each) {
     if (counts.failed) { facts.push(counts.failed + " failed"); }
     if (counts.todo) { facts.push(counts.todo + " to do"); }
   }
-  if (each.left !== null && each.left !== undefined && each.host) { facts.push("about " + duration(each.left) + " left"); }
+  if (each.left !== null && each.left !== undefined && each.host) { facts.push((each.left_is_least ? "at least " : "about ") + duration(each.left) + " left"); }
   const now = each.word === "waiting" && each.waiting ? "Waits for you: " + (each.waiting.step || "may " + each.waiting.run + " start?")
     : each.problem ? each.problem.problem
     : each.in_flight && each.in_flight.length ? each.in_flight.map((run) => run.run + (run.event ? ", " + run.event.replaceAll("_", " ") : "")).join("; ") : "";

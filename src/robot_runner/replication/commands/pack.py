@@ -15,7 +15,16 @@ from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
-from robot_runner.cli.console import UserConsole, complaints, output, print_facts, print_folded, print_json, shown_path
+from robot_runner.cli.console import (
+    UserConsole,
+    command_line,
+    complaints,
+    output,
+    print_facts,
+    print_folded,
+    print_json,
+    shown_path,
+)
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import UsageError, add_json, add_set
@@ -191,7 +200,7 @@ def _print(console: UserConsole, packed: Packed, signature: Path | None, *, has_
             ("Wheels", ", ".join(packed.wheels)),
             ("Hashes", _hashes(packed, has_asked=has_asked)),
             ("Signed", shown_path(signature.resolve()) if signature else ""),
-            ("Next", f"look into it before you publish it, and check it: robot-runner verify {name}"),
+            ("Next", f"look into it before you publish it, and check it: {command_line('verify', name)}"),
         ],
     )
     for line in _listed(packed.replaced):

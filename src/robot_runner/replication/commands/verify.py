@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.console import output, print_facts, print_json
+from robot_runner.cli.console import command_line, output, print_facts, print_json
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.only_one_here import only_package
@@ -133,6 +133,6 @@ def _print(verification: Verification, digest: str | None, signer: Signer | None
             ("SHA-256", digest or ""),
             ("Signed", _signature(signer)),
             ("Left out", one_line(", ".join(absent))),
-            ("Next", f"execute it again: robot-runner replicate {verification.where}"),
+            ("Next", f"execute it again: {command_line('replicate', str(verification.where))}"),
         ],
     )
