@@ -108,6 +108,7 @@ def test_start_points_reach_the_ends_and_are_spread() -> None:
     [
         (lambda: Optimise("Energy", "down", runs=9), "the direction of Energy is 'down'", "minimise"),
         (lambda: Optimise("", runs=9), "the measure is ''", "Name a measure"),
+        (lambda: Optimise(["Energy", "Way"], runs=9), "the measure is ['Energy', 'Way']", "Name a measure"),
         (lambda: Optimise("Energy", runs=0), "runs is 0", "from 1"),
         (lambda: Optimise("Energy", runs=9, confirm="5"), "confirm is '5', of type str", "whole number"),  # type: ignore[arg-type]
         (lambda: Optimise("Energy", runs=9, baseline={"Speed": 1}), "confirm is 0", "Give confirm=10"),

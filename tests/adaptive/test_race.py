@@ -96,3 +96,8 @@ def test_what_cannot_be_is_said(treatments: Any, how: dict[str, Any], repetition
     with pytest.raises(DesignError) as raised:
         RunTableModel([Factor("Gait", treatments)], repetitions=repetitions, design=Race("Energy", **how))
     assert any(problem in each.problem and each.fix for each in raised.value.findings)
+
+
+def test_a_race_is_by_one_measure() -> None:
+    with pytest.raises(DesignError, match="Name a measure"):
+        Race({"Energy": "minimise"}, at_most=8)  # type: ignore[arg-type]

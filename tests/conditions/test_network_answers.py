@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING
 
@@ -34,10 +34,21 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         if self.path == "/slow":
             time.sleep(5)
+        if self.path == "/stream":
+            self.stream()
+            return
         is_ready = self.path == "/up" or time.monotonic() - self.began > 0.6
         self.send_response(200 if is_ready else 503)
         self.end_headers()
         self.wfile.write(b"state: ready" if is_ready else b"state: starting")
+
+    def stream(self) -> None:
+        self.send_response(200)
+        self.end_headers()
+        with suppress(OSError):  # until nobody listens any more
+            for _ in range(600):
+                self.wfile.write(b"data: 1\n\n")
+                time.sleep(0.1)
 
     def log_message(self, *_: object) -> None: ...
 
@@ -95,13 +106,25 @@ def test_a_server_that_is_silent_or_not_there_does_not_answer(server: str, conte
     assert look.seen.endswith("Connection refused")
 
 
+@pytest.mark.parametrize(("text", "holds"), [("", True), ("data", True), ("ready", False)])
+def test_a_look_at_an_answer_that_never_ends_has_an_end(
+    server: str, context: RobotRunnerContext, text: str, holds: bool
+) -> None:
+    began = time.monotonic()
+    assert http_answers(f"{server}/stream", text=text).watch(context, ExitStack())().holds is holds
+    assert time.monotonic() - began < 30
+
+
 @pytest.mark.parametrize(
     ("make", "problem"),
     [
         (lambda: port_open(0), "0 is no port"),
         (lambda: port_open(True), "True is no port"),
         (lambda: port_open(22, host="pi@robot"), "'pi@robot' is no computer of a network"),
+        (lambda: port_open(22, host="robot..local"), "'robot..local' is no computer of a network"),
         (lambda: http_answers("ftp://robot"), "'ftp://robot' is no address of a web server"),
+        (lambda: http_answers("http://robot..local/"), "'http://robot..local/' is no address of a web server"),
+        (lambda: http_answers("http://robot/büro"), "'http://robot/büro' is no address of a web server"),
         (lambda: http_answers("http://robot:port/"), "is no address of a web server"),
         (lambda: http_answers("http://admin:geheim@robot/"), "the address of robot holds a user or a password"),
     ],

@@ -107,6 +107,14 @@ def test_a_text_that_was_found_stays_found_and_long_outputs_are_not_kept(
     assert look().holds
 
 
+def test_a_text_is_found_wherever_it_stands_in_a_file_that_is_long_already(
+    watching: Callable[..., Callable[[], Look]], tmp_path: Path
+) -> None:
+    log = tmp_path / "server.log"
+    log.write_bytes(b"ready\n" + b"." * 3_000_000)
+    assert watching(text_in(log, "ready"))().seen == "found 'ready'"
+
+
 def test_nobody_waits_for_who_might_write_to_a_pipe(
     watching: Callable[..., Callable[[], Look]], tmp_path: Path
 ) -> None:

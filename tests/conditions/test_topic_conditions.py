@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import pytest
 
@@ -15,6 +15,7 @@ from robot_runner import (
     lifecycle_state,
     message_on,
     node_present,
+    not_,
     service_present,
     topic_above,
     topic_present,
@@ -130,6 +131,24 @@ def test_a_robot_that_does_not_tell_its_charge_is_not_charged(robot: Robot) -> N
     robot.sends("battery_state", {"percentage": float("nan"), "voltage": 12.1}, at=0.1)
     with pytest.raises(ConditionError, match="the robot does not tell its charge"):
         robot.waits(battery_above(10), timeout_s=1.0)
+
+
+def test_a_charge_in_percent_is_not_taken_for_a_share(robot: Robot) -> None:
+    robot.sends("battery_state", {"percentage": 12.0}, at=0.1)
+    with pytest.raises(ConditionError, match="the robot tells a percentage of 12, and ROS has it from 0 to 1"):
+        robot.waits(battery_above(50), timeout_s=1.0)
+
+
+def test_nothing_is_known_of_messages_that_cannot_be_subscribed(tmp_path: Path) -> None:
+    class Unreachable(FakeRobotLink):
+        def subscribe(self, *_: object) -> NoReturn:
+            raise LinkError("the graph cannot be reached", where="robot", fix="Look at it.")
+
+    clock = FakeClock()
+    context = make_context(tmp_path, robot="ros2", links=FakeLinks(robot=Unreachable(clock)), clock=clock)
+    silent = not_(message_on("heartbeat", "std_msgs/Bool"))
+    with pytest.raises(ConditionError, match="the graph cannot be reached"):
+        silent.wait(context, timeout_s=1.0)
 
 
 def test_a_message_between_two_looks_is_not_overlooked(robot: Robot) -> None:

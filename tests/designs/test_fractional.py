@@ -115,6 +115,10 @@ def test_all_that_keeps_a_fraction_from_being_is_said_at_once() -> None:
         "generators['F3']: there is no factor 'F9' → Choose one of: 'F0', 'F1', 'F2', 'F4'.",
         "generators['F5']: there is no factor 'F5' → Choose one of: 'F0', 'F1', 'F2', 'F3', 'F4'.",
     ]
+    for runs, fix in ((3, "Give 4."), (5, "Give 4 or 8."), (100, "Give 8.")):  # never more than the full factorial has
+        count = 2 if runs == 3 else 3
+        (odd,) = findings_of(factors_of([2] * count), design=FractionalFactorial(runs=runs))
+        assert odd.endswith(f"no power of two → {fix}")
     assert "could not be told apart" in findings_of(two, design=FractionalFactorial(generators={"F3": ["F0"]}))[0]
     assert "cannot tell the main effects" in findings_of(two, design=FractionalFactorial(runs=4))[0]
     assert "none of 3, 4 and 5" in findings_of(two, design=FractionalFactorial(resolution=2))[0]

@@ -12,7 +12,7 @@ from tests.designs.factor_sets import excluded_designs, factors_of, findings_of,
 
 from robot_runner import INACTIVE, Factor, RunTableModel
 from robot_runner.core.errors import DesignError
-from robot_runner.designs import DOptimal
+from robot_runner.designs import DOptimal, optimal
 
 
 @pytest.mark.parametrize(("levels", "runs"), [([2] * 3, 4), ([2] * 7, 8), ([3] * 4, 9), ([2, 3], 6), ([4, 2, 2], 8)])
@@ -86,6 +86,15 @@ def test_a_large_factorial_is_sampled() -> None:
     model = RunTableModel(factors_of([3] * 12), design=DOptimal(runs=27))
     assert model.design_facts["candidates"] == 4000
     assert model.design_facts["d_efficiency"] > 0.8
+
+
+def test_none_is_chosen_twice_where_many_draws_of_a_large_factorial_are_one_combination(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(optimal, "_MOST_CANDIDATES", 100)
+    inner = [Factor(f"Inner{number}", ["x", "y"], when={"F0": "t0"}) for number in range(7)]
+    rows = rows_of(RunTableModel([*factors_of([2]), *inner], design=DOptimal(runs=24)))
+    assert len(set(rows)) == len(rows) == 24
 
 
 def test_what_cannot_be_estimated_is_said() -> None:

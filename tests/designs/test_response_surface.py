@@ -9,7 +9,7 @@ import pyDOE3
 import pytest
 from tests.designs.factor_sets import NAMES, factors_of, findings_of, numeric, rows_of
 
-from robot_runner import RunTableModel
+from robot_runner import Factor, Range, RunTableModel
 from robot_runner.designs import BoxBehnken, CentralComposite
 
 
@@ -63,6 +63,17 @@ def test_exclusions_leave_points_out_and_say_so() -> None:
     model = RunTableModel(numeric("AB"), [lambda each: each["A"] == 10], design=CentralComposite(centre=1))
     assert 10 not in {run.combination["A"] for run in model.plan()}
     assert "the surface may not be estimable" in str(model.warnings[0])
+
+
+def test_steps_that_are_too_coarse_for_the_points_are_said() -> None:
+    whole = [Factor("Robots", Range(1, 4)), *numeric("A")]
+    model = RunTableModel(whole, design=CentralComposite())
+    (coarse,) = map(str, model.warnings)
+    assert coarse.startswith("factor 'Robots': its steps leave 3 of the 5 values of the design: points fall together")
+    assert not RunTableModel(whole, design=CentralComposite(axial="faced")).warnings
+    for design in (CentralComposite(), CentralComposite(axial="faced"), BoxBehnken()):
+        (two,) = findings_of([Factor("Robots", Range(1, 2)), *numeric("AB")], design=design)
+        assert "its steps leave two values: a surface takes three" in two
 
 
 def test_what_is_no_surface_is_said_at_once() -> None:

@@ -28,6 +28,20 @@ def test_each_run_of_a_hypercube_has_a_slice_of_each_range_of_its_own(runs: int,
     assert rows_of(RunTableModel([*fine, Factor("Task", ["a", "b"])], design=design)) == rows_of(model)
 
 
+@pytest.mark.parametrize(
+    ("span", "steps"),
+    [
+        (Range(1, 5), [1, 2, 3, 4, 5]),
+        (Range(0.0, 0.2, step=0.05), [0.0, 0.05, 0.1, 0.15, 0.2]),
+        (Range(0.0, 0.22, step=0.05), [0.0, 0.05, 0.1, 0.15, 0.2]),
+    ],
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_all_steps_of_a_range_are_as_often_in_a_hypercube(span: Range, steps: list[float], seed: int) -> None:
+    model = RunTableModel([Factor("Robots", span), *numeric("A")], design=LatinHypercube(runs=10, seed=seed))
+    assert sorted(row[0] for row in rows_of(model)) == sorted(2 * steps)
+
+
 def test_each_half_of_each_range_has_half_of_the_sobol_points_and_each_quarter_a_quarter() -> None:
     rows = rows_of(RunTableModel(numeric("AB"), design=Sobol(runs=16)))
     quarters = [(int(one // 5), int(other // 5)) for one, other in rows]

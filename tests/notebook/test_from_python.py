@@ -27,7 +27,7 @@ from robot_runner import (
     run_experiment,
 )
 from robot_runner.core.execution.notices import AttemptFinished
-from robot_runner.notebook import from_python
+from robot_runner.notebook import apart, from_python
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -128,6 +128,16 @@ def test_a_config_file_is_executed(wherever: Any, tmp_path: Path) -> None:
     assert [row["Energy"] for row in results.rows] == [1.0] * 4
     assert results.folder == tmp_path / "results" / "trial"
     assert results.exit_code == 0
+
+
+def test_a_path_among_the_folders_of_modules_is_passed_over_as_python_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = ["from robot_runner import ConfigError", "def execute(request, tell):", "    raise ConfigError('found')"]
+    (tmp_path / "work_of_mine.py").write_text("\n".join(lines))
+    monkeypatch.setattr(sys, "path", [*sys.path, tmp_path / "elsewhere", str(tmp_path)])
+    with pytest.raises(ConfigError, match="found"):
+        apart.execute_in_interpreter("work_of_mine:execute", {}, None)
 
 
 def test_in_the_main_thread_an_instance_and_an_observer_see_everything(

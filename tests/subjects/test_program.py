@@ -248,7 +248,9 @@ def test_what_cannot_be_is_found_with_each_treatment_before_anything_moves(tmp_p
         ({"command": ["planner", object]}, "Give texts, numbers or paths."),
         ({"command": ["planner"], "per": "experimnt"}, "Did you mean 'experiment'?"),
         ({"command": ["planner"], "grace_s": 0}, "Give grace_s a number of seconds above 0."),
-        ({"command": ["planner"], "stop_signal": "sigint"}, "Did you mean 'SIGINT'?"),
+        ({"command": ["planner"], "stop_signal": "sigint"}, "Did you mean 'signal.SIGINT'?"),
+        ({"command": ["planner"], "stop_signal": "SIGINT"}, "Did you mean 'signal.SIGINT'?"),
+        ({"command": ["planner"], "environment": {"A=b": "c"}}, "Give a mapping"),
         ({"command": ["planner"], "environment": ["A=b"]}, "Give a mapping"),
         ({"command": ["planner"], "ready": 8080}, "Give a condition"),
         ({"command": ["planner"], "host": "-oProxyCommand=x"}, "Name it as for ssh"),
@@ -263,6 +265,35 @@ def test_a_parameter_that_cannot_be_is_refused(wrong: dict[str, Any], fix: str) 
 
 def test_the_supervisor_that_is_sent_to_other_computers_is_python_of_theirs() -> None:
     ast.parse(Path(supervisor.__file__).read_text(encoding="utf-8"), feature_version=(3, 6))
+
+
+def test_what_keeps_a_script_from_being_started_is_told(execute: Callable[..., Executed], tmp_path: Path) -> None:
+    script = tmp_path / "my planner"
+    script.write_text("echo hi\n")
+    (finding,) = Program(["./my planner"], folder=tmp_path).program_findings("plugin")
+    assert (finding.problem, finding.fix) == (
+        "the program './my planner' is not executable",
+        f"Make it so: chmod +x '{script}'",
+    )
+    script.chmod(0o755)
+    done = execute(f"plugins = [Program([{str(script)!r}])]")
+    assert "Exec format error" in done.finished.failures[0]
+    assert "Give a script a first line such as #!/bin/sh" in str(done.journal())
+
+
+def test_a_setup_file_may_lie_at_home_and_a_program_is_named_as_the_system_takes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "my ws").mkdir()
+    (tmp_path / "my ws" / "setup.sh").write_text("PLANNER=teb\nexport PLANNER\n")
+    (tmp_path / "planner").write_text("#!/bin/sh\n")
+    (tmp_path / "planner").chmod(0o755)
+    around = Program(["true"], setup="~/my ws/setup.sh").surroundings
+    assert list(around.findings("plugin")) == []
+    assert around.ask(["sh", "-c", "echo $PLANNER"]).said == "teb\n"
+    (missing,) = Program(["~/planner"]).program_findings("plugin")  # nobody but a shell would find it
+    assert missing.problem == "the program '~/planner' is not there"
 
 
 def test_a_setup_file_is_sourced_first(execute: Callable[..., Executed], tmp_path: Path) -> None:

@@ -166,6 +166,9 @@ def test_what_is_no_revision_is_found_before_anything_is_touched(
     (tmp_path / "plain").mkdir()
     (plain,) = problems(table(tmp_path / "plain"))
     assert "git finds no repository" in plain
+    (repository.folder / "src").mkdir()
+    (within,) = problems(table(repository.folder / "src"))
+    assert within.endswith(f"can be cloned as a whole only → Name {str(repository.folder)!r}.")
     (repository.folder / "planner.sh").write_text("changed")
     (dirty,) = problems(table(repository.folder))
     assert "has changes that were not committed: they are in none of the revisions" in dirty

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from functools import partial
@@ -101,6 +102,38 @@ def test_a_connection_that_is_cut_fails_the_run_and_leaves_nobody_over_there(
     cutter.join()
     assert "Program has died: the connection is lost" in done.finished.failures[0]
     assert gone(token)
+
+
+@pytest.fixture
+def shouting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Have ssh reach this machine by a login shell that writes, and return the home that it has there."""
+    ssh, home = tmp_path / "bin" / "ssh", tmp_path / "the home"
+    ssh.parent.mkdir()
+    home.mkdir()
+    shell = "#!/bin/sh\nprintf 'Welcome to robot 0\\n\\033]0;robot\\007'\nfor last; do :; done\nexec sh -c \"$last\"\n"
+    ssh.write_text(shell)
+    ssh.chmod(0o755)
+    monkeypatch.setenv("PATH", str(ssh.parent), prepend=os.pathsep)
+    monkeypatch.setenv("HOME", str(home))
+    return home
+
+
+def test_what_a_login_shell_writes_is_no_answer_and_paths_may_begin_at_home(
+    execute: Callable[..., Executed], shouting: Path
+) -> None:
+    (shouting / "ws").mkdir()
+    (shouting / "ws" / "setup.sh").write_text("PLANNER=teb$#\nexport PLANNER\n")
+    body = """
+    plugins = [
+        Program(
+            ["sh", "-c", "pwd; echo $PLANNER $0; exec sleep 100", "a"],
+            host="pi@robot", folder="~/ws", setup="~/ws/setup.sh", ready="teb",
+        )
+    ]
+    """
+    done = execute(body, table=ONE_RUN)
+    assert (done.finished.failures, done.finished.done_count) == ((), 1)
+    assert (done.folder / "runs/r_1/Program/stdout.txt").read_text() == f"{shouting / 'ws'}\nteb0 a\n"
 
 
 def test_what_is_not_over_there_is_found_before_anything_moves(tmp_path: Path, server: SshServer) -> None:

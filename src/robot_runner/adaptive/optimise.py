@@ -93,7 +93,7 @@ class Optimise:
         seed: int = 0,
     ) -> None:
         """Take one measure and its direction, or several with theirs: `{"Energy": "minimise", "Way": "maximise"}`."""
-        asked = dict(measure) if isinstance(measure, dict) else {measure: direction}
+        asked = {measure: direction} if isinstance(measure, str) else measure
         where = f"Optimise({measure!r})"
         findings = [
             *direction_findings(where, asked),

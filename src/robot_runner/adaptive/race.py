@@ -75,7 +75,7 @@ class Race:
     ) -> None:
         where = f"Race({measure!r})"
         findings = [
-            *direction_findings(where, {measure: direction}),
+            *direction_findings(where, {measure: direction} if isinstance(measure, str) else [measure]),
             *count_findings(where, LEAST_REPETITIONS, at_most=at_most),
             *count_findings(where, confirm=confirm),
         ]

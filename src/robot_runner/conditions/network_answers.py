@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+import time
 import urllib.error
 import urllib.parse
 import urllib.request
@@ -17,7 +18,7 @@ from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.links.declared_host import LOCAL
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
     from contextlib import ExitStack
 
     from robot_runner.core.events.condition import LookAgain
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 
 #: How long a connection, or each step of a request, may take, s: one network of a lab.
 _PATIENCE = 2.0
-#: How much of an answer is searched for a text, bytes.
-_MOST_BYTES = 1 << 20
+#: How much of an answer is searched for a text, and how much of it is taken at once, bytes.
+_MOST_BYTES, _CHUNK = 1 << 20, 1 << 16
 _MOST_PORT = 65535
 _SUCCESS = range(200, 300)
 
@@ -47,7 +48,7 @@ def port_open(port: int, *, host: str = LOCAL) -> Condition:
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 < port <= _MOST_PORT:
         raise ConditionError(f"{port!r} is no port", where="port_open", fix=f"Give a number from 1 to {_MOST_PORT}.")
-    if not host or re.search(r"[\s@/]", host):
+    if not host or re.search(r"[\s@/]", host) or not _is_name(host):
         fix = "Give its name or address on the network, such as 'robot.local', without a user."
         raise ConditionError(f"{host!r} is no computer of a network", where="port_open", fix=fix)
     return _PortOpen(port, host)
@@ -70,7 +71,7 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
     """
     try:
         parts = urllib.parse.urlsplit(url)
-        is_good = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
+        is_good = parts.scheme in {"http", "https"} and _is_name(parts.hostname or "") and parts.port != 0
     except ValueError:
         is_good, parts = False, urllib.parse.urlsplit("")
     if parts.username is not None or parts.password is not None:
@@ -78,10 +79,18 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
         raise ConditionError(
             f"the address of {parts.hostname} holds a user or a password", where="http_answers", fix=fix
         )
-    if not is_good or re.search(r"\s", url):
-        fix = "Give one such as 'http://localhost:8080/health'."
+    if not is_good or re.search(r"\s", url) or not (parts.path + parts.query).isascii():
+        fix = "Give one such as 'http://localhost:8080/health', with other letters written as %C3%A4."
         raise ConditionError(f"{url!r} is no address of a web server", where="http_answers", fix=fix)
     return _HttpAnswers(url, status, text)
+
+
+def _is_name(host: str) -> bool:
+    """Return whether a computer can be named so on a network."""
+    try:
+        return bool(host.encode("idna"))
+    except UnicodeError:  # a part of it is empty, or longer than 63 letters
+        return False
 
 
 @dataclass(frozen=True)
@@ -142,22 +151,32 @@ class _HttpAnswers(Condition):
 
     def _look(self, opener: urllib.request.OpenerDirector) -> Look:
         try:
-            status, body = _asked(opener, self.url)
+            status, has_text = _asked(opener, self.url, self.text.encode())
         except (OSError, HTTPException) as error:
             reason = getattr(error, "reason", None) or error
             said = "no answer" if isinstance(reason, TimeoutError) else getattr(reason, "strerror", None) or str(reason)
             return Look(holds=False, seen=f"{self.url}: {said or type(reason).__name__}")
         is_expected = status in _SUCCESS if self.status is None else status == self.status
-        has_text = self.text.encode() in body
         seen = f"status {status}{'' if has_text else f', without {self.text!r}'}"
         return Look(is_expected and has_text, seen, status)
 
 
-def _asked(opener: urllib.request.OpenerDirector, url: str) -> tuple[int, bytes]:
-    """Return the status of an answer, whatever it is, and the beginning of its body."""
+def _asked(opener: urllib.request.OpenerDirector, url: str, text: bytes) -> tuple[int, bool]:
+    """Return the status of an answer, whatever it is, and whether a text is in the beginning of its body."""
     try:
         with closing(opener.open(url, timeout=_PATIENCE)) as answer:
-            return answer.status, answer.read(_MOST_BYTES)
+            return answer.status, _has_text(answer.read1, text)
     except urllib.error.HTTPError as error:
         with error:
-            return error.code, error.read(_MOST_BYTES)
+            return error.code, _has_text(error.read1, text)
+
+
+def _has_text(read: Callable[[int], bytes], text: bytes) -> bool:
+    """Return whether a text comes in an answer soon: that of a stream, such as a camera's, never ends."""
+    body, end = b"", time.monotonic() + _PATIENCE
+    while text not in body:
+        data = read(_CHUNK) if len(body) < _MOST_BYTES and time.monotonic() < end else b""
+        if not data:
+            return False
+        body += data
+    return True

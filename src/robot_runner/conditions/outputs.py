@@ -89,7 +89,7 @@ class _TextIn(Condition):
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:
         del opened
         path = context.run_path / self.path
-        reader = _GrowingText(path)
+        reader = _GrowingText(path, self.pattern)
         if self.new_only:
             reader.skip()
         found = ""
@@ -98,25 +98,26 @@ class _TextIn(Condition):
             nonlocal found
             if not found:
                 problem = reader.read()
-                match = self.pattern.search(reader.text)
-                if match is None:
+                if reader.match is None:
                     return Look(holds=False, seen=problem or f"last line: {reader.last_line!r}")
-                found = one_line(match[0])[:_SHOWN]
+                found = one_line(reader.match[0])[:_SHOWN]
             return Look(holds=True, seen=f"found {found!r}", value=found)
 
         return look
 
 
 class _GrowingText:
-    """The text of a file that somebody else is writing, read as it grows.
+    """The text of a file that somebody else is writing, read as it grows until a pattern is found in it.
 
     Attributes:
         text: the latest part of it.
+        match: where the pattern was found.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, pattern: re.Pattern[str]) -> None:
         self.text = ""
-        self._path = path
+        self.match: re.Match[str] | None = None
+        self._path, self._pattern = path, pattern
         self._place = 0
         self._file = (0, 0)
         self._read_last = b""
@@ -148,10 +149,11 @@ class _GrowingText:
             if not stat.S_ISREG(status.st_mode):
                 return f"{self._path.name} is no file"
             self._go_to_place(descriptor, status)
-            while data := os.read(descriptor, _CHUNK):
+            while self.match is None and (data := os.read(descriptor, _CHUNK)):
                 self._place += len(data)
                 self._read_last = (self._read_last + data)[-_COMPARED:]
                 self.text = self.text[-_KEPT:] + self._decoder.decode(data)
+                self.match = self._pattern.search(self.text)  # each part, as the earlier ones are not kept
         finally:
             os.close(descriptor)
         return ""

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _BATTERY_STATE = "sensor_msgs/BatteryState"
 _PERCENT = 100.0
+#: What a robot that works a share out from its voltage may tell of a battery that is just charged, at most.
+_MOST_SHARE = 1.5
 #: How old a message may be that tells of a battery, s: boards publish it once a second at least.
 _BATTERY_WITHIN = 10.0
 #: How often a graph is asked again that could not be reached, or did not let us subscribe, s.
@@ -222,7 +224,7 @@ class _MessageOn(Condition):
         def look() -> Look:
             problem = listening.problem()
             holds, count = seen.since_last_look()
-            return Look(holds, problem or f"{count} messages on {self.full_name}")
+            return Look(holds, problem or f"{count} messages on {self.full_name}", is_known=not problem)
 
         return look
 
@@ -318,8 +320,11 @@ class _RobotBattery(_TopicField):
         return f"the battery of the robot{f' {self.namespace}' if self.namespace else ''}"
 
     def value_of(self, message: Message) -> Reading:
-        """Return the charge; a board that does not measure it says NaN."""
+        """Return the charge; a board that does not measure it says NaN, and some tell percents in place of a share."""
         share = _number_at(message, self.field, str(self))
+        if share > _MOST_SHARE:
+            seen = f"the robot tells a {self.field} of {share:.6g}, and ROS has it from 0 to 1"
+            return Reading(None, f"{seen}; topic_above and topic_below take it as it is")
         return (
             Reading(_PERCENT * share) if math.isfinite(share) else Reading(None, "the robot does not tell its charge")
         )

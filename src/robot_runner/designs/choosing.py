@@ -87,11 +87,23 @@ def _own(factor: Factor, wanted: Iterable[Any]) -> list[Any]:
 
 
 def share_value(factor: Factor, share: float) -> Any:
-    """Return what a factor has at a share from 0 to 1: of its range, or of its treatments in their order."""
-    if factor.range is not None:
-        return factor.range.at(share)
-    treatments = active_treatments(factor)
-    return treatments[min(int(share * len(treatments)), len(treatments) - 1)]
+    """Return what a factor has at a share from 0 to 1: of its range, or of its treatments in their order.
+
+    Each step of a range has an equal part: to the nearest one, the ends would have half as much as all others.
+    """
+    span = factor.range
+    if span is None:
+        treatments = active_treatments(factor)
+        return treatments[_part(share, len(treatments))]
+    step = 1 if span.step is None and span.is_whole else span.step
+    if step is None:
+        return span.at(share)
+    width = span.upper - span.lower
+    return span.at(step * _part(share, 1 + int(round(width / step, 6))) / width)
+
+
+def _part(share: float, count: int) -> int:
+    return min(int(share * count), count - 1)
 
 
 # What keeps factors and parameters from a design.

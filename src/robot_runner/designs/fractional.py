@@ -123,7 +123,8 @@ class FractionalFactorial:
         least = 1 << factors.bit_length()
         below, above = 1 << (runs.bit_length() - 1), 1 << runs.bit_length()
         if runs & (runs - 1):
-            fix = f"Give {max(below, least)} or {max(above, 2 * least)}."
+            possible = sorted({min(max(below, least), 1 << factors), min(max(above, 2 * least), 1 << factors)})
+            fix = f"Give {' or '.join(map(str, possible))}."
             yield Finding.error("design", f"runs={runs} is no power of two", fix)
         elif runs < least and _best_words(factors, runs.bit_length() - 1) is None:
             problem = f"runs={runs} cannot tell the main effects of {factors} factors apart"

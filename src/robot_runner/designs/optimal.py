@@ -142,11 +142,14 @@ def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generat
         return
     seen: set[tuple[int, ...]] = set()
     for _ in range(4 * _MOST_CANDIDATES):
-        places = tuple(int(random.integers(len(each))) for each in values)
-        if places not in seen and len(seen) < _MOST_CANDIDATES:
-            seen.add(places)
-            drawn = {factor.name: each[place] for factor, each, place in zip(factors, values, places, strict=True)}
-            yield with_conditions(factors, drawn)
+        drawn = {
+            factor.name: each[int(random.integers(len(each)))] for factor, each in zip(factors, values, strict=True)
+        }
+        row = with_conditions(factors, drawn)
+        key = tuple(map(id, row))  # where conditions do not hold, several draws are one combination
+        if key not in seen and len(seen) < _MOST_CANDIDATES:
+            seen.add(key)
+            yield row
 
 
 def _levels(factor: Factor, model: str) -> tuple[Any, ...]:

@@ -12,7 +12,7 @@ from robot_runner.designs.choosing import left_out_warning, number_findings, wit
 from robot_runner.designs.fractional import fraction_rows, fraction_words
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
@@ -149,7 +149,18 @@ def _surface(
         **facts,
     }
     warnings = left_out_warning(len(every), len(kept), "the surface may not be estimable")
+    warnings += tuple(_coarse_warnings(factors, {each for point in every for each in point}))
     return ChosenCombinations(kept, told, used, warnings)
+
+
+def _coarse_warnings(factors: Sequence[Factor], wanted: Collection[float]) -> Iterator[Finding]:
+    """Say of which factor some of the coordinates that are wanted are one value, as its steps are wider."""
+    for factor in factors:
+        values = {factor.range.at((each + 1) / 2) for each in wanted} if factor.range else ()
+        if len(values) < len(wanted):
+            problem = f"its steps leave {len(values)} of the {len(wanted)} values of the design: points fall together"
+            fix = f"Give it finer steps, or take axial={_FACED!r}, which has three values."
+            yield Finding.warning(f"factor {factor.name!r}", problem, fix)
 
 
 def _numeric_findings(factors: Sequence[Factor], least: int) -> Iterator[Finding]:
@@ -158,6 +169,10 @@ def _numeric_findings(factors: Sequence[Factor], least: int) -> Iterator[Finding
             what = "applies under a condition" if factor.when else "has listed treatments"
             fix = "Give it a range and no condition, as in Range(0.05, 0.22), or choose DOptimal."
             yield Finding.error(f"factor {factor.name!r}", f"the factor {what}: a surface takes numbers", fix)
+        elif len({factor.range.at(share) for share in (0, 0.5, 1)}) < 3:  # noqa: PLR2004 - ends and middle: a curve
+            problem = "its steps leave two values: a surface takes three"
+            fix = "Give it finer steps or a wider range, or choose FractionalFactorial."
+            yield Finding.error(f"factor {factor.name!r}", problem, fix)
     if len(factors) < least:
         problem = f"there {'is 1 factor' if len(factors) == 1 else f'are {len(factors)} factors'}"
         yield Finding.error("design", f"{problem}, and it takes {least}", "Add one, or choose another design.")

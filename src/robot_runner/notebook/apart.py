@@ -40,7 +40,8 @@ def execute_in_interpreter(
     reader, writer = os.pipe()
     program = f"from {__name__} import be_requested; be_requested()"
     line = [sys.executable, "-c", program, function, json.dumps(request), str(writer)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    searched = (each for each in sys.path if isinstance(each, str) and each)  # as Python does, which takes no Path
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(searched)}
     process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
         line, stdin=subprocess.DEVNULL, pass_fds=[writer], env=environment, start_new_session=True
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PluginError
@@ -63,6 +65,11 @@ class Program(Subject):
         program = self.words()[0]
         if is_known(self.command[0]) and self.surroundings.lacks(program):
             on = f" on {self.surroundings.host}" if self.surroundings.host else ""
+            file = Path(self.surroundings.path or ".") / program
+            if not on and "/" in program and file.is_file():
+                fix = f"Make it so: {shlex.join(['chmod', '+x', str(file)])}"
+                yield Finding.error(where, f"the program {program!r} is not executable", fix)
+                return
             fix = "Install it, or give its full path."
             yield Finding.error(where, f"the program {program!r} is not there{on}", fix)
 

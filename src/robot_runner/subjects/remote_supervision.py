@@ -100,7 +100,7 @@ class _Relay:
     def _take(self, data: bytes) -> None:
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
-            event = json.loads(line)
+            event = _event(line)
             output = next((name for name in self._files if name in event), None)
             if output is not None:
                 self._files[output].write(event[output].encode("latin-1"))
@@ -117,6 +117,16 @@ class _Relay:
         if not self._is_gone:
             said = self._said.decode(errors="replace").strip()
             _say(lost=said or f"ssh ended with code {code}", at=time.time())
+
+
+def _event(line: bytes) -> dict[str, Any]:
+    """Return an event, and nothing for a line that the login shell over there has written, as ~/.bashrc has it do."""
+    try:
+        # A title for the terminal has no end of a line.
+        event: dict[str, Any] = json.loads(b"{" + line.partition(b"{")[2])
+    except ValueError:
+        return {}
+    return event
 
 
 def _say(**event: object) -> None:

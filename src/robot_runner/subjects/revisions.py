@@ -48,6 +48,7 @@ class Repository:
         )
         try:
             answer = git(*words, folder="." if self.is_remote else self.place)
+            above = b"" if self.is_remote else git("rev-parse", "--show-cdup", folder=self.place).stdout.strip()
         except FileNotFoundError as error:
             there = self.is_remote or Path(self.place).is_dir()
             problem = "git is not installed" if there else f"there is no folder {self.place!r}"
@@ -59,6 +60,10 @@ class Repository:
             lines = answer.stderr.decode(errors="replace").strip().splitlines()
             problem = f"git finds no repository: {one_line(without_login(lines[-1])) if lines else 'it says nothing'}"
             raise ExecutionError(problem, where=without_login(place), fix="Name the folder of a repository, or a URL.")
+        if above:
+            whole = (Path(self.place) / above.decode(errors="replace")).resolve()
+            problem = f"it is a folder within the repository {str(whole)!r}, which can be cloned as a whole only"
+            raise ExecutionError(problem, where=place, fix=f"Name {str(whole)!r}.")
         lines = answer.stdout.decode(errors="replace").splitlines()
         self._commits = {name: commit for commit, _, name in (line.partition("\t") for line in lines)}
 

@@ -136,8 +136,8 @@ class RosSubject(Subject):
         facts = super()._facts(context, start)
         answer = self.surroundings.ask(_DESCRIBE)
         try:
-            packages = json.loads(answer.said) if answer.code == 0 else None
-        except ValueError:
+            packages = json.loads(answer.said.splitlines()[-1]) if answer.code == 0 else None
+        except (ValueError, IndexError):  # before it stands what a login shell or a setup file writes
             packages = None
         if not isinstance(packages, dict):
             problem = f"the packages of its workspace cannot be told: {last_line(answer)}"

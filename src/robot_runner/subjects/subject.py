@@ -304,7 +304,8 @@ def _signal(plugin: str, wanted: object) -> signal.Signals:
     for each in signal.Signals:
         if wanted == each:
             return each
-    fix = did_you_mean(str(wanted).upper(), [each.name for each in signal.Signals])
+    name = str(wanted).upper().removeprefix("SIGNAL.")
+    fix = did_you_mean(f"signal.{name}", [f"signal.{each.name}" for each in signal.Signals])
     raise PluginError(f"stop_signal is {wanted!r}, which is none of the module `signal`", where=plugin, fix=fix)
 
 

@@ -30,6 +30,11 @@ _LAST_PATIENCE = 15.0
 _LOOK = 0.01
 #: How much of the end of an output is shown.
 _TAIL_BYTES, _TAIL_LINES = 4096, 3
+#: What mends why a program could not be started, as the system says it.
+_REMEDIES = {
+    "Exec format error": "Give a script a first line such as #!/bin/sh; a program has to be built for this computer.",
+    "Permission denied": "Make it executable: chmod +x.",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -276,7 +281,9 @@ class SupervisedProgram(Start):
         host = self._task.host
         if refusal:
             problem = f"{self._task.command[0]!r} cannot be started: {refusal}"
-            return PluginError(problem, where=self._name, fix="Install it, or give its full path.")
+            return PluginError(
+                problem, where=self._name, fix=_REMEDIES.get(refusal, "Install it, or give its full path.")
+            )
         if host is not None and lost:
             return PluginError(f"{host} cannot be reached: {gist(lost)}", where=self._name, fix=remedy(host, lost))
         problem = f"{self._task.command[0]!r} was not started: {ended.how if ended else 'its supervisor is silent'}"
@@ -315,6 +322,6 @@ def shell_words(command: Sequence[str], setup: str | None) -> tuple[str, ...]:
     if setup is None:
         return tuple(command)
     shell = "bash" if setup.endswith(".bash") else "sh"
-    file = setup if "/" in setup else f"./{setup}"
+    home, file = ("~/", setup[2:]) if setup.startswith("~/") else ("", setup if "/" in setup else f"./{setup}")
     # Within a function, as such a file would take our own arguments for its.
-    return (shell, "-c", 'load() { . "$0"; }; load && exec "$@"', file, *command)
+    return (shell, "-c", f'load() {{ . {home}"$0"; }}; load && exec "$@"', file, *command)

@@ -14,7 +14,7 @@ removes containers), `last_seconds`, `lease` (s or None).
 """
 
 # Importing pathlib would double the time that Python needs to start on a small computer.
-# ruff: noqa: PTH112, PTH208, PTH123
+# ruff: noqa: PTH111, PTH112, PTH208, PTH123
 
 import ctypes
 import fcntl
@@ -155,12 +155,13 @@ class Supervisor:
         """Start a command with the task's environment and folder."""
         changed = self.task["environment"]
         environment = {name: value for name, value in {**os.environ, **changed}.items() if value is not None}
+        folder = self.task["folder"]
         return subprocess.Popen(  # noqa: S603 - the task's own command
             command,
             stdin=subprocess.DEVNULL,
             stdout=outputs[0],
             stderr=outputs[1],
-            cwd=self.task["folder"],
+            cwd=None if folder is None else os.path.expanduser(folder),
             env=environment,
             preexec_fn=lambda: prctl(DIE_WITH_PARENT, signal.SIGKILL),  # noqa: PLW1509 - no threads here
             start_new_session=True,

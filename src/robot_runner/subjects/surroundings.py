@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 #: How long a question to a program may take, s: roslaunch needs one second here and several on a small computer.
 _PATIENCE = 30.0
 _NO_PROGRAM = 127  # what a shell says of a program that it does not find
+#: Tells our own answers from what a login shell writes, as ~/.bashrc has it do.
+_LACKS = "robot-runner-lacks"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +88,10 @@ class Surroundings:
             raise PluginError(error.problem, where=plugin, fix=error.fix) from error
         if host is None and ssh_config is not None:
             raise PluginError("ssh_config is given, and no host", where=plugin, fix="Leave ssh_config out.")
+        for name in environment:
+            if not isinstance(name, str) or not name or {"=", "\0"} & set(name):
+                fix = "Give a mapping: {'NAME': value}."
+                raise PluginError(f"a variable of environment cannot be named {name!r}", where=plugin, fix=fix)
         variables = {name: None if value is None else word(plugin, value) for name, value in environment.items()}
         config = None if ssh_config is None else Path(ssh_config).expanduser()
         return cls(folder, variables, None if setup is None else str(setup), host, config)
@@ -117,7 +124,7 @@ class Surroundings:
             folder = Path(self.path or ".")
             if not folder.is_dir():
                 yield Finding.error(where, f"there is no folder {str(folder)!r}", "Make it, or name another.")
-            elif self.setup is not None and not (folder / self.setup).is_file():
+            elif self.setup is not None and not (folder / Path(self.setup).expanduser()).is_file():
                 yield Finding.error(where, f"there is no file {self.setup!r} to source", "Build the workspace first.")
 
     def _host_findings(self, where: str) -> Iterator[Finding]:
@@ -129,12 +136,12 @@ class Surroundings:
         if self.path is not None:
             tests.append((f"there is no folder {self.path!r}", f"cd {_quoted(self.path)}", "Make it there."))
         if self.setup is not None:
-            test = f"{self._entered()}test -f {shlex.quote(self.setup)}"
+            test = f"{self._entered()}test -f {_quoted(self.setup)}"
             tests.append((f"there is no file {self.setup!r} to source", test, "Build the workspace there."))
         # All at once: each connection takes its time.
-        script = "; ".join(f"({test}) >/dev/null 2>&1 || echo {place}" for place, (_, test, _) in enumerate(tests))
-        for place in map(int, self._over_there(script).said.split()):
-            problem, _, fix = tests[place]
+        script = "; ".join(f"({test}) >/dev/null 2>&1 || echo {_LACKS} {n}" for n, (_, test, _) in enumerate(tests))
+        for number in re.findall(rf"{_LACKS} (\d+)", self._over_there(script).said):
+            problem, _, fix = tests[int(number)]
             yield Finding.error(where, f"{self.host}: {problem}", fix)
 
     def ask(self, words: Sequence[str]) -> Answer:
@@ -171,7 +178,7 @@ class Surroundings:
         if self.host is not None or self.setup is not None:
             return self.ask(["sh", "-c", 'command -v "$0"', program]).code != 0
         if "/" in program:
-            return shutil.which(str(Path(self.path or ".") / Path(program).expanduser())) is None
+            return shutil.which(str(Path(self.path or ".") / program)) is None
         return shutil.which(program, path=self.local_environment.get("PATH")) is None
 
     def facts(self) -> dict[str, Any]:
