@@ -41,6 +41,7 @@ OTHERS: dict[str, str] = {
             "core/execution/left_over.py: _has_mark",
             "notebook/apart.py: _be_apart",
             "cli/guard.py: let_go_of_stdout",
+            "cli/guard.py: _replace_closed_streams",
             "measuring/local_host.py: _first_line",
             "core/execution/processes.py: use_no_streams",
             "replication/distributions.py: direct_url",

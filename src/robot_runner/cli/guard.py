@@ -119,7 +119,7 @@ def _replace_closed_streams() -> None:
                 os.dup2(nothing, number)
                 os.close(nothing)
             os.set_inheritable(number, True)  # noqa: FBT003 - the system's own signature
-            stream = open(number, "r" if number == 0 else "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - as long as the process
+            stream = os.fdopen(number, "r" if number == 0 else "w", encoding="utf-8", closefd=False)
             setattr(sys, name, stream)
             setattr(sys, f"__{name}__", stream)
 

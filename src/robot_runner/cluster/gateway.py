@@ -36,7 +36,7 @@ from robot_runner.cluster import on_worker
 from robot_runner.cluster.cluster_members import ANSWER, Member, UnansweredError, answer_of, joined
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.core.errors import StorageError
-from robot_runner.core.execution.task import RecordReader
+from robot_runner.core.execution.run_records import RecordReader
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,7 +8,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.execution.task import RecordReader, RecordWriter
+from robot_runner.core.execution.run_records import RecordReader, RecordWriter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

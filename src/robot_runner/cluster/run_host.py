@@ -32,7 +32,8 @@ from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.processes import use_no_streams
-from robot_runner.core.execution.task import OutcomeBuilder, RecordReader, RecordWriter
+from robot_runner.core.execution.run_records import RecordReader, RecordWriter
+from robot_runner.core.execution.task import OutcomeBuilder
 from robot_runner.core.execution.worker import task_of
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
 from robot_runner.core.treatments import bind

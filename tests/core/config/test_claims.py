@@ -82,9 +82,9 @@ def test_a_real_robot_is_claimed_with_its_graph_and_namespace(
     assert held == {"robot:rosbridge://alice:9090/alice ROS_DOMAIN_ID=7"}
 
 
-@pytest.mark.parametrize("given", ["0", "-1", "many", "1.5"])
+@pytest.mark.parametrize("given", ["0", "-1", "many", "1.5", "99999999999"])
 def test_a_number_of_workers_that_is_none_is_refused(write_config: Callable[..., Path], given: str) -> None:
-    with pytest.raises(ConfigError, match='1 or more, or "auto"'):
+    with pytest.raises(ConfigError, match='1 to 10,000, or "auto"'):
         prepare_or_refuse(write_config(), {"workers": given})
 
 

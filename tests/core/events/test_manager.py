@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import os
 import sys
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
@@ -8,6 +11,9 @@ from hypothesis import strategies as st
 
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncIterator, Iterator
 
 KINDS = {"robot": OwnerKind.SYSTEM, "meter": OwnerKind.PROFILER, "config": OwnerKind.CONFIG}
 
@@ -120,3 +126,57 @@ def test_what_callbacks_return_comes_back_with_their_owners() -> None:
     manager = EventManager()
     manager.subscribe(RobotRunnerEvents.POPULATE_RUN_DATA, lambda: {"Energy": 1}, owner="config", kind=OwnerKind.CONFIG)
     assert manager.emit(RobotRunnerEvents.POPULATE_RUN_DATA, str).returned == (("config", {"Energy": 1}),)
+
+
+class _Waiting:
+    async def launch_mission(self, context: object) -> None: ...
+
+
+class _Yielding:
+    def launch_mission(self, context: object) -> Iterator[int]:
+        yield 1
+
+
+class _YieldingAsync:
+    async def launch_mission(self, context: object) -> AsyncIterator[int]:
+        yield 1
+
+
+@pytest.mark.parametrize("config", [_Waiting(), _Yielding(), _YieldingAsync()], ids=lambda each: type(each).__name__)
+def test_a_callback_whose_body_would_never_be_executed_is_refused(config: object) -> None:
+    with pytest.raises(ConfigError, match=r"launch_mission is .*: its body would never be executed") as refused:
+        EventManager().subscribe_methods(config, owner="config", kind=OwnerKind.CONFIG)
+    assert "test_manager.py:" in refused.value.where
+    assert refused.value.fix
+
+
+def test_what_is_named_like_an_event_and_cannot_be_called_is_refused_and_none_is_no_callback() -> None:
+    manager = EventManager()
+    with pytest.raises(ConfigError, match="LAUNCH_MISSION is 'roslaunch a b', which cannot be called"):
+        manager.subscribe_methods(
+            SimpleNamespace(launch_mission="roslaunch a b"), owner="config", kind=OwnerKind.CONFIG
+        )
+    manager.subscribe_methods(SimpleNamespace(launch_mission=None), owner="config", kind=OwnerKind.CONFIG)
+    assert manager.subscribers(RobotRunnerEvents.LAUNCH_MISSION) == []
+
+
+@pytest.mark.parametrize("error", [None, FileNotFoundError("no such program")])
+def test_a_process_that_a_callback_forks_does_not_go_on_as_the_experiment(error: Exception | None) -> None:
+    children = []
+
+    def fork(context: object) -> None:
+        if child := os.fork():
+            children.append(child)
+        elif error is not None:
+            raise error
+
+    manager = EventManager()
+    manager.subscribe(RobotRunnerEvents.BEFORE_RUN, fork, owner="config", kind=OwnerKind.CONFIG)
+    test = os.getpid()
+    try:
+        emission = manager.emit(RobotRunnerEvents.BEFORE_RUN, lambda owner: owner)
+    finally:
+        if os.getpid() != test:
+            os._exit(99)  # it came back: no second pytest
+    assert not emission.failures
+    assert os.waitstatus_to_exitcode(os.waitpid(children[0], 0)[1]) == (0 if error is None else 1)

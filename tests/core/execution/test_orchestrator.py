@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -380,3 +381,13 @@ def test_a_fresh_interpreter_takes_its_library_from_python_whatever_the_folder_t
         tmp_path / "study", "def populate_run_data(self, context): return {'Energy': 1.0}", run_process="spawn"
     )
     assert [row["status"] for row in executed.table] == ["Done"] * 4
+
+
+def test_how_a_run_ended_is_known_where_the_end_of_children_is_ignored(execute: Execute) -> None:
+    earlier = signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # inherited, or set by a callback or a library
+    try:
+        executed = execute("def launch_mission(self, context): context.run_number == 2 and __import__('os')._exit(3)")
+    finally:
+        signal.signal(signal.SIGCHLD, earlier)
+    assert [row["status"] for row in executed.table] == ["Done", "Failed", "Done", "Done"]
+    assert "exited with code 3" in executed.finished.failures[0]

@@ -239,6 +239,18 @@ def test_what_a_thread_raises_fails_the_run_and_ends_the_mission(execute: Execut
     assert "arm made safe" in executed.log("r_1")
 
 
+@pytest.mark.parametrize("run_process", ["fork", "in_process"])
+def test_an_error_whose_text_cannot_be_made_is_told_of_by_its_type_and_the_robot_is_made_safe(
+    execute: Execute, run_process: str
+) -> None:
+    mission = "raise type('Odd', (Exception,), {'__str__': lambda self: self.never_set})()"
+    executed = ended(execute, mission, run_process=run_process)
+    failure = failure_of(executed)
+    assert (failure.event, failure.owner) == ("launch_mission", "config")
+    assert failure.problem == "Odd: (its text could not be made: AttributeError)"
+    assert "arm made safe" in executed.log("r_1")
+
+
 def test_what_a_thread_raises_while_things_are_closed_is_a_finding(execute: Execute) -> None:
     stop = "t = threading.Thread(target=self.throw); t.start(); t.join()"
     executed = ended(execute, stop=stop)

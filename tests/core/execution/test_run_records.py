@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from robot_runner.core.execution.task import FINISHED, RecordReader, RecordWriter
+from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has pipes that keep writes apart")

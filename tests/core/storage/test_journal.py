@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.events.measure import as_measure_value
 from robot_runner.core.storage import guarded_files
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 
@@ -68,6 +69,17 @@ def test_a_line_that_is_no_record_is_refused_with_its_number(tmp_path: Path) -> 
     with pytest.raises(StorageError) as refused:
         list(read_journal(path))
     assert refused.value.where == f"{path}:2"
+
+
+@pytest.mark.parametrize("value", [-(2**1023), 10**30, 2**63], ids=["the least", "a UUID", "beyond 64 bits"])
+def test_a_whole_number_that_a_measure_may_have_is_read_back(tmp_path: Path, value: int) -> None:
+    path = tmp_path / "journal.jsonl"
+    assert as_measure_value("Serial", value, where="config") == value
+    measures = {"Serial": {"value": value, "owner": "config", "origin": "measured"}}
+    rest = {"run": "r_1", "attempt": 1, "status": "done", "seconds": 1.0, "failure": None, "stamps": {}}
+    with Journal(path) as journal:
+        journal.append("attempt_finished", measures=measures, **rest)
+    assert [record["measures"] for record in read_journal(path)] == [measures]
 
 
 def test_a_journal_that_is_not_there_has_no_records(tmp_path: Path) -> None:

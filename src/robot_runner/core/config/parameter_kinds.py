@@ -174,9 +174,10 @@ CLAIMS = Kind(
     lambda text: [name.strip() for name in text.split(",") if name.strip()],
     tuple,
 )
+_MOST_WORKERS = 10_000  # each is made ready before the first run: a slip would fill the memory
 WORKERS = Kind(
-    'a whole number, 1 or more, or "auto"',
-    lambda value: value == "auto" or (_is_integer(value) and value >= 1),
+    f'a whole number, 1 to {_MOST_WORKERS:,}, or "auto"',
+    lambda value: value == "auto" or (_is_integer(value) and 1 <= value <= _MOST_WORKERS),
     lambda text: int(text) if text.strip().isdecimal() else text.strip().casefold(),
 )
 OPERATOR_STEPS = replace(

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import inspect
+import os
+import sys
+import traceback
 from collections import defaultdict
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.errors import ConfigError, did_you_mean
 from robot_runner.core.vain_parameters import parameters_guarded
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
 
 # The events of an experiment and their order (paper, Fig. 2): the one table that says which process each is emitted in.
@@ -190,7 +193,8 @@ def checked_subscriber(event: object, callback: object, *, owner: str, kind: Own
     """Return the subscriber after a look at the event and at the callback's signature.
 
     Raises:
-        ConfigError: there is no such event, or the callback takes neither nothing nor a context.
+        ConfigError: there is no such event, or the callback takes neither nothing nor a context, or calling it would
+            execute nothing.
     """
     if not isinstance(event, RobotRunnerEvents):
         raise ConfigError(
@@ -204,7 +208,23 @@ def checked_subscriber(event: object, callback: object, *, owner: str, kind: Own
             where=owner,
             fix=f"Give a method such as self.{event.callback_name}.",
         )
+    if _is_async(callback) or inspect.isgeneratorfunction(callback):
+        what, fix = (
+            ("async", "Write a plain def, and await in it by asyncio.run(...).")
+            if _is_async(callback)
+            else ("a generator, as it has a yield", "Leave yield out, or have the callback loop over what yields.")
+        )
+        raise ConfigError(
+            f"{event.callback_name} is {what}: its body would never be executed",
+            where=f"{owner}, {place_of(callback)}",
+            fix=fix,
+        )
     return Subscriber(event, owner, kind, callback, takes_context=_takes_context(event, callback, owner))
+
+
+def _is_async(callback: Callback) -> bool:
+    """Whether calling it only makes something that is to be awaited."""
+    return inspect.iscoroutinefunction(callback) or inspect.isasyncgenfunction(callback)
 
 
 def _takes_context(event: RobotRunnerEvents, callback: Callback, owner: str) -> bool:
@@ -232,10 +252,10 @@ def place_of(callback: Callback) -> str:
 
 
 def methods_of(subject: object) -> Iterator[tuple[RobotRunnerEvents, Callback]]:
-    """Yield the methods of `subject` that are named like an event, in the order of the events."""
+    """Yield what `subject` has under the name of an event, in the order of the events; None is no callback."""
     for name, event in EVENTS_BY_CALLBACK.items():
         method = getattr(subject, name, None)
-        if callable(method):
+        if method is not None:
             yield event, method
 
 
@@ -321,6 +341,7 @@ class EventManager:
         returned: list[tuple[str, Any]] = []
         reached: list[str] = []
         failures: list[CallbackFailure] = []
+        process = os.getpid()
         for subscriber in self.subscribers(event):
             owner = subscriber.owner
             if owner in but_not:
@@ -330,6 +351,21 @@ class EventManager:
                 returned.append((owner, subscriber.call(context_for(owner))))
             except BaseException as error:  # noqa: BLE001 - also sys.exit and Ctrl-C must not skip the closing
                 failures.append(CallbackFailure(event, owner, error))
-                if not event.is_closing:
-                    break
+            if os.getpid() != process:
+                _leave_forked(failures)
+            if failures and not event.is_closing:
+                break
         return Emission(tuple(returned), tuple(reached), tuple(failures))
+
+
+def _leave_forked(failures: Sequence[CallbackFailure]) -> NoReturn:
+    """Leave a process that a callback has forked and that came back from it: it must not execute the experiment, too.
+
+    So it does where `os.execvp` finds no program after an `os.fork`.
+    """
+    with suppress(OSError, ValueError):  # a full disk, or a stream that is closed
+        for failure in failures:
+            traceback.print_exception(failure.error)
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(1 if failures else 0)

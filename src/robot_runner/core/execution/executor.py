@@ -15,8 +15,8 @@ from robot_runner.core.errors import PluginError
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper
 from robot_runner.core.execution.run_events import execute_run
+from robot_runner.core.execution.run_records import FINISHED, RecordReader
 from robot_runner.core.execution.standby import standby_of
-from robot_runner.core.execution.task import FINISHED, RecordReader
 from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.links.connect import is_simulated, preload_simulation
 from robot_runner.core.storage.layout import LazyLog
@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from robot_runner.core.config.claims import Claims
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.places import Place, Places, RunInFlight, Watch
+    from robot_runner.core.execution.run_records import RecordWriter
     from robot_runner.core.execution.standby import Standby
     from robot_runner.core.execution.systems_state import SystemsState
-    from robot_runner.core.execution.task import OutcomeBuilder, RecordWriter, RunOutcome, RunTask
+    from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 
 #: How long after the grace a keeper that should have ended its run is waited for, s.
 _KEEPER_MARGIN = 10.0

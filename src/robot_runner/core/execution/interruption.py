@@ -284,7 +284,7 @@ class RunEnding:
 
     def fail_for(self, error: BaseException, where: str) -> None:
         """Fail the run for what was raised where nobody else handles it, and end what it is doing."""
-        problem = f"{where} raised {type(error).__name__}: {error}"
+        problem = f"{where} raised {type(error).__name__}: {_text_of(error)}"
         self._fail("", {**failure_fields(error), "problem": problem})
         self._gate.end_run(RunFailed(problem))
 
@@ -318,7 +318,7 @@ class RunEnding:
 
     def _find(self, error: BaseException, where: str) -> None:
         """Record that a thread raised something while things are closed: it may have tripped over one of them."""
-        problem = f"{where} raised {type(error).__name__}: {error}"
+        problem = f"{where} raised {type(error).__name__}: {_text_of(error)}"
         sys.stderr.write(f"{problem}\n{failure_fields(error)['traceback']}")
         fix = "Look at its traceback in the run's log, and end the thread before what it uses is closed."
         self._report("finding", {"owner": where, "problem": problem, "fix": fix})
@@ -326,7 +326,15 @@ class RunEnding:
 
 def failure_fields(error: BaseException) -> dict[str, str]:
     """Return the problem in one line, and the traceback, without what the environment keeps secret."""
-    text = str(error)
+    text = _text_of(error)
     problem = text if isinstance(error, RobotRunnerError | RunInterrupted) else f"{type(error).__name__}: {text}"
     trace = "".join(traceback.format_exception(error))
     return {"problem": without_environment_secrets(problem), "traceback": without_environment_secrets(trace)}
+
+
+def _text_of(error: BaseException) -> str:
+    """Return what an error says; some have a `__str__` that raises."""
+    try:
+        return str(error)
+    except Exception as later:  # noqa: BLE001 - a stranger's code
+        return f"(its text could not be made: {type(later).__name__})"

@@ -42,7 +42,7 @@ from robot_runner.core.execution.processes import (
     stop_with_parent,
     use_no_streams,
 )
-from robot_runner.core.execution.task import RecordWriter
+from robot_runner.core.execution.run_records import RecordWriter
 from robot_runner.core.storage.outliving import is_spared, outliving
 
 if TYPE_CHECKING:
@@ -238,6 +238,7 @@ class _KeeperProcess:
     def keep(self) -> None:
         """Start the run, watch over it until it has ended, end what it left behind, and tell how it ended."""
         os.setsid()  # what happens to the orchestrator's terminal does not reach us
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # where it is ignored, the system says of no child how it ended
         use_no_streams()
         adopt_orphans()
         self._fork_run()

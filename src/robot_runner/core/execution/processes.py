@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NoReturn, TextIO
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.interruption import failure_fields
-from robot_runner.core.execution.task import FINISHED
+from robot_runner.core.execution.run_records import FINISHED
 from robot_runner.core.storage.masked_log import MaskedText
 from robot_runner.core.storage.outliving import is_spared, process_stat, processes
 

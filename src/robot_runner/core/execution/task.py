@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import os
-import select
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -17,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.parameters import BadValuePolicy
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, quality_text
-from robot_runner.core.secret_names import sentences_without_secrets
+from robot_runner.core.execution.run_records import FINISHED, POPULATE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -163,115 +159,6 @@ class RunOutcome:
         }
 
 
-# What a run reports while it is executed, on its way to the orchestrator: one JSON record a line through a pipe.
-
-#: The last record of a run that ended by itself.
-FINISHED = "finished"
-#: The event in which a run is evaluated: its last.
-_POPULATE = "populate_run_data"
-
-#: How much of one write a pipe takes at once or not at all, bytes (PIPE_BUF of Linux; POSIX asks for 512).
-_AT_ONCE = 4096
-#: What is held at most for an orchestrator that does not read, bytes: an hour of 50 records a second.
-_MOST_HELD = 32 << 20
-
-_encode = json.JSONEncoder(ensure_ascii=True, separators=(",", ":"), default=str).encode
-
-
-class RecordWriter:
-    """The run's end of the pipe. Plugins may report from threads of their own.
-
-    Measures that are published while the run is evaluated cross the pipe in one write, with the next record of another
-    kind; there always is one. Those of a longer event are sent at once, as a mission may last for hours.
-
-    A mission does not wait for an orchestrator that waits for a disk, or was suspended: the robot would drive on as it
-    was commanded last. What the pipe does not take is held, and sent with the next record.
-
-    Args:
-        descriptor: of the pipe.
-        waits: whether each record is waited for until the pipe has taken it, where no robot is driven meanwhile.
-    """
-
-    def __init__(self, descriptor: int, *, waits: bool = False) -> None:
-        os.set_blocking(descriptor, waits)
-        self.descriptor = descriptor
-        self._lock = threading.Lock()
-        self._event = ""
-        self._held = bytearray()
-
-    def __call__(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send one record, without what the environment keeps secret.
-
-        An orchestrator that is gone is no reason for the run not to close what it opened.
-        """
-        line = f"{_encode([kind, sentences_without_secrets(fields)])}\n"
-        with self._lock:
-            self._event = fields["event"] if kind == "event" else self._event
-            self._held += line.encode()
-            if kind == "measure" and self._event == _POPULATE:
-                return
-            self._send(waits=kind == FINISHED or len(self._held) > _MOST_HELD)
-
-    def _send(self, *, waits: bool) -> None:
-        """Write what is held, as far as the pipe takes it, or all of it where that is waited for."""
-        while self._held:
-            try:
-                written = os.write(self.descriptor, self._held[:_AT_ONCE])
-            except BlockingIOError:
-                if not waits:
-                    return
-                _await_room(self.descriptor)
-                continue
-            except BrokenPipeError:
-                written = len(self._held)
-            del self._held[:written]
-
-    def close(self) -> None:
-        """Close this end: a process that does not report must not keep the pipe open."""
-        os.close(self.descriptor)
-        self.descriptor = -1
-
-
-def _await_room(descriptor: int) -> None:
-    poll = select.poll()
-    poll.register(descriptor, select.POLLOUT)
-    poll.poll()
-
-
-class RecordReader:
-    """The orchestrator's end of the pipe."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._pending = b""
-        os.set_blocking(descriptor, False)
-
-    def read(self) -> tuple[list[tuple[str, dict[str, Any]]], bool]:
-        """Return the records that have arrived, and whether the pipe is still open; never waits."""
-        is_open = True
-        while True:
-            try:
-                data = os.read(self._descriptor, 65536)
-            except BlockingIOError:
-                break
-            if not data:
-                is_open = False
-                break
-            self._pending += data
-            if len(data) < 65536:  # noqa: PLR2004 - the size asked for: there is no more for now
-                break
-        *lines, self._pending = self._pending.split(b"\n")
-        return [record for line in lines if (record := _decoded(line))], is_open
-
-
-def _decoded(line: bytes) -> tuple[str, dict[str, Any]] | None:
-    try:
-        kind, fields = json.loads(line.decode())
-    except (ValueError, TypeError):  # somebody else wrote into the pipe
-        return None
-    return (kind, fields) if isinstance(kind, str) and isinstance(fields, dict) else None
-
-
 class OutcomeBuilder:
     """Gathers the records of one attempt; what it lacks when the run has ended tells how it ended."""
 
@@ -389,9 +276,9 @@ class OutcomeBuilder:
                 continue
             if published is None or published.value is None:
                 because = f": {'; '.join(published.doubts)}" if published is not None and published.doubts else ""
-                yield RunFailure(f"{column.name} has no value{because}", _POPULATE, column.owner)
+                yield RunFailure(f"{column.name} has no value{because}", POPULATE, column.owner)
             elif implausible := column.measure.implausible(published.value):
-                yield RunFailure(f"{column.name}: {implausible}", _POPULATE, column.owner)
+                yield RunFailure(f"{column.name}: {implausible}", POPULATE, column.owner)
 
     def _add_reader(self, factor: str, owner: str) -> None:
         known = self._readers.get(factor, ())

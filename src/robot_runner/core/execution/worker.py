@@ -21,8 +21,9 @@ from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_facts import notice_programs
+from robot_runner.core.execution.run_records import FINISHED, RecordWriter
 from robot_runner.core.execution.systems_state import SystemsState
-from robot_runner.core.execution.task import FINISHED, RecordWriter, RunTask
+from robot_runner.core.execution.task import RunTask
 from robot_runner.core.storage.layout import print_to_log
 from robot_runner.core.treatments import bind
 

@@ -38,6 +38,8 @@ _SHOWN = 60
 #: Ours have less than ten levels; beyond some hundred, Python's own functions fail on them.
 _DEEPEST = 64
 _LARGEST_COUNT = 2**63
+#: As a measure's value: as far as a float goes.
+_MOST_BITS_OF_VALUE = 1024
 #: pandas knows moments between 1677 and 2262.
 _MOMENT = re.compile(r"(?:19|20|21)\d\d-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{1,9})?(?:Z|[+-]\d\d:\d\d)")
 
@@ -205,6 +207,11 @@ def _count_in_reach(value: int, place: str, faults: list[str]) -> None:
         faults.append(f"{place} is a number of {len(str(value)):,} digits")
 
 
+def _value_in_reach(value: int, place: str, faults: list[str]) -> None:
+    if value.bit_length() > _MOST_BITS_OF_VALUE and len(faults) < _MOST_FAULTS:
+        faults.append(f"{place} is a number of {value.bit_length():,} bits")
+
+
 def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
     """Look at what has no declared shape, level by level: it may be nested, within reason."""
     level = [value]
@@ -223,6 +230,10 @@ def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
 _NESTED: dict[type, _Look | None] = {dict: _not_too_deep, list: _not_too_deep}
 _NAMED: dict[Any, _Shape] = {
     Any: _Shape("anything", {bool: None, int: _count_in_reach, float: None, str: None, NoneType: None, **_NESTED}),
+    Scalar: _Shape(
+        " or ".join(_WORDS[each] for each in get_args(Scalar)),
+        {bool: None, int: _value_in_reach, float: _finite, str: None, NoneType: None},
+    ),
     Moment: _Shape("a moment such as 2026-01-31T12:00:00Z", {str: _moment}),
     str: _Shape(_WORDS[str], {str: None}),
     bool: _Shape(_WORDS[bool], {bool: None}),
