@@ -162,3 +162,9 @@ def test_circumstances_that_cannot_be_described_are_logged_and_take_no_experimen
     assert described.keys() == {"ros", "weather"}
     assert "the sensor is gone" in caplog.text
     assert "nowhere_at_all" in caplog.text
+
+
+def test_a_path_among_the_folders_of_modules_is_passed_over_as_an_import_does(clean, tmp_path):
+    known = entry_points("systems")
+    clean.setattr(sys, "path", [*sys.path, tmp_path])
+    assert entry_points("systems") == known

@@ -107,6 +107,8 @@ def entry_points(group: str) -> list[EntryPoint]:
     """
     full, seen, found = f"{_PREFIX}{group}", set(), []
     for entry in sys.path:
+        if not isinstance(entry, str):  # a `Path` that a config has put there: an import passes it over, too
+            continue
         if entry not in _read_before:
             _read_before[entry] = list(_packages_at(entry))
         for package, announced in _read_before[entry]:
