@@ -134,6 +134,11 @@ def test_an_event_that_cannot_be_counted_is_named_and_one_that_was_scaled_too(tm
     assert "'cache-misses' was counted in 50 % of the time only, and scaled up by perf" in problems
 
 
+def test_times_that_perf_counts_in_nanoseconds_are_in_seconds():
+    duration, user = PerfStat(events=["duration_time", "user_time"]).columns
+    assert (duration.measure.unit, duration.factor, user.measure.unit, user.factor) == ("s", 1e-9, "s", 1e-9)
+
+
 def test_recorded_rows_are_read():
     rows = [row for row in parse_perf(RECORDED.splitlines()) if row]
     assert [row.get("task-clock") for row in rows] == ["400.71", None, None, None]

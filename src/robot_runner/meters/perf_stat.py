@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
@@ -24,6 +25,10 @@ _INSTALL = "Install it: sudo apt install linux-perf (Debian), linux-tools-generi
 _DEFAULT_EVENTS = ("task-clock", "context-switches", "page-faults", "instructions", "cycles", "cache-misses")
 #: Percentage of the time that an event was counted below which it is worth a warning; perf scales up what it missed.
 _FULL_TIME, _ALL_TIME = 90.0, 100.0
+#: In what perf tells times (tools/perf/util: the clocks in ms, its own three in ns).
+_OF_SECOND = MappingProxyType(
+    {"task-clock": 1e-3, "cpu-clock": 1e-3, "duration_time": 1e-9, "user_time": 1e-9, "system_time": 1e-9}
+)
 _SEPARATOR = ";"  # events may have commas in their names
 _NOT_SUPPORTED, _NOT_COUNTED = "<not supported>", "<not counted>"
 _TRIAL_SECONDS = 10.0
@@ -106,8 +111,7 @@ class PerfStat(CommandProfiler):
             command=[*counting, "-I", str(interval_ms), *scope, "--output", "{output}"],
             output="perf.csv",
             columns=[
-                CommandColumn(event, _measure_of(event), Aggregate.SUM, 1e-3 if _is_clock(event) else 1.0)
-                for event in self.events
+                CommandColumn(event, _measure_of(event), Aggregate.SUM, _seconds(event) or 1.0) for event in self.events
             ],
             parse=parse_perf,
             time=TimeColumn("span", TimeKind.SINCE_START),
@@ -173,10 +177,10 @@ class PerfStat(CommandProfiler):
 def _measure_of(event: str) -> Measure:
     words = [word for word in re.split(r"[^A-Za-z0-9]+", event.removeprefix("power/")) if word]
     name = "".join(word[:1].upper() + word[1:] for word in words)
-    unit = "s" if _is_clock(event) else "J" if event.startswith("power/energy") else "1"
+    unit = "s" if _seconds(event) else "J" if event.startswith("power/energy") else "1"
     return Measure(name, unit, f"{event} over the measured window, by perf.")
 
 
-def _is_clock(event: str) -> bool:
-    """Return whether perf tells of the event in milliseconds."""
-    return event.partition(":")[0] in {"task-clock", "cpu-clock"}
+def _seconds(event: str) -> float | None:
+    """Return what of a second perf counts an event in; None where it counts no time."""
+    return _OF_SECOND.get(event.partition(":")[0])
