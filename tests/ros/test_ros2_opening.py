@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import importlib.machinery
 import importlib.util
+import sys
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot_name import RobotName
-from robot_runner.ros import ros_environment
+from robot_runner.ros import ros2_link, ros_environment
+from robot_runner.ros.missions.joint_missions import SharedClock
 from robot_runner.ros.ros2_link import findings, open_ros2_link
 
 
@@ -43,6 +47,18 @@ def test_a_sourced_ros_1_is_a_finding(monkeypatch):
     monkeypatch.setenv("ROS_DISTRO", "noetic")
     (finding,) = findings(RobotName.parse("ros2"))
     assert "noetic" in finding.problem
+
+
+def test_a_robot_that_moves_together_with_another_is_no_simulated_one(monkeypatch):
+    # Such a one would have no heartbeat for its watchdog, and nobody would look who else commands it.
+    opened = []
+    transport = MagicMock(side_effect=lambda *_, **options: opened.append(options) or MagicMock())
+    monkeypatch.setitem(sys.modules, "robot_runner.ros.ros2_transport", SimpleNamespace(Ros2Transport=transport))
+    monkeypatch.setattr(ros2_link, "_check_installed", lambda: None)
+    simulated = SimpleNamespace(now=lambda: 0.0, sleep=lambda _: None, is_simulated=True)
+    links = [open_ros2_link({}, SharedClock(clock), "/alice") for clock in (SystemClock(), simulated)]
+    assert [link.is_simulated for link in links] == [False, True]
+    assert [options["use_sim_time"] for options in opened] == [False, True]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is not None, reason="a ROS 2 is sourced")

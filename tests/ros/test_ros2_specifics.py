@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,7 +14,6 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.ros2_link import open_ros2_link
-from robot_runner.testing import FakeClock
 
 pytestmark = pytest.mark.ros2
 
@@ -105,7 +105,8 @@ def test_a_process_is_one_node_whatever_the_number_of_robots_and_a_hidden_one_un
 
 def test_nothing_is_left_behind(link):
     before = threading.active_count()
-    with closing(open_ros2_link({"domain": DOMAIN}, FakeClock())) as other:
+    simulated = SimpleNamespace(now=lambda: 0.0, sleep=lambda _: None, is_simulated=True)
+    with closing(open_ros2_link({"domain": DOMAIN}, simulated)) as other:
         assert other.is_simulated
         other.offer("lamp", TRIGGER, lambda _: {})
     assert threading.active_count() <= before

@@ -98,6 +98,30 @@ def test_what_is_heard_in_the_measured_window_is_in_the_bag(record):
     assert 50_000_000_000 <= min(stamps) <= max(stamps) <= 52_000_000_000
 
 
+@pytest.mark.parametrize("others", [["odom"], []])
+def test_what_publishers_keep_for_late_comers_is_at_the_beginning_of_the_bag(tmp_path, others):
+    clock = FakeClock(50.0)
+    link = _robot(clock, link=FakeRobotLink)
+    link.known_topics |= {"/map_name": "std_msgs/String"}
+    link.known_publishers["/map_name"] = [GraphEndpoint("/map", "std_msgs/String", qos=Qos.TRANSIENT_LOCAL)]
+    plugin = RosBag([*others, "/map_name"], by="link")
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=link), clock=clock)
+    started = plugin.start_run
+
+    def start_run(context):
+        started(context)
+        link.deliver("/map_name", {"data": "hall"})  # as it comes with the subscription
+        clock.sleep(3.0)
+
+    plugin.start_run = start_run
+    rehearse(context, plugin, mission=lambda: clock.sleep(2.0))
+    messages = _read(context.raw_data_folder / "bag.mcap")
+    assert len(messages) == context.measures["BagMessages"] == 1 + 20 * len(others)
+    ((stamp, kept),) = [(stamp, message) for topic, stamp, message in messages if topic == "/map_name"]
+    assert kept.data == "hall"
+    assert stamp == min(each for _, each, _ in messages) >= (53e9 if others else 50e9)
+
+
 def test_the_simulated_robot_is_recorded_and_says_so(record, programs):
     context = record(RosBag(["odom"]), is_simulated=True)
     assert {each.origin for each in context.broker.measures.values()} == {Origin.SIMULATED}

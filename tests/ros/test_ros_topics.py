@@ -107,6 +107,24 @@ def test_stamps_of_the_future_yield_no_age_and_a_warning_about_clocks(measure):
     assert "chrony" in finding.fix
 
 
+def test_stamps_of_a_simulation_s_time_or_a_recording_yield_no_age_and_a_warning_about_it_alone(measure):
+    context = measure(RosTopics({"odom": 20.0}), age=20_000 * 86_400.0)
+    assert (context.measures["OdomAge"], context.measures["OdomMaxAge"]) == (None, None)
+    assert context.measures["OdomRate"] == pytest.approx(20.0, rel=0.01)
+    (finding,) = context.broker.findings
+    assert "topic odom: a message was stamped 20000.0 days before it arrived" in finding.problem
+
+
+def test_what_was_lost_is_known_whatever_time_the_stamps_are_of():
+    topic = ReceivedTopic("Odom", None)
+    for number in (1, 2, 4, 5):
+        topic.times.append(number * 0.1)
+        topic.ages.append(1.7e9)
+        topic.sizes.append(100)
+        topic.sequence.append(number)
+    assert topic.over(Window(0.0, 0.5)).dropped(Window(0.0, 0.5)) == 1
+
+
 @pytest.mark.parametrize(("is_simulated", "origin"), [(True, Origin.SIMULATED), (False, Origin.MEASURED)])
 def test_values_say_where_they_come_from(measure, is_simulated, origin):
     context = measure(RosTopics(), is_simulated=is_simulated)

@@ -216,6 +216,18 @@ def test_a_type_that_only_the_robot_knows_is_asked_of_it(generation, tmp_path):
         assert "float64[] angles" in link.definition("my_robot/Arm")
 
 
+@pytest.mark.parametrize(("generation", "w"), [(1, 0.0), (2, 1.0)])
+def test_an_orientation_left_out_of_a_type_that_only_the_robot_knows_has_ros_default(generation, w, tmp_path):
+    (tmp_path / "my_robot" / "msg").mkdir(parents=True)
+    (tmp_path / "my_robot" / "msg" / "Aim.msg").write_text("geometry_msgs/Pose pose\n")
+    with closing(RosbridgeServer(generation=generation, types=[tmp_path])) as server, closing(linked(server)) as link:
+        heard = []
+        link.subscribe("aim", "my_robot/Aim", heard.append)
+        link.publish("aim", "my_robot/Aim", {"pose": {"position": {"x": 1.0}}})
+        until(lambda: heard)
+        assert heard[0]["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": w}
+
+
 def test_a_callback_may_call_a_service(server):
     server.offer("/lamp", TRIGGER, lambda _: {"success": True, "message": "on"})
     with closing(linked(server)) as link:

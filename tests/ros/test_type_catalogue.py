@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from robot_runner.core.errors import LinkError
@@ -141,6 +143,44 @@ def test_types_come_from_the_user_s_files(tmp_path):
     assert catalogue.deserialise("my_robot/Wheels", data, Encoding.CDR)["pair"][0]["place"] == 1
     assert catalogue.request("my_robot/Turn").fields[0].kind.type_name == "my_robot/Wheel"
     assert "MSG: my_robot/Wheel" in catalogue.definition("my_robot/Wheels")
+
+
+def test_fields_that_are_left_out_have_the_defaults_of_the_user_s_file(tmp_path):
+    text = """# A goal.
+float32 speed 0.25   # m/s
+string mode "fast # and far"
+string<=5 tag abc   # without quotes
+bool on true
+int32[] list [1, -2]
+uint8 MODE=3
+uint8 OTHER = 4
+string LABEL=hello # all of it
+int16 padded 010
+float64 far inf
+bool[2] both [false, TRUE]
+string[] words ["a # b", 'c'] # two
+int32 plain # 5
+"""
+    _written(tmp_path, "my_robot/msg/Goal.msg", text)
+    _written(tmp_path, "my_robot/action/Drive.action", "float64 rate 0.5\n---\nbool done\n---\nint8 left 7\n")
+    _written(tmp_path, "my_robot/srv/Ask.srv", "int8 level 2\n---\nint8 level 3\n")
+    catalogue = TypeCatalogue.of(2, "jazzy", (tmp_path,))
+    made = completed(catalogue.shape("my_robot/Goal"), {}, where="a")
+    assert made.pop("speed") == 0.25
+    assert (made.pop("padded"), made.pop("far")) == (10, math.inf)
+    assert (made.pop("both"), made.pop("words")) == ([False, True], ["a # b", "c"])
+    assert made == {"mode": "fast # and far", "tag": "abc", "on": True, "list": [1, -2], "plain": 0}
+    assert completed(catalogue.shape("my_robot/Drive_Goal"), {}, where="a") == {"rate": 0.5}
+    assert completed(catalogue.shape("my_robot/Drive_Feedback"), {}, where="a") == {"left": 7}
+    assert completed(catalogue.request("my_robot/Ask"), {}, where="a") == {"level": 2}
+    assert completed(catalogue.response("my_robot/Ask"), {}, where="a") == {"level": 3}
+    assert len({catalogue.shape("my_robot/Goal")}) == 1  # it can be a key, as the DDS types are kept by it
+
+
+def test_a_default_that_cannot_be_read_is_named_by_its_file(tmp_path):
+    _written(tmp_path, "my_robot/msg/Goal.msg", "int32[] plain [1, x]\n")
+    with pytest.raises(LinkError, match=r"Goal\.msg: the default of the field 'plain' cannot be read: '\[1, x\]'"):
+        TypeCatalogue.of(2, "jazzy", (tmp_path,))
 
 
 def test_a_file_is_enough_and_its_folder_names_the_package(tmp_path):

@@ -11,14 +11,14 @@ from statistics import median
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import LinkError, PluginError
-from robot_runner.core.links.robot import Encoding, Qos
+from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.bag_metadata import Contents, offered_profiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from robot_runner.core.links.robot import RawMessage, RobotLink
+    from robot_runner.core.links.robot import RobotLink
     from robot_runner.ros.topic_statistics import TypedTopic
 
 _Found = TypeVar("_Found")
@@ -212,6 +212,8 @@ class LinkRecorder:
         self.path = self._bag.path
         self._received: queue.SimpleQueue[tuple[int, RawMessage] | None] = queue.SimpleQueue()
         self._is_recording = False
+        self._kept: list[tuple[int, RawMessage]] = []  # came before, and is to be at the beginning of the bag
+        self._order = threading.Lock()
         self._fault: Exception | None = None
         self.messages = 0
         self._subscriptions = ExitStack()
@@ -225,12 +227,15 @@ class LinkRecorder:
         self._writer.start()
 
     def begin(self) -> None:
-        """Record from now on."""
+        """Record from now on; what publishers keep for late comers, such as a map, is there from the beginning."""
         self._is_recording = True
 
     def end(self) -> None:
         """Record no more."""
-        self._is_recording = False
+        with self._order:
+            if self._is_recording:
+                self._put_kept(None)
+            self._is_recording = False
 
     def close(self) -> str | None:
         """Finish the bag, and say what went wrong, if anything did."""
@@ -244,15 +249,27 @@ class LinkRecorder:
         return None if self._fault is None else f"the bag could not be written to its end: {self._fault}"
 
     def _subscribe(self, link: RobotLink, topic: TypedTopic) -> None:
-        definition = link.definition(topic.message_type)
-        number = self._bag.add_topic(topic.full_name, topic.message_type, definition, _offers(link, topic.full_name))
+        definition, offers = link.definition(topic.message_type), _offers(link, topic.full_name)
+        number = self._bag.add_topic(topic.full_name, topic.message_type, definition, offers)
+        is_kept = Qos.TRANSIENT_LOCAL in offers
 
         def receive(message: RawMessage) -> None:
-            if self._is_recording:
-                self._received.put((number, message))
+            with self._order:
+                if self._is_recording:
+                    self._put_kept(message.received_ns)
+                    self._received.put((number, message))
+                elif is_kept:
+                    self._kept.append((number, message))
 
         subscription = link.subscribe_raw(topic.name, topic.message_type, receive)
         self._subscriptions.callback(subscription.close)
+
+    def _put_kept(self, received_ns: int | None) -> None:
+        """Write what came before, as if it had come with the first message of the bag."""
+        for number, message in self._kept:
+            stamp = message.received_ns if received_ns is None else received_ns
+            self._received.put((number, RawMessage(message.data, stamp)))
+        self._kept.clear()
 
     def _write(self) -> None:
         while (item := self._received.get()) is not None:

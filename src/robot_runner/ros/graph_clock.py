@@ -67,6 +67,10 @@ class GraphClock:
         """Return the seconds that the graph's clock showed last; never goes back, also where a simulator is reset."""
         return self._now
 
+    def shown(self) -> float:
+        """Return the seconds that were told last; after a reset, those of the simulator's new time."""
+        return self._shown
+
     def sleep(self, seconds: float) -> None:
         """Block until this many seconds of the graph's clock have gone by; negative counts as zero.
 

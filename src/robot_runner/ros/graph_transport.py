@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
-from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 
@@ -187,7 +186,22 @@ class Transport(Protocol):
 
 def receive_clock(clock: Clock) -> Callable[[], int]:
     """Return what stamps raw messages, in ns: this machine's time, or a simulation's where the run has one."""
-    return time.time_ns if isinstance(clock, SystemClock) else lambda: int(clock.now() * 1e9)
+    if not is_simulated_time(clock):
+        return time.time_ns
+    # What the simulation tells, as stamps do: a run's clock goes on where a simulator is reset.
+    shown: Callable[[], float] = getattr(clock, "shown", clock.now)
+    return lambda: int(shown() * 1e9)
+
+
+def is_simulated_time(clock: Clock) -> bool:
+    """Whether a clock is that of a simulation; all others go by this machine's time, whoever has wrapped them.
+
+    Example:
+        >>> from robot_runner.core.events.context import SystemClock
+        >>> is_simulated_time(SystemClock())
+        False
+    """
+    return bool(getattr(clock, "is_simulated", False))
 
 
 def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = "") -> None:

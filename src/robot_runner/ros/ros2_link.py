@@ -9,10 +9,9 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
-from robot_runner.core.events.context import SystemClock
 from robot_runner.ros.graph_addresses import domain_id
 from robot_runner.ros.graph_link import GraphLink
-from robot_runner.ros.graph_transport import receive_clock
+from robot_runner.ros.graph_transport import is_simulated_time, receive_clock
 from robot_runner.ros.ros_environment import find_ros, other_python_of_rclpy
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ def open_ros2_link(options: Mapping[str, str], clock: Clock, namespace: str = ""
 
     Args:
         options: `domain`: DDS domain id; left out, what ROS_DOMAIN_ID says.
-        clock: the run's; where it is not this machine's, the node lives by the time on `/clock`.
+        clock: the run's; where it is a simulation's, the node lives by the time on `/clock`.
         namespace: the robot's, such as `/alice`.
 
     Raises:
@@ -53,7 +52,7 @@ def open_ros2_link(options: Mapping[str, str], clock: Clock, namespace: str = ""
     _check_installed()
     from robot_runner.ros.ros2_transport import Ros2Transport  # noqa: PLC0415  # rclpy, which comes with a sourced ROS 2
 
-    is_simulated = not isinstance(clock, SystemClock)
+    is_simulated = is_simulated_time(clock)
     connect = partial(Ros2Transport, domain, receive_clock(clock), use_sim_time=is_simulated)
     return GraphLink(connect, namespace, is_simulated=is_simulated)
 

@@ -181,6 +181,10 @@ class RosTopics(Profiler):
             for problem in received.doubts(quality):
                 fix = _CLOCKS_FIX if received.is_ahead else _FIX
                 context.doubt(f"topic {topic}: {problem}", fix=fix, measures=doubted)
+            old = received.age_doubt()
+            if old is not None:
+                ages = [received.label + kind for kind in ("Age", "MaxAge")]
+                context.doubt(f"topic {topic}: {old}", fix="Go without them: the rest is counted here.", measures=ages)
             unknown = received.loss_doubt(window) if self.losses else None
             if unknown is not None:
                 fix = "Count the messages where they are published, and compare with the recorded ones."

@@ -10,8 +10,8 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint
 from robot_runner.ros.rosbridge_session import ANSWER
 from robot_runner.ros.shapes import UNBOUNDED, Field, Shape, plain_type
-from robot_runner.ros.type_catalogue import TypeCatalogue
-from robot_runner.ros.type_store import ROS2_DISTROS
+from robot_runner.ros.type_catalogue import STANDARD_DEFAULTS, TypeCatalogue
+from robot_runner.ros.type_store import ROS2_DISTROS, stored_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -303,25 +303,27 @@ class RobotTypes:
             definitions = self._rosapi.details(question, self.wire_name(name, kind))
             if not definitions:
                 raise
-            return self._told.setdefault((question, name), _assembled(name, definitions))
+            return self._told.setdefault((question, name), _assembled(name, definitions, self.generation))
 
 
-def _assembled(name: str, definitions: Sequence[Mapping[str, Any]]) -> Shape:
+def _assembled(name: str, definitions: Sequence[Mapping[str, Any]], generation: int | None) -> Shape:
     """Return the shape that a type and those that it is made of are told to be; the first is the type itself."""
     by_name = {plain_type(each["type"]): each for each in definitions}
+    # rosapi tells no defaults.
+    defaults = {} if generation == 1 else STANDARD_DEFAULTS
     shapes: dict[str, Shape] = {}
 
     def shape(own: str, told: Mapping[str, Any], under: frozenset[str]) -> Shape:
         if own not in shapes:
             columns = zip(told["fieldnames"], told["fieldtypes"], told["fieldarraylen"], strict=True)
-            shapes[own] = Shape(own, tuple(field(*column, under | {own}) for column in columns))
+            shapes[own] = Shape(own, tuple(field(own, *column, under | {own}) for column in columns))
         return shapes[own]
 
-    def field(label: str, told: str, count: int, under: frozenset[str]) -> Field:
+    def field(own: str, label: str, told: str, count: int, under: frozenset[str]) -> Field:
         kind = _KINDS.get(told, plain_type(told))
         length = None if count < 0 else count or UNBOUNDED
         if kind in _STAMPS or kind not in by_name or kind in under:
-            return Field(label, kind, length)
+            return Field(label, kind, length, defaults.get((stored_name(own), label)))
         return Field(label, shape(kind, by_name[kind], under), length)
 
     return shape(plain_type(name), definitions[0], frozenset())

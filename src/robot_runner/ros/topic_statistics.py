@@ -154,6 +154,8 @@ _FEW = 3
 
 #: So far may a stamp lie in the future, s, before clocks are said to differ: they are never quite one.
 _AHEAD = 0.001
+#: So far may it lie in the past, s, before it is taken for that of a simulation's time, or of a recording: a day.
+_ANOTHER_TIME = 86_400.0
 #: Of so many messages the rate is shown to who watches.
 _RECENT = 20
 
@@ -245,6 +247,16 @@ class ReceivedTopic:
         """Whether a message was stamped after it arrived, so that two clocks differ."""
         return min(self.known_ages, default=0.0) < -_AHEAD
 
+    @property
+    def is_of_another_time(self) -> bool:
+        """Whether a message was stamped so long ago that the stamps are a simulation's time, or a recording's."""
+        return max(self.known_ages, default=0.0) > _ANOTHER_TIME
+
+    @property
+    def has_ages(self) -> bool:
+        """Whether stamps and arrivals are of one clock, as far as they show."""
+        return not (self.is_ahead or self.is_of_another_time)
+
     def quality(self, window: Window) -> SampleQuality:
         """Return how evenly the messages came over the window."""
         # Where no rate is expected, the one that was had is taken: what is left to be doubted is its evenness.
@@ -258,7 +270,7 @@ class ReceivedTopic:
         """
         if len(self.times) < 2:  # noqa: PLR2004 - a rate needs two
             return 0
-        delays = [age if math.isfinite(age) and not self.is_ahead else 0.0 for age in (self.ages[0], self.ages[-1])]
+        delays = [age if math.isfinite(age) and self.has_ages else 0.0 for age in (self.ages[0], self.ages[-1])]
         first, last = self.times[0] - delays[0], self.times[-1] - delays[1]
         numbers = self.known_numbers
         count = numbers[-1] - numbers[0] if len(numbers) == len(self.times) else len(self.times) - 1
@@ -277,7 +289,7 @@ class ReceivedTopic:
 
     def values(self, window: Window) -> Mapping[str, float | None]:
         """Return the measures of the window, without the topic's label."""
-        ages = [] if self.is_ahead else self.known_ages
+        ages = self.known_ages if self.has_ages else []
         jitter = self.quality(window).jitter
         seconds = window.duration
         return {
@@ -309,6 +321,16 @@ class ReceivedTopic:
             yield from quality.warnings()
         if self.is_ahead:
             yield f"a message was stamped {-min(self.known_ages):.3f} s after it arrived, so ages are not known"
+
+    def age_doubt(self) -> str | None:
+        """Say that the stamps are of another time, if so."""
+        if not self.is_of_another_time:
+            return None
+        days = max(self.known_ages) / _ANOTHER_TIME
+        return (
+            f"a message was stamped {days:.1f} days before it arrived, as in a simulation's time or a recording, so "
+            "ages are not known"
+        )
 
     def loss_doubt(self, window: Window) -> str | None:
         """Say why it is not known how many messages were lost; None where it is."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, nearest
@@ -11,7 +12,7 @@ from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.action_types import is_action_part, whole_action
 from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
 from robot_runner.ros.shapes import Field, Shape, UpTo, plain_type
-from robot_runner.ros.type_store import filled_store, service_part, stored_name
+from robot_runner.ros.type_store import filled_store, given_defaults, service_part, stored_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 
     from rosbags.typesys.store import Typestore
 
-#: Type stores lose the defaults that definitions give. Of the standard messages this is the only one with any.
-_DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
+#: Type stores lose the defaults that definitions give. Of ROS 2's standard messages this is the only one with any.
+STANDARD_DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
 
 #: What ROS 1 means by these names; in ROS 2 they are an octet and a uint8.
 _ROS1_KINDS = {"byte": "int8", "char": "uint8"}
@@ -39,8 +40,11 @@ class TypeCatalogue:
         {'data': 'hi'}
     """
 
-    def __init__(self, store: Typestore, generation: int) -> None:
+    def __init__(
+        self, store: Typestore, generation: int, defaults: Mapping[tuple[str, str], Any] = MappingProxyType({})
+    ) -> None:
         self._store = store
+        self._defaults = {**(STANDARD_DEFAULTS if generation == 2 else {}), **defaults}  # noqa: PLR2004  # of ROS
         self._generation = generation
         self._codec = MessageCodec(store, signed_bytes=generation == 1)
         self._shapes: dict[str, Shape] = {}
@@ -160,7 +164,7 @@ class TypeCatalogue:
 
     def _field(self, owner: str, name: str, description: Any) -> Field:
         kind, detail = description
-        default = _DEFAULTS.get((owner, name)) if self._generation == 2 else None  # noqa: PLR2004  # of ROS
+        default = self._defaults.get((owner, name))
         if kind in {NodeKind.BASIC, NodeKind.TYPE}:
             return Field(name, self._kind(kind, detail), default=default, limit=_text_limit(kind, detail))
         (inner_kind, inner), number = detail
@@ -201,7 +205,7 @@ class TypeCatalogue:
 
 @lru_cache(maxsize=8)
 def _catalogue(generation: int, distro: str | None, extra: tuple[Path, ...]) -> TypeCatalogue:
-    return TypeCatalogue(filled_store(generation, distro, extra), generation)
+    return TypeCatalogue(filled_store(generation, distro, extra), generation, given_defaults(generation, extra))
 
 
 def _text_limit(kind: int, detail: Any) -> int | None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.ros.action_types import action_parts, bundled_definitions, is_action_part
+from robot_runner.ros.field_defaults import field_defaults
 from robot_runner.ros.message_codec import NodeKind
 from robot_runner.ros.node_services import NODE_TYPES
 from robot_runner.ros.shapes import plain_type
@@ -71,6 +72,19 @@ def filled_store(generation: int, distro: str | None, extra: Sequence[Path]) -> 
     store.register({name: fields for name, fields in found.items() if name not in store.fielddefs})
     _check_references(found, store, definitions)
     return store
+
+
+def given_defaults(generation: int, extra: Sequence[Path]) -> dict[tuple[str, str], Any]:
+    """Return the defaults that the user's files give to fields, by the type's name as stores spell it and the field's.
+
+    Raises:
+        LinkError: a file cannot be used; ROS 1 has no defaults.
+    """
+    found: dict[tuple[str, str], Any] = {}
+    for name, (where, text) in _definitions(extra).items() if generation == 2 else ():  # noqa: PLR2004  # of ROS
+        for stored, part in _parts(name, text, where, generation).items():
+            found |= {(stored, field): value for field, value in field_defaults(part, where=where).items()}
+    return found
 
 
 def stored_name(name: str, kind: str = "msg") -> str:
@@ -154,21 +168,21 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 def _parsed(rosbags: Any, name: str, text: str, where: str, generation: int) -> dict[str, Any]:
+    parts = _parts(name, text, where, generation)
+    return {name: fields for part in parts for name, fields in _message(rosbags, part, parts[part], where).items()}
+
+
+def _parts(name: str, text: str, where: str, generation: int) -> dict[str, str]:
+    """Return the text of each message that a definition is made of, by its name as stores spell it."""
     stem, _, suffix = name.rpartition(".")
     if suffix == "msg":
-        return _message(rosbags, stored_name(stem), text, where)
+        return {stored_name(stem): text}
     if suffix == "action":
-        parts = action_parts(generation, stem, text, where=where)
-        return {name: fields for part in parts for name, fields in _message(rosbags, part, parts[part], where).items()}
+        return action_parts(generation, stem, text, where=where)
     request, separator, response = _halves(text)
     if not separator:
         raise LinkError("a service has no line '---'", where=where, fix="Put '---' between request and response.")
-    parts = {"Request": request, "Response": response}
-    return {
-        name: fields
-        for part, body in parts.items()
-        for name, fields in _message(rosbags, service_part(stem, part), body, where).items()
-    }
+    return {service_part(stem, "Request"): request, service_part(stem, "Response"): response}
 
 
 def _halves(text: str) -> tuple[str, str, str]:

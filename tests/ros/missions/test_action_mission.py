@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,6 +12,7 @@ from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.plugins import Circumstances, Measure, treatment
 from robot_runner.plugins.systems import ActionMission, Together
+from robot_runner.ros.missions.goal_measures import FeedbackMeasures
 from robot_runner.testing import SystemContract, make_context, rehearse
 
 if TYPE_CHECKING:
@@ -108,6 +110,31 @@ def test_a_goal_that_is_not_reached_fails_the_run_or_is_a_measure(
     assert measured["Outcome"] == outcome
     assert measured["PathLength"] < 0.4
     assert measured["ErrorCode"] == {"aborted": 208}.get(outcome)
+
+
+def test_the_duration_begins_with_the_goal_s_acceptance(contexts: Any) -> None:
+    mission = _mission(0.2, failure="measure")
+    context = contexts(mission)
+
+    def accept(_: Any) -> bool:
+        context.clock.sleep(3.0)
+        return True
+
+    offered(context, accept=accept)
+    assert rehearse(context, mission)["Duration"] < 2.5
+    context = contexts(mission)
+    offered(context, accept=lambda _: False)
+    assert rehearse(context, mission)["Duration"] is None
+
+
+def test_feedback_that_is_no_number_yet_is_left_out_of_its_mean() -> None:
+    kinds = ("first", "minimum", "maximum", "mean")
+    feedback = FeedbackMeasures({kind.title(): (kind, "left") for kind in kinds}, where="Go")
+    feedback.take({"left": math.inf})
+    assert set(feedback.values().values()) == {None}
+    for left in (math.nan, 3.0, 1.0):
+        feedback.take({"left": left})
+    assert feedback.values() == {"First": None, "Minimum": 1.0, "Maximum": 3.0, "Mean": 2.0}
 
 
 def test_a_server_that_is_missing_or_has_another_type_fails_the_run_in_its_deadline(contexts: Any) -> None:

@@ -66,6 +66,59 @@ def test_ranges_that_say_nothing_are_no_obstacles_and_silence_is_doubted(tmp_pat
     assert "no laser scan came on 'scan'" in context.broker.findings[-1].problem
 
 
+def test_an_obstacle_that_was_too_near_to_measure_makes_the_closest_one_doubtful(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    way = WayMeasures(None, "scan", None, where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=1.0)
+    way.begin_mission()
+    for ranges in ([0.8, 0.5], [0.8, -math.inf]):
+        link.deliver("scan", {"range_min": 0.12, "range_max": 3.5, "ranges": ranges})
+    assert way.end_mission(context) == {"ClosestObstacle": 0.5}
+    (doubt,) = context.broker.findings
+    assert "1 of 2 laser scans saw something too near to measure" in doubt.problem
+
+
+def test_a_way_by_tf_that_nobody_tells_any_more_is_doubted(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+
+    def tell() -> None:
+        now = clock.now()
+        if now < 2.0:  # localisation dies
+            link.deliver("/tf", {"transforms": [_transform("map", "odom", 0.0, now)]})
+        link.deliver("/tf", {"transforms": [_transform("odom", "base_link", 0.2 * now, now)]})
+
+    clock.every(0.2, tell)
+    way = WayMeasures(None, None, ("map", "base_link"), where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(6.0)
+    way.end_mission(context)
+    (doubt,) = context.broker.findings
+    assert "where 'base_link' is in 'map' was not told for 4." in doubt.problem
+
+
+def test_a_way_by_odometry_that_falls_silent_is_doubted(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    pose = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+
+    def tell() -> None:
+        stamp = {"sec": int(clock.now()), "nanosec": round(clock.now() % 1 * 1e9)}
+        if clock.now() < 2.0:
+            link.deliver("odom", {"header": {"stamp": stamp}, "pose": {"pose": pose}})
+
+    clock.every(0.05, tell)
+    way = WayMeasures("odom", None, None, where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(5.0)
+    way.end_mission(context)
+    (doubt,) = context.broker.findings
+    assert "no odometry arrived for 3" in doubt.problem
+
+
 @pytest.mark.parametrize("frames", ["map", ("map",), ("map", ""), ("map", "odom", "base_link")])
 def test_frames_that_are_no_pair_are_refused(frames: Any) -> None:
     with pytest.raises(PluginError, match="path_frames is"):

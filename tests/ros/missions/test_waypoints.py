@@ -70,8 +70,22 @@ def test_a_robot_that_does_not_move_fails_the_run_and_is_stopped(tmp_path: Path)
     assert link.stands_still
 
 
-def _odometry(now: float) -> dict[str, Any]:
-    pose = {"position": {"x": 0.0, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+@pytest.mark.parametrize("x", [math.nan, math.inf])
+def test_a_robot_whose_pose_is_no_number_is_stopped_at_once(tmp_path: Path, x: float) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    link.known_topics = {"cmd_vel": "geometry_msgs/Twist"}
+    clock.every(0.05, lambda: link.deliver("odom", _odometry(clock.now(), 0.0 if clock.now() < 2.0 else x)))
+    ahead = Waypoints([(2.0, 0.0)])
+    context = make_context(tmp_path, ahead, robot="dds", links=FakeLinks(robot=link), clock=clock)
+    with pytest.raises(LinkError, match="a pose that is no number"):
+        rehearse(context, ahead)
+    assert link.stands_still
+    assert clock.now() < 2.2
+
+
+def _odometry(now: float, x: float = 0.0) -> dict[str, Any]:
+    pose = {"position": {"x": x, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
     return {"header": {"stamp": {"sec": int(now), "nanosec": int(now % 1 * 1e9)}}, "pose": {"pose": pose}}
 
 

@@ -152,6 +152,7 @@ class ActionMission(RobotSystem):
         self._check_names()
         self._link: RobotLink | None = None
         self._goal: Goal | None = None
+        self._accepted_at: float | None = None
         self._values: dict[str, MeasureValue] | None = None
         self._is_simulated = False
         self._heartbeat: Heartbeat | None = None
@@ -193,10 +194,11 @@ class ActionMission(RobotSystem):
         if link is None:
             fix = "Emit start_run before launch_mission."
             raise PluginError("the mission was launched before the run was started", where=self.name, fix=fix)
-        begun = context.clock.now()
+        self._accepted_at = None
         self._of_way.begin_mission()
         outcome, ended = self._executed(link, context)
-        values: dict[str, MeasureValue] = {"Duration": context.clock.now() - begun, "Outcome": outcome}
+        lasted = None if self._accepted_at is None else context.clock.now() - self._accepted_at
+        values: dict[str, MeasureValue] = {"Duration": lasted, "Outcome": outcome}
         values |= self._of_result.values(None if ended is None else ended.result)
         values.update(self._of_feedback.values())
         values.update(self._of_way.end_mission(context))
@@ -262,6 +264,7 @@ class ActionMission(RobotSystem):
                 raise
             context.warn(error.problem, fix=error.fix)
             return GoalStatus.REJECTED.value, None
+        self._accepted_at = context.clock.now()  # to find its server may have taken seconds
         try:
             is_over = self._await_end(goal, link, context)
         except BaseException as fault:

@@ -96,7 +96,8 @@ class FeedbackMeasures:
 
     Args:
         wanted: for each measure `"count"` for how often feedback came, or how the values of a field make one, and the
-            field: `("last", "number_of_recoveries")`; `first`, `last`, `minimum`, `maximum` or `mean`.
+            field: `("last", "number_of_recoveries")`; `first`, `last`, `minimum`, `maximum` or `mean`. The latter three
+            leave out what is NaN or infinite.
         where: the plugin, for errors.
 
     Raises:
@@ -143,6 +144,8 @@ class FeedbackMeasures:
         return {each.measure.name: self._value(each) for each in self._taken}
 
     def _keep(self, each: _Taken, came: list[Any], value: MeasureValue) -> None:
+        if each.over in _OF_NUMBERS and value is None:  # NaN or infinite: what is not known yet
+            return
         if each.over in _OF_NUMBERS and not isinstance(value, bool | int | float):
             problem = f"the field {each.field!r} of the feedback is {value!r}, which has no {each.over}"
             raise LinkError(problem, where=self._where, fix="Ask for its first or its last value.")

@@ -28,6 +28,8 @@ CLOSEST_OBSTACLE = Measure("ClosestObstacle", "m", "The shortest range of the la
 _SCAN, _TRANSFORMS = "sensor_msgs/LaserScan", "tf2_msgs/TFMessage"
 _FIX = "Look whether the robot publishes it, or leave the parameter out."
 _PAIR = 2
+#: How long the robot's place may not have been told when the mission ends, s, before its way is doubted.
+_SILENCE = 2.0
 
 
 class WayMeasures:
@@ -62,7 +64,7 @@ class WayMeasures:
         self._way: Odometer | _WayOfFrame | None = None
         self._way_before: float | None = None
         self._closest: float | None = None
-        self._scans = 0
+        self._scans = self._too_near = 0
         self._rivals: Callable[[], Iterable[Finding]] = tuple
         self._closing = ExitStack()
 
@@ -85,7 +87,7 @@ class WayMeasures:
         self._way_before = self._closest = None
         if self._odometry is not None:
             # However fast the robot is: what it could drive is its own affair here.
-            odometer = Odometer(context.clock, timeout=math.inf, where=self._where, fastest=math.inf)
+            odometer = Odometer(context.clock, timeout=_SILENCE, where=self._where, fastest=math.inf)
             self._closing.callback(link.subscribe(self._odometry, ODOMETRY, odometer.take).close)
             odometer.wait(timeout)
             self._way = odometer
@@ -98,7 +100,7 @@ class WayMeasures:
 
     def begin_mission(self) -> None:
         """Measure from now on."""
-        self._closest, self._scans = None, 0
+        self._closest, self._scans, self._too_near = None, 0, 0
         if self._way is not None:
             self._way_before = self._way.travelled
 
@@ -119,6 +121,10 @@ class WayMeasures:
             if not self._scans:
                 problem = f"no laser scan came on {self._scan!r} during the mission"
                 context.doubt(problem, fix=_FIX, measures=[CLOSEST_OBSTACLE.name])
+            if self._too_near:
+                problem = f"{self._too_near} of {self._scans} laser scans saw something too near to measure"
+                fix = "Take the closest obstacle of this run to be nearer than the scanner's least range (range_min)."
+                context.doubt(problem, fix=fix, measures=[CLOSEST_OBSTACLE.name])
         return values
 
     def close(self) -> None:
@@ -128,7 +134,8 @@ class WayMeasures:
     def _take_scan(self, message: Message) -> None:
         self._scans += 1
         near, far = message["range_min"], message["range_max"]
-        # Beyond its bounds a range says nothing (REP 117); NaN compares as False.
+        # Beyond its bounds a range says nothing, but that -inf is what is too near (REP 117); NaN compares as False.
+        self._too_near += -math.inf in message["ranges"]
         seen = min((each for each in message["ranges"] if near <= each <= far), default=None)
         if seen is not None and (self._closest is None or seen < self._closest):
             self._closest = float(seen)
@@ -150,23 +157,32 @@ class _WayOfFrame:
         self._fixed, self._moving = fixed, moving
         self._buffer = TransformBuffer()
         self._last: Transform | None = None
+        self._clock: Clock | None = None
+        self._told_at = 0.0
 
     def begin(self, link: RobotLink, opened: ExitStack, clock: Clock, timeout: float) -> None:
         """Follow the frame until `opened` is closed; a `LinkError` says that it is not known within the timeout."""
+        self._clock = clock
         self._buffer.subscribe(link, opened)
         opened.callback(link.subscribe("/tf", _TRANSFORMS, self._take).close)
         self._buffer.wait_for(self._fixed, self._moving, clock, timeout=timeout)
 
     def pose(self) -> Transform:
         """Return where the frame is; a `LinkError` says that this is not known any more."""
+        silence = 0.0 if self._clock is None or self._last is None else self._clock.now() - self._told_at
+        if silence > _SILENCE:
+            problem = f"where {self._moving!r} is in {self._fixed!r} was not told for {silence:.1f} s"
+            raise LinkError(problem, where="tf", fix="Look whether localisation and odometry are alive.")
         return self._buffer.look_up(self._fixed, self._moving)
 
     def _take(self, message: Message) -> None:
         del message  # the buffer has it
         try:
-            now = self.pose()
+            now = self._buffer.look_up(self._fixed, self._moving)
         except LinkError:  # its part of the tree has not been told of yet
             return
+        if self._clock is not None and (self._last is None or now.time is None or now.time != self._last.time):
+            self._told_at = self._clock.now()
         if self._last is not None:
             self.travelled += math.dist(now.translation, self._last.translation)
         self._last = now

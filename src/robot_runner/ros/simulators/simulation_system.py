@@ -234,7 +234,7 @@ class Simulation(System):
         with ExitStack() as closing:
             pose = WatchedPose(link, self.pose_topic, namespace=namespace, model=self.robot)
             closing.callback(pose.close)
-            before = None if self._time is None else self._time.now(timeout=_FIRST_TIME)
+            before = None if self._time is None else self._time.begin_reset(timeout=_FIRST_TIME)
             begun = time.monotonic()
             self._demand(reset, link, namespace)
             self._demand(self._dialect.unpause, link, namespace)  # some come back paused
@@ -248,13 +248,16 @@ class Simulation(System):
         """See that time began again, or that it did not, as the reset was declared."""
         while True:
             now = before if self._time is None else self._time.now() or 0.0
-            if self.reset == "world" and now < before:
+            # It may be past `before` again by now: a simulator that was just started, or whose time flies.
+            heard = None if self._time is None else self._time.earliest
+            earliest = now if heard is None else heard
+            if self.reset == "world" and earliest < before:
                 raise LinkError(
-                    f"resetting the world took the simulator's time back from {before:.3f} s to {now:.3f} s",
+                    f"resetting the world took the simulator's time back from {before:.3f} s to {earliest:.3f} s",
                     where="the simulator",
                     fix="Say so, and see that all its nodes stand it: reset='simulation'.",
                 )
-            if (now > before) if self.reset == "world" else (now < before):
+            if (now > before) if self.reset == "world" else (earliest < before):
                 return
             if time.monotonic() > deadline:
                 stood = "stands still" if now == before else "was not reset"

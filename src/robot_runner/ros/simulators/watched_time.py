@@ -25,20 +25,23 @@ class WatchedTime:
         tell: called with both times, s, where the simulator's time goes back while it is measured.
 
     Attributes:
-        factor: simulated seconds a real second, from the first to the last message of the measured time; None where
-            there were too few.
+        factor: simulated seconds a real second, from the first to the last message of the measured time, or to its end
+            where nothing came in its last second; None where there were too few.
         slowest: the same over the slowest second; None likewise.
+        earliest: the least simulated time that was heard since `begin_reset`, s; None where nothing was.
     """
 
     def __init__(self, link: RobotLink, tell: Callable[[float, float], object]) -> None:
         self._changed = threading.Condition()
         self._tell = tell
         self._now: float | None = None
+        self._heard_at = 0.0
         self._is_measured = False
         self._first: tuple[float, float] | None = None
         self._stretch: tuple[float, float] | None = None
         self.factor: float | None = None
         self.slowest: float | None = None
+        self.earliest: float | None = None
         self._subscription = link.subscribe(CLOCK_TOPIC, _TYPE, self._take)
 
     def now(self, *, timeout: float = 0.0) -> float | None:
@@ -47,6 +50,13 @@ class WatchedTime:
             self._changed.wait_for(lambda: self._now is not None, timeout)
             return self._now
 
+    def begin_reset(self, *, timeout: float) -> float | None:
+        """Return as `now`, and begin to look for the earliest time."""
+        before = self.now(timeout=timeout)
+        with self._changed:
+            self.earliest = None
+        return before
+
     def begin(self) -> None:
         """Measure from the next message on."""
         with self._changed:
@@ -54,8 +64,11 @@ class WatchedTime:
             self._is_measured = True
 
     def end(self) -> None:
-        """Measure no more."""
+        """Measure no more; a time that was not told lately has stood still since."""
+        real = time.monotonic()
         with self._changed:
+            if self._is_measured and self._now is not None and real - self._heard_at >= _STRETCH:
+                self._measure(self._now, real)
             self._is_measured = False
 
     def close(self) -> None:
@@ -66,7 +79,8 @@ class WatchedTime:
         stamp, real = message["clock"], time.monotonic()
         simulated = stamp["sec"] + stamp["nanosec"] / 1e9
         with self._changed:
-            before, self._now = self._now, simulated
+            before, self._now, self._heard_at = self._now, simulated, real
+            self.earliest = simulated if self.earliest is None else min(self.earliest, simulated)
             self._changed.notify_all()
             is_measured = self._is_measured
             if is_measured:

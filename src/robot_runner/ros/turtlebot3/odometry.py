@@ -92,12 +92,16 @@ class Odometer:
         self._received_at = clock.now()
         self._travelled = 0.0
         self._jump: tuple[float, float] | None = None
+        self._is_lost = False
         self._stamp = (0, 0)
         self._steps_back = 0
 
     def take(self, message: Message) -> None:
         """Take one message."""
         pose = _pose_in(message)
+        if not all(map(math.isfinite, (pose.x, pose.y, pose.heading))):
+            self._is_lost = True
+            return
         stamp = _stamp_in(message)
         if self._pose is not None:
             # The stamps count, as messages may come in bursts; or their arrival, where a robot sends none.
@@ -121,9 +125,15 @@ class Odometer:
         """Return the robot's pose.
 
         Raises:
-            LinkError: the odometry has been silent for longer than it may, jumped, or two robots tell theirs on one
-                topic.
+            LinkError: the odometry has been silent for longer than it may, jumped, told what is no number, or two
+                robots tell theirs on one topic.
         """
+        if self._is_lost:  # as of a filter that diverged; whoever steers by it would steer at the limits
+            raise LinkError(
+                "the odometry told a pose that is no number (NaN or infinite)",
+                where=self._where,
+                fix="Look at the node that publishes it, such as a filter that has diverged, and start it again.",
+            )
         if self._jump is not None:
             step, seconds = self._jump
             raise LinkError(
