@@ -41,6 +41,11 @@ def test_treatments_keep_their_type(tmp_path):
     assert (runs["Level"] == 3).sum() == 4
 
 
+def test_treatments_that_are_one_number_are_told_apart_by_their_texts(tmp_path):
+    runs = load_results(make_experiment(tmp_path / "e", [Factor("Gain", [1, 1.0])]).root).runs
+    assert list(runs["Gain"].cat.categories) == ["1", "1.0"]
+
+
 def test_measures_have_types_and_units(tmp_path):
     measured = {"Energy": 877.5, "Count": 3, "Reached": True, "Note": "a, b"}
     folder = make_experiment(

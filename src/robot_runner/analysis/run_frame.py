@@ -276,7 +276,8 @@ def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Cat
     categories: list[Any] = order
     if kind in _TYPED_TREATMENTS:
         typed = [typed_value(text, kind) for text in order]
-        if len(set(map(str, typed))) == len(order) and type_of_values(typed) == kind:
+        # `1` and `1.0`, or `01`, are one number: treatments that are told apart stay texts.
+        if len(set(typed)) == len(order) and type_of_values(typed) == kind:
             categories = typed
     return pd.Categorical(texts, order, ordered=True).rename_categories(categories)
 

@@ -60,6 +60,16 @@ def with_unit(value: float | None, unit: str, digits: int = _DIGITS) -> str:
     return f"{number} {unit}" if unit not in {"", "1"} and number != MISSING else number
 
 
+def shown_level(level: float) -> str:
+    """Return a level of confidence or a power in percent, not rounded: 99.9 % is not certain.
+
+    Example:
+        >>> shown_level(0.95), shown_level(1 - 0.001)
+        ('95%', '99.9%')
+    """
+    return f"{100 * level:g}%"
+
+
 def difference_unit(unit: str) -> str:
     """Return the unit of a difference: that of percentages is not a percentage of anything."""
     return "percentage points" if unit == "%" else unit

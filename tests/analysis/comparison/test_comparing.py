@@ -9,7 +9,11 @@ import pytest
 
 from robot_runner.analysis.comparison.compared import Bound, Verdict
 from robot_runner.analysis.comparison.comparing import compare
-from robot_runner.analysis.comparison.comparison_document import comparison_document, json_of_comparison
+from robot_runner.analysis.comparison.comparison_document import (
+    comparison_document,
+    difference_table,
+    json_of_comparison,
+)
 from robot_runner.analysis.results import load_results
 from robot_runner.core.errors import AnalysisError, StorageError
 
@@ -53,6 +57,16 @@ def test_too_few_runs_decide_nothing(two_tasks):
     comparison = compare(two_tasks().root, two_tasks(shifted(VIDEO, 1.5)).root, bound=2.0)
     assert comparison.measure("Energy").differences[0].verdict is Verdict.UNDECIDED
     assert "suffice neither" in comparison.measure("Energy").conclusion
+
+
+def test_the_runs_that_do_not_suffice_are_those_of_both(two_tasks):
+    conclusion = compare(two_tasks().root, two_tasks(VIDEO[:3], NETWORK).root, bound=0.1).measure("Energy").conclusion
+    assert "(5 and 3 runs a combination)" in conclusion
+
+
+def test_a_level_of_confidence_is_not_rounded(two_tasks):
+    comparison = compare(two_tasks().root, two_tasks(shifted(VIDEO, 1.5)).root, alpha=0.001)
+    assert "99.9% CI" in [column.name for column in difference_table(comparison, comparison.measure("Energy")).columns]
 
 
 def test_without_a_bound_nothing_is_equivalent(two_tasks):

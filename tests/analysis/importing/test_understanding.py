@@ -61,6 +61,12 @@ def test_what_no_sample_is_stays_as_it_is(root):
     assert "notes.csv is left as it is: no column is recognised as the time" in understand(root, NOTHING).notes
 
 
+def test_a_file_of_samples_with_a_heading_that_is_there_twice_stays_as_it_is(root):
+    for number in range(3):
+        write(root / f"run_{number}" / "meter.csv", "time,amps,amps\n0,1,2\n1,1,2\n")
+    assert "meter.csv is left as it is: heading 'amps' is there twice" in understand(root, NOTHING).notes
+
+
 def test_which_measure_comes_out_of_which_samples_is_guessed(root):
     recipes = {recipe.measure: (recipe.words, recipe.is_guessed) for recipe in understand(root, NOTHING).recipes}
     assert recipes == {
@@ -144,6 +150,18 @@ def test_numbers_that_repeat_are_treatments_and_others_are_measured(tmp_path):
     rows = "".join(f"run_{place},DONE,{place % 2 * 500},{place * 1.5}\n" for place in range(6))
     roles = table_only(tmp_path, f"__run_id,__done,length,energy\n{rows}").roles
     assert (roles.factors, roles.measures) == (("length",), ("energy",))
+
+
+def test_numbers_that_are_written_differently_are_one_treatment(tmp_path):
+    rows = "".join(f"{gain},{place}.5\n" for place, gain in enumerate(("1", "2.0", "1.0", "2", "01", "2")))
+    found = table_only(tmp_path, f"gain,energy\n{rows}", factors=("gain",))
+    assert [run.treatments["gain"] for run in found.runs] == ["1", "2.0"] * 3
+
+
+def test_a_number_that_is_missing_is_not_a_treatment_that_is_called_none(tmp_path):
+    rows = "".join(f"{gain},{place}.5\n" for place, gain in enumerate(("", "2", "nan", "2")))
+    found = table_only(tmp_path, f"gain,energy\n{rows}", factors=("gain",))
+    assert [run.treatments["gain"] for run in found.runs] == ["", "2", "nan", "2"]
 
 
 def test_treatments_are_in_an_order_that_means_something(tmp_path):

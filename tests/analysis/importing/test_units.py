@@ -44,6 +44,12 @@ from robot_runner.analysis.importing.units import known_units, si_heading, split
         ("temp [C]", "temp", "degC"),
         ("var_energy_J", "var_energy_J", None),
         ("Carbon intensity (gCO2/kWh)", "Carbon intensity (gCO2/kWh)", None),
+        ("power (min)", "power (min)", None),
+        ("accel_x (g)", "accel_x (g)", None),
+        ("acc_x_g", "acc_x_g", None),
+        ("mass (g)", "mass", "g"),
+        ("light (a.u.)", "light (a.u.)", None),
+        ("x (base link)", "x (base link)", None),
     ],
 )
 def test_headings_are_split(heading, base, symbol):
@@ -75,6 +81,11 @@ def test_values_in_si_are_rounded_once(unit, value, si):
         ("m/s^2", "m/s^2", 9.8, 9.8),
         ("rpm", "rad/s", 60.0, 6.283185307179586),
         ("mAh", "C", 1000.0, 3600.0),
+        ("Nm", "N*m", 2.0, 2.0),
+        ("mNm", "N*m", 2.0, 0.002),
+        ("px", "pixel", 2.0, 2.0),
+        ("cycles", "1", 2.0, 2.0),
+        ("points/s", "1/s", 2.0, 2.0),
         ("%", "%", 12.5, 12.5),
     ],
 )
@@ -85,6 +96,7 @@ def test_units_are_converted_part_by_part(written, si, value, converted):
 
 
 NO_UNITS = ["", "2", "C", "G", "foo", "dBm", "J + W", "avg %", "joules/mission", "__import__('os')"]
+NO_UNITS += ["a.u.", "N/A", "units", "unit/s", "db", "link", "hand", "pin", "pi", "pp", "EU"]
 
 
 @pytest.mark.parametrize("text", NO_UNITS)

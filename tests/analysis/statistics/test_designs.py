@@ -338,6 +338,20 @@ def test_a_contrast_and_a_bound_of_equivalence_are_judged(tmp_path):
     assert bound.interval.level == pytest.approx(0.9)
 
 
+def test_ranks_have_no_unit_and_no_bound_in_one(tmp_path):
+    claim = {"measure": "Energy", "factors": ["Task"]}
+    hypotheses = [
+        {"statement": "Video costs more.", "contrast": {"Video": 1, "Idle": -1}, **claim},
+        {"statement": "They are within 1 J.", "within": 1, **claim},
+    ]
+    plan = {"measures": ["Energy"], "estimand": "rank", "hypotheses": hypotheses}
+    contrast, bound = analyse(analysed(tmp_path, plan, shift=50)).hypotheses
+    assert "The contrast of relative ranks is estimated as" in contrast.conclusion
+    assert " J" not in contrast.conclusion
+    assert bound.is_supported is None
+    assert "a bound in the unit of the measure says nothing of ranks" in bound.conclusion
+
+
 def test_a_plan_names_the_blocks(tmp_path):
     results = analysed(tmp_path, {"measures": ["Energy"], "blocks": "Repetition"})
     measure = analyse(results).measure("Energy")

@@ -64,6 +64,11 @@ def test_a_plain_experiment(tmp_path):
     assert found.design.sentence == "18 runs are done; varied: Task (3 treatments); 6 runs a combination."
 
 
+def test_percentages_differ_by_percentage_points(tmp_path):
+    effect = statistics(tmp_path, repetitions=6, units={"Energy": "%"}).measure("Energy").test.effects[0]
+    assert "percentage points, of Video and Idle" in effect.conclusion
+
+
 def test_outliers_are_named_by_their_run(tmp_path):
     def one_off(treatments, repetition):
         return {"Energy": 2000.0} if (treatments["Task"], repetition) == ("Idle", 2) else energy(treatments, repetition)

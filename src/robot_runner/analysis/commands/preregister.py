@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.plan_file import choices_in_words
+from robot_runner.analysis.wording import shown_level
 from robot_runner.cli.console import output, print_facts, print_folded, print_json, quiet_loading, shown_path
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
 from robot_runner.core.config.dialects import load_config
@@ -193,7 +194,7 @@ def _too_few(content: Mapping[str, Any]) -> Iterator[str]:
     for scenario in (content["power"] or {}).get("scenarios", ()):
         needed = (scenario.get("needed") or {}).get("repetitions")
         if needed is not None and planned < needed:
-            asked = f"{content['power']['power']:.0%}"
+            asked = shown_level(content["power"]["power"])
             yield f"The config plans {counted(planned, 'repetition')}; at {scenario['title']} {asked} take {needed}."
 
 

@@ -30,7 +30,7 @@ from robot_runner.analysis.report.document import plain
 from robot_runner.analysis.report.material import origin_badges
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.report.writing import made_by, write_page
-from robot_runner.analysis.wording import ALPHA, difference_unit, labelled, listed, shown_number, with_unit
+from robot_runner.analysis.wording import ALPHA, difference_unit, labelled, listed, shown_level, shown_number, with_unit
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
@@ -119,8 +119,14 @@ def _why_undecided(measure: MeasureComparison) -> str:
     return (
         f"for {listed(each.label for each in undecided)} the runs suffice neither to show a difference nor to show "
         f"that the difference is within the bound of {shown_bound(measure)} "
-        f"({counted(min(each.first_n for each in undecided), 'run')} a combination)."
+        f"({_fewest_runs(undecided)} a combination)."
     )
+
+
+def _fewest_runs(differences: Sequence[Difference]) -> str:
+    """Return how many runs the smallest combinations have, of each experiment where these differ."""
+    first, second = (min(getattr(each, name) for each in differences) for name in ("first_n", "second_n"))
+    return counted(first, "run") if first == second else f"{first} and {counted(second, 'run')}"
 
 
 def _largest(measure: MeasureComparison) -> str:
@@ -175,7 +181,7 @@ def difference_table(comparison: Comparison, measure: MeasureComparison) -> Tabl
         number(comparison.first.name, "first_mean"),
         number(comparison.second.name, "second_mean"),
         number("Difference", "difference"),
-        interval(f"{1 - comparison.alpha:.0%} CI", "interval"),
+        interval(f"{shown_level(1 - comparison.alpha)} CI", "interval"),
         field("Relative", lambda each: Cell(each.relative, _percentage(each.relative)), is_number=True),
         p_value("p, different", "adjusted_p_value"),
         p_value("p, equivalent", "equivalence_p_value"),
@@ -272,8 +278,8 @@ def _estimates(comparison: Comparison, measure: MeasureComparison) -> FigureBloc
     label = labelled(f"Difference of {measure.name}", difference_unit(measure.unit))
     return FigureBlock(
         f"difference {measure.name}",
-        f"{measure.label}: {comparison.second.name} less {comparison.first.name}, with {1 - comparison.alpha:.0%} "
-        f"confidence intervals.{shaded}",
+        f"{measure.label}: {comparison.second.name} less {comparison.first.name}, with "
+        f"{shown_level(1 - comparison.alpha)} confidence intervals.{shaded}",
         f"Differences of {measure.name} with confidence intervals: {measure.conclusion}",
         lambda: draw_differences(estimates, value_label=label),
     )

@@ -73,6 +73,7 @@ def read_runs(
     times = Counter(source_ids)
     patterns = [pattern] if pattern else ["{run_id}", "runs/{run_id}"]
     run_ids, repetitions = _run_ids(source_ids, table, notes), _repetitions(table, roles, source_ids, notes)
+    treatments = {name: _treatments(name, table) for name in roles.design}
     runs = []
     for place, (row, source_id) in enumerate(zip(table.rows, source_ids, strict=True)):
         cells = dict(zip(table.headings, row, strict=True))
@@ -83,7 +84,7 @@ def read_runs(
                 run_id=run_ids[place],
                 source_id=source_id,
                 status=_status(cells, roles, measures, f"{table.path}:{table.lines[place]}"),
-                treatments={name: _treatment(cells[name], name, table) for name in roles.design},
+                treatments={name: treatments[name][cells[name]] for name in roles.design},
                 repetition=repetitions[place],
                 measures=measures,
                 extras={name: cells[name] for name in roles.extras},
@@ -185,10 +186,20 @@ def _value(cell: str, table: ForeignTable) -> CellValue:
     return number if number is not None else {"true": True, "false": False}.get(cell.casefold(), cell)
 
 
-def _treatment(cell: str, factor: str, table: ForeignTable) -> str:
+def _treatments(factor: str, table: ForeignTable) -> dict[str, str]:
+    """Return the treatment of each cell of a factor: `1`, `01` and `1.0` are one number, as the first is written."""
+    cells = dict.fromkeys(table.column(factor))
     if table.is_boolean(factor):
-        return cell.capitalize()
-    return str(table.number(cell)) if table.is_numeric(factor) else cell
+        return {cell: cell.capitalize() for cell in cells}
+    if not table.is_numeric(factor):
+        return {cell: cell for cell in cells}
+    texts: dict[float, str] = {}
+    found = {}
+    for cell in cells:
+        number = table.number(cell)
+        # What stands for no number is not a treatment that is called None.
+        found[cell] = cell if number is None else texts.setdefault(number, str(number))
+    return found
 
 
 def _run_notes(table: ForeignTable, roles: ColumnRoles, runs: Sequence[ForeignRun]) -> list[str]:

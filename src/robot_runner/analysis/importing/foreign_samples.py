@@ -269,7 +269,12 @@ def _read(path: Path, types: Mapping[str, pa.DataType] | None = None, left_out: 
             return _read(path, None, skipped)
         problem = f"the file is not a table: {str(error).partition(chr(10))[0]}"
         raise AnalysisError(problem, where=str(path), fix="Leave it out, or mend it.") from error
-    return table.rename_columns([name.lstrip("\ufeff").strip() for name in table.column_names])
+    table = table.rename_columns([name.lstrip("\ufeff").strip() for name in table.column_names])
+    for name in filter(None, table.column_names):
+        if table.column_names.count(name) > 1:
+            problem = f"heading {name!r} is there twice"
+            raise AnalysisError(problem, where=str(path), fix="Name each column, each differently.")
+    return table
 
 
 def _values(table: pa.Table, name: str, unit: Unit | None, order: NDArray[np.intp]) -> Any:

@@ -138,8 +138,10 @@ def nanoseconds_of(column: pa.ChunkedArray, unit: str, where: str) -> tuple[NDAr
     texts = pd.Series(column.to_pandas())
     if unit == "clock":
         spans = pd.to_timedelta(texts.astype("str"), errors="coerce").to_numpy("timedelta64[ns]")
-        times = spans.astype(np.int64)
-        return times + _DAY * np.cumsum(np.diff(times, prepend=times[:1]) < -_DAY // 2), ~np.isnat(spans)
+        times, valid = spans.astype(np.int64), ~np.isnat(spans)
+        known = times[valid]  # what is missing lies before all times, so that the next one would be of another day
+        times[valid] = known + _DAY * np.cumsum(np.diff(known, prepend=known[:1]) < -_DAY // 2)
+        return times, valid
     try:
         moments = pd.to_datetime(texts, utc=True, format="ISO8601" if unit == "iso" else unit)
     except ValueError as error:

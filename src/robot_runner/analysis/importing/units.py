@@ -70,10 +70,19 @@ _SPELLINGS = {
 }
 _SPELT = {spelling: symbol for symbol, all_of in _SPELLINGS.items() for spelling in all_of.split()}
 #: What is counted: `ops/sec` is a number of times a second.
-_COUNTED = re.compile(r"\b(ops?|operations?|req|requests?|frames?|packets?|messages?|msgs?|samples?|tokens?|counts?)\b")
+_COUNTED = re.compile(
+    r"\b(ops?|operations?|req|requests?|frames?|packets?|messages?|msgs?|samples?|tokens?|counts?|cycles?|points?|pts)\b"
+)
+#: What pint takes for pints, atomic masses, surveyors' links or the speed of light, and headings do not mean so.
+_MEANT_OTHERWISE = (
+    "a.u. n/a unit units pt pp pi pc eu db link links hand hands rod rods chain chains pole poles pin pins cup cups "
+    "shot shots dot dots bag bags stone slug"
+)
 _WORD = re.compile(r"[A-Za-zµμ°Ω%℃]+")
 #: How pint writes what is written otherwise here, and the signs of multiplication and of powers.
-_IN_PINT = {"KB": "kB", "1": "", "rps": "count/s", "fps": "count/s", "qps": "count/s"}
+_IN_PINT = {"KB": "kB", "1": "", "rps": "count/s", "fps": "count/s", "qps": "count/s", "px": "pixel"}
+#: Torques without a sign of multiplication; pint takes them for the fineness of yarn.
+_IN_PINT |= {f"{prefix}Nm": f"({prefix}N*m)" for prefix in ("", "m", "k")}
 _SIGNS = str.maketrans({"⋅": "*", "·": "*", "²": "^2", "³": "^3", "μ": "µ"})
 #: Single letters that pint knows, and that are units in headings; others (`C`, `G`, `b`) mean something else too often.
 _LETTERS = frozenset("sWJVAKmNhBgΩ%1")
@@ -86,6 +95,7 @@ _SUFFIXED = re.compile(
     re.IGNORECASE,
 )
 _SPREAD = re.compile(r"(^|[_ ])(var|variance|cv)($|[_ ])", re.IGNORECASE)
+_ACCELERATION = re.compile(r"acc(el|[^a-z]|$)|gravity", re.IGNORECASE)
 _TIMES = re.compile(r"time|duration|elapsed|latency|delay|period|interval|\bt$", re.IGNORECASE)
 _SUFFIXES = {"%": "percent", "m/s": "m_s", "rad/s": "rad_s", "1": ""}
 
@@ -136,7 +146,8 @@ def _symbol(text: str) -> str:
 
 
 def _is_clear(symbol: str) -> bool:
-    return len(symbol) > 1 or symbol in _LETTERS
+    words = {symbol.casefold(), *_WORD.findall(symbol.casefold())}
+    return (len(symbol) > 1 or symbol in _LETTERS) and words.isdisjoint(_MEANT_OTHERWISE.split())
 
 
 @cache
@@ -224,6 +235,9 @@ def _unit_in(base: str, written: str) -> Unit | None:
         return unit_of("W")
     if written == "C" and "temp" in base.casefold():
         return unit_of("degC")
+    # The least of powers is not in minutes, and an acceleration not in grams: it is in multiples of that of the Earth.
+    if (written == "min" and not _TIMES.search(base)) or (written == "g" and _ACCELERATION.search(base)):
+        return None
     return None if written == "m" and _TIMES.search(base) else unit_of(written)
 
 

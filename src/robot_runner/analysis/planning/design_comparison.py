@@ -15,6 +15,7 @@ from robot_runner.analysis.planning.power_search import sought_claims
 from robot_runner.analysis.planning.power_simulation import AT_ONCE, Simulation
 from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
+from robot_runner.analysis.wording import shown_level
 from robot_runner.core.errors import AnalysisError, DesignError
 from robot_runner.core.words import counted, listed, shown_duration
 
@@ -267,7 +268,7 @@ def _reasons(best: ComparedDesign | None, found: Sequence[ComparedDesign], asked
     if best.power >= asked.power:
         yield (
             f"It finds the {least[0]}, the least certain of what is sought, in {least[1]:.0%} of experiments: "
-            f"{asked.power:.0%} are asked for."
+            f"{shown_level(asked.power)} are asked for."
         )
         yield {
             3: "It tells all effects apart, interactions included.",
@@ -277,8 +278,9 @@ def _reasons(best: ComparedDesign | None, found: Sequence[ComparedDesign], asked
         }[best.tells]
     else:
         yield (
-            f"No design reaches {asked.power:.0%}: this one finds the {least[0]} in {least[1]:.0%} of experiments, and "
-            "no other finds clearly more. Allow more time, leave out treatments, or look for a larger effect."
+            f"No design reaches {shown_level(asked.power)}: this one finds the {least[0]} in {least[1]:.1%} of "
+            "experiments, and no other finds clearly more. Allow more time, leave out treatments, or look for a larger "
+            "effect."
         )
     richer = [each for each in found if each.tells > best.tells and each.repetitions and each.power is not None]
     for each in sorted(richer, key=lambda each: -(each.power or 0.0))[:1]:

@@ -15,6 +15,7 @@ from robot_runner.analysis.planning.assumed_values import (
 )
 from robot_runner.analysis.planning.pilot_values import Pilot, pilot_values
 from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search, search_repetitions
+from robot_runner.analysis.wording import shown_level
 from robot_runner.core.design.analysis_plan import Family
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.words import counted, enumerated
@@ -255,7 +256,8 @@ def answer_in_words(analysis: PowerAnalysis, scenario: ScenarioPower) -> str:
     if scenario.needed is None:
         point = scenario.point(search.last)
         most = f"{counted(search.last, 'repetition')} ({counted(point.runs, 'run')})"
-        return f"{most} find {what} in {share_in_words(point.least)} of experiments: fewer than {search.power:.0%}."
+        share = share_in_words(point.least)
+        return f"{most} find {what} in {share} of experiments: fewer than {shown_level(search.power)}."
     needed = scenario.needed
     point = scenario.point(needed.repetitions)
     told = (

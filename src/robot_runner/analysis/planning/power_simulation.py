@@ -252,7 +252,7 @@ class Simulation:
     def _tested(self, name: str, model: AnyModel) -> dict[Key, Floats]:
         found = {effect_key(name, test.factors): np.asarray(test.p_value) for test in model.effects()}
         for hypothesis in self._contrasts(name):
-            contrast = contrast_of(model, hypothesis)
+            contrast = contrast_of(model, hypothesis, self._choices.estimand)
             if not isinstance(contrast, NotComputed):
                 found[contrast_key(hypothesis.statement)] = p_value_of_contrast(contrast, hypothesis)
         return found

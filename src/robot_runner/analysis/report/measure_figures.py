@@ -13,7 +13,7 @@ from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, stills_part, trajectory_part
-from robot_runner.analysis.wording import RHO, shown_number
+from robot_runner.analysis.wording import RHO, difference_unit, shown_number, with_unit
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted
 
@@ -52,7 +52,7 @@ def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -
     return FigureBlock(
         f"order {measure.name}",
         f"{measure.name} over the {material.order_of_runs}: each run less the mean of its combination. Dashed: slope "
-        f"of Theil and Sen, {shown_number(drift.slope, 3)} {measure.unit} a run "
+        f"of Theil and Sen, {with_unit(drift.slope, difference_unit(measure.unit), 3)} a run "
         f"(Spearman's {RHO} = {shown_number(drift.correlation, 3)}).",
         f"Residuals of {measure.name} over the {material.order_of_runs}.",
         lambda: draw_run_order(

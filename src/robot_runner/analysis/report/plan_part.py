@@ -8,7 +8,7 @@ from robot_runner.analysis.report.blocks import Block, Cell, Paragraph, Part, Ta
 from robot_runner.analysis.report.tables import build_table, field, interval, number, p_value, text
 from robot_runner.analysis.statistics.disclosed import Beside
 from robot_runner.analysis.statistics.left_out import MOST_FALSE_POSITIVES, rate_in_words
-from robot_runner.analysis.wording import MISSING, p_in_words, sentence, shown_number, with_unit
+from robot_runner.analysis.wording import MISSING, difference_unit, p_in_words, sentence, shown_number, with_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -67,7 +67,7 @@ def _adjustment(measure: MeasureStatistics, found: Adjustment, label: str) -> It
         note += " Within blocks only differences have an interval."
     table = build_table(f"adjusted {measure.name}", caption, found.means, fields, note)
     yield table.without_blank("CI")
-    spreads = (with_unit(each, measure.unit, 3) for each in (found.spread, found.residual_spread))
+    spreads = (with_unit(each, difference_unit(measure.unit), 3) for each in (found.spread, found.residual_spread))
     yield Paragraph("The standard deviation is {} as measured, {} beside covariates.".format(*spreads), Tone.NOTE)
     for warning in found.warnings:
         yield Paragraph(warning, Tone.WARNING)

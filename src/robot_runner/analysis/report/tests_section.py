@@ -25,7 +25,16 @@ from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
 from robot_runner.analysis.report.surface_part import surface_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
-from robot_runner.analysis.wording import ALPHA, MISSING, RHO, listed, sentence, shown_interval, shown_number
+from robot_runner.analysis.wording import (
+    ALPHA,
+    MISSING,
+    RHO,
+    listed,
+    sentence,
+    shown_interval,
+    shown_level,
+    shown_number,
+)
 from robot_runner.core.design.analysis_plan import Estimand
 from robot_runner.core.words import counted
 
@@ -211,7 +220,7 @@ def _shown_statistic(effect: Effect) -> str:
 
 
 def _shown_size(size: EffectSize) -> str:
-    ends = "" if size.interval is None else f" {shown_interval(size.interval, 3)} ({size.interval.level:.0%})"
+    ends = "" if size.interval is None else f" {shown_interval(size.interval, 3)} ({shown_level(size.interval.level)})"
     return f"{size.name} = {shown_number(size.value, 3)}{ends}, {size.magnitude.value}"
 
 

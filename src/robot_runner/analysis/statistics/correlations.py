@@ -17,7 +17,7 @@ from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.statistics.theil_sen import theil_sen
-from robot_runner.analysis.wording import p_in_words, with_unit
+from robot_runner.analysis.wording import difference_unit, p_in_words, with_unit
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def _warning(measure: str, unit: str, found: tuple[float, float, float], is_conf
     slope, rho, p_value = found
     order = "order of execution" if is_ordered else "order of the table, which may be another than that of execution,"
     direction = "rises" if slope > 0 else "falls"
-    amount = with_unit(abs(slope), unit)
+    amount = with_unit(abs(slope), difference_unit(unit))
     figures = f"rho = {rho:.2f}, {p_in_words(p_value)}"
     head = f"{measure} {direction} over the {order} by about {amount} a run ({figures})"
     if is_confounded:

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.statistics.outcome import HypothesisOutcome
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import TestMethod
-from robot_runner.analysis.wording import listed, p_in_words, shown_statistic, with_unit
+from robot_runner.analysis.wording import (
+    difference_unit,
+    listed,
+    p_in_words,
+    shown_level,
+    shown_statistic,
+    with_unit,
+)
 from robot_runner.core.design.analysis_plan import AnalysisPlan, Correction, Estimand, Family
 from robot_runner.core.words import counted, enumerated
 
@@ -231,7 +238,7 @@ def _difference(measure: MeasureStatistics, test: MeasureTest, pairs: Sequence[C
     pair = max(distinct, key=lambda each: abs(each.difference))
     if test.estimand == Estimand.RANK.value:
         return f": values of {pair.first} rank {_more(pair)} than those of {pair.second}"
-    amount = with_unit(abs(pair.difference), measure.unit)
+    amount = with_unit(abs(pair.difference), difference_unit(measure.unit))
     estimate = f"adjusted {test.estimand}" if test.method is TestMethod.COVARIANCE else test.estimand
     if len(pairs) > 1:
         return f": the largest difference of {estimate}s is {amount}, of {pair.first} and {pair.second}"
@@ -285,11 +292,13 @@ def _tested(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> Effect
 def _told(tested: Effect | ContrastTest, measure: MeasureStatistics) -> str:
     if hasattr(tested, "conclusion"):
         return tested.conclusion
-    low, high = (with_unit(end, measure.unit) for end in (tested.interval.low, tested.interval.high))
-    return (
-        f"The contrast is estimated as {with_unit(tested.estimate, measure.unit)}, with {tested.interval.level:.0%} "
-        f"confidence between {low} and {high}."
+    is_of_ranks = measure.test is not None and measure.test.estimand == Estimand.RANK.value
+    unit = "" if is_of_ranks else difference_unit(measure.unit)
+    estimate, low, high = (
+        with_unit(each, unit) for each in (tested.estimate, tested.interval.low, tested.interval.high)
     )
+    level, what = shown_level(tested.interval.level), "contrast of relative ranks" if is_of_ranks else "contrast"
+    return f"The {what} is estimated as {estimate}, with {level} confidence between {low} and {high}."
 
 
 def _reason(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> str:

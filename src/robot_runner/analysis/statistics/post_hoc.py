@@ -129,7 +129,7 @@ def adjusted(p_values: Sequence[float], correction: Correction) -> list[float]:
 
 def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices) -> ContrastTest | NotComputed:
     """Test the contrast of a hypothesis, or that a difference is within its bound (two one-sided tests)."""
-    found = contrast_of(model, hypothesis)
+    found = contrast_of(model, hypothesis, choices.estimand)
     if isinstance(found, NotComputed):
         return found
     estimate, error, freedom = (float(each) for each in found)
@@ -142,8 +142,11 @@ def carry_out_contrast(model: AnyModel, hypothesis: Hypothesis, choices: Choices
     return ContrastTest(hypothesis.statement, estimate, interval, estimate / error, freedom, p_value)
 
 
-def contrast_of(model: AnyModel, hypothesis: Hypothesis) -> Contrast | NotComputed:
+def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> Contrast | NotComputed:
     """Estimate the contrast of a hypothesis; of many experiments at once where the model is."""
+    if hypothesis.within is not None and estimand is Estimand.RANK:
+        why = "a bound in the unit of the measure says nothing of ranks, which differ by 1 at most: compare means."
+        return NotComputed(_test_of(hypothesis), why)
     levels = dict(levels_of(model))
     (factor,) = hypothesis.factors
     weights = hypothesis.contrast
