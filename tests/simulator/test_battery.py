@@ -80,3 +80,11 @@ def test_in_the_heat_it_resists_less_and_holds_as_much():
     hot = Battery(Turtlebot3Parameters(battery_temperature=40.0))
     assert hot.resistance < BATTERY.resistance
     assert float(hot.charge(CAPACITY / 2)) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("resistance", [5.0, 1000.0])
+def test_a_battery_that_cannot_give_the_power_falls_to_half_its_voltage(resistance):
+    battery = Battery(Turtlebot3Parameters(battery_resistance=resistance, meter_shunt=1e-9))
+    power, drawn = np.array([10.0]), np.zeros(1)
+    volts = battery.terminal_voltage(battery.current(power, drawn), drawn)
+    assert volts == pytest.approx(battery.open_circuit_voltage(battery.charge(drawn)) / 2)

@@ -154,3 +154,113 @@ def test_a_model_that_cannot_be_driven_is_a_finding(tmp_path, text, options, pro
     assert "no such model" in missing.problem
     (vain,) = link_findings("simulated:left=a")
     assert "no model is named" in vain.problem
+
+
+def last(simulation, link, topic, *, after=2.0):
+    heard = []
+    subscription = link.subscribe(topic, link.topics()[f"/{topic}"], heard.append)
+    simulation.clock.sleep(after)
+    subscription.close()
+    return heard[-1]
+
+
+@pytest.mark.parametrize(
+    ("was", "instead"),
+    [
+        ('joint name="right_wheel" axis="0 1 0"', 'joint name="right_wheel" axis="0 -1 0"'),
+        ('axis="0 1 0"', 'axis="0 -1 0"'),
+        ('kv="1"/>', 'kv="0.1" gear="3"/>'),
+        ('<velocity joint="left_wheel" kv="1"/>', '<intvelocity joint="left_wheel" kp="20" actrange="-99 99"/>'),
+    ],
+)
+def test_axes_and_gears_of_wheels_change_nothing_about_how_a_model_drives(simulate, was, instead):
+    simulation, link = simulate(ROVER.replace(was, instead))
+    link.publish("cmd_vel", TWIST, {"linear": {"x": 0.3}})
+    truth = last(simulation, link, "ground_truth")
+    assert truth["pose"]["pose"]["position"]["x"] == pytest.approx(0.6, abs=0.06)
+    odom = last(simulation, link, "odom", after=0.1)
+    assert odom["pose"]["pose"]["position"]["x"] == pytest.approx(0.63, abs=0.06)
+
+
+def test_what_drives_a_joint_over_a_gear_takes_what_is_meant_at_the_joint(simulate):
+    geared = '<position joint="shoulder" kp="2" gear="4"/><motor joint="elbow" gear="50"/>'
+    simulation, link = simulate(ARM[: ARM.index("<position")] + geared + "</actuator></mujoco>")
+    named = {"name": ["shoulder", "elbow"]}
+    link.publish("joint_commands", "sensor_msgs/JointState", {**named, "position": [0.8, 0.0], "effort": [0.0, 0.5]})
+    state = last(simulation, link, "joint_states", after=3.0)
+    assert state["position"][0] == pytest.approx(0.8, abs=0.1)
+    assert state["velocity"][1] == pytest.approx(0.5, abs=0.1)  # 0.5 N m against a damping of 1 N m s/rad
+
+
+def test_the_ground_truth_is_the_pose_and_the_motion_of_the_robot_itself(simulate):
+    ball = '<body pos="-3 -3 0.1"><freejoint/><geom type="sphere" size="0.1"/></body><body name="base"'
+    simulation, link = simulate(ROVER.replace('<body name="base"', ball))
+    link.publish("cmd_vel", TWIST, {"angular": {"z": 0.5}})
+    simulation.clock.sleep(2.0)
+    link.publish("cmd_vel", TWIST, {"linear": {"x": 0.3}, "angular": {"z": 0.5}})
+    truth = last(simulation, link, "ground_truth")
+    twist = truth["twist"]["twist"]
+    assert twist["linear"]["x"] == pytest.approx(0.3, abs=0.03)
+    assert twist["linear"]["y"] == pytest.approx(0.0, abs=0.03)
+    assert twist["angular"]["z"] == pytest.approx(0.5, abs=0.05)
+    assert 0 < truth["pose"]["pose"]["position"]["x"] < 1
+
+
+def test_the_orientation_of_an_inertial_sensor_is_that_of_where_it_is_mounted(simulate):
+    sensors = '<sensor><gyro site="hand"/><accelerometer site="hand"/></sensor></mujoco>'
+    on_the_arm = ARM.replace('<joint name="elbow"', '<site name="hand" euler="90 0 0"/><joint name="elbow"')
+    simulation, link = simulate(on_the_arm.replace("</mujoco>", sensors))
+    imu = last(simulation, link, "imu", after=0.1)
+    assert imu["linear_acceleration"]["y"] == pytest.approx(9.81, abs=0.5)
+    assert imu["orientation"]["x"] == pytest.approx(math.sqrt(0.5), abs=0.01)
+    assert imu["orientation"]["w"] == pytest.approx(math.sqrt(0.5), abs=0.01)
+
+
+def test_physics_that_diverges_is_said(simulate, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log of its own there
+    unstable = ROVER.replace(' integrator="implicitfast"', "").replace('kv="1"', 'kv="1000"')
+    simulation, link = simulate(unstable)
+    link.publish("cmd_vel", TWIST, {"linear": {"x": 0.3}})
+    with pytest.raises(LinkError, match="diverged"):
+        last(simulation, link, "odom", after=5.0)
+
+
+def test_a_model_starts_where_its_room_says(simulate, tmp_path):
+    room = tmp_path / "room.toml"
+    room.write_text("[[robot]]\nat = [1.0, 2.0]\nyaw = 1.5707963", "utf-8")
+    simulation, link = simulate(ROVER, room=str(room))
+    link.publish("cmd_vel", TWIST, {"linear": {"x": 0.3}})
+    for _ in range(2):
+        begun = last(simulation, link, "ground_truth", after=0.05)["pose"]["pose"]["position"]
+        assert (begun["x"], begun["y"]) == pytest.approx((1.0, 2.0), abs=0.03)
+        link.publish("cmd_vel", TWIST, {"linear": {"x": 0.3}})
+        driven = last(simulation, link, "ground_truth")["pose"]["pose"]["position"]
+        assert (driven["x"], driven["y"]) == pytest.approx((1.0, 2.6), abs=0.06)
+        simulation.robot().put_back()
+
+
+def test_the_radius_of_an_ellipsoid_is_not_its_width(simulate):
+    flat = ROVER.replace('type="sphere" size="0.1"', 'type="ellipsoid" size="0.1 0.02 0.1"')
+    thin = ROVER.replace('type="sphere" size="0.1"', 'type="ellipsoid" euler="0 0 90" size="0.02 0.1 0.1"')
+    speeds = []
+    for model in (flat, thin):
+        simulation, link = simulate(model)
+        link.publish("cmd_vel", TWIST, {"linear": {"x": 0.3}})
+        speeds.append(last(simulation, link, "odom")["twist"]["twist"]["linear"]["x"])
+        assert last(simulation, link, "joint_states", after=0.1)["velocity"][0] == pytest.approx(3.0, abs=0.2)
+    assert speeds == pytest.approx([0.3, 0.3], abs=0.03)
+
+
+def test_a_scanner_sees_past_the_parts_of_its_own_robot(simulate):
+    mast = '<body pos="0.3 0 0.15"><geom type="box" size="0.02 0.02 0.1" mass="0.01"/></body><site name="lidar"'
+    simulation, link = simulate(ROVER.replace('<site name="lidar"', mast), scan_deviation="0")
+    scan = last(simulation, link, "scan", after=0.5)
+    assert scan["ranges"][0] == pytest.approx(1.9, abs=0.02)
+
+
+def test_a_scanner_that_stands_in_the_world_sees_what_stands_there(simulate, tmp_path):
+    room = tmp_path / "room.toml"
+    room.write_text("[[cylinder]]\nat = [1.0, 0.0]\nradius = 0.1", "utf-8")
+    fixed = ARM.replace("<worldbody>", '<worldbody><site name="scan" pos="0 0 0.3"/>')
+    simulation, link = simulate(fixed, room=str(room), scan_deviation="0")
+    assert last(simulation, link, "scan", after=0.5)["ranges"][0] == pytest.approx(0.9, abs=0.01)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from robot_runner.simulator.rooms import ARENA, ray_distances
+from robot_runner.simulator.rooms import ARENA, Room, Wall, ray_distances
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
@@ -193,3 +193,15 @@ def test_only_what_is_heard_is_computed(monkeypatch):
     listening.close()
     simulation.clock.sleep(1)
     assert len(calls) == 5
+
+
+def test_what_is_too_near_to_be_measured_is_not_told_as_free_space():
+    parameters = Turtlebot3Parameters(scan_deviation=0)
+    simulation = Simulation(seed=1, parameters=parameters, room=Room((Wall(0.3, 0.0, 0.05, 1.0),)))
+    robot = simulation.turtlebot3()
+    robot.drive(0.2, 0.0)
+    simulation.clock.sleep(5.0)
+    ranges = robot.topics["scan"].latest()["ranges"]
+    assert ranges[0] == -math.inf  # REP 117
+    assert ranges[180] == math.inf
+    assert min(each for each in ranges if each > -math.inf) >= 0.12

@@ -66,6 +66,7 @@ class TestProgram(SystemContract):
     """What holds for every system."""
 
     is_repeatable = False  # real time
+    goes_on_without_its_process = False  # who outlives a run ends its processes: tests/process
 
     def make_plugin(self) -> Program:
         return Program(["sleep", "1000"])

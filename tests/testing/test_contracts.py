@@ -311,6 +311,18 @@ class Unstoppable(Waggon):
         context.clock.sleep(1.0)
 
 
+class Timeless(Waggon):
+    """It has the robot drive as long as others measure, takes no time itself, and cannot be made safe."""
+
+    def launch_mission(self, context):
+        self.tell(context, 0.1)
+
+    def stop_measurement(self, context):
+        self.tell(context, 0.0)
+
+    def make_safe(self, context): ...
+
+
 class Stubborn(Waggon):
     """It swallows what breaks its mission off."""
 
@@ -336,6 +348,7 @@ class Fragile(Waggon):
     ("broken", "fact", "complaint"),
     [
         (Runaway, "the_robot_stands_still_whenever_the_mission_breaks_off", "still moves after an exception 0.12 s"),
+        (Timeless, "the_robot_is_stopped_by_a_process_that_did_not_move_it", "still moves where the run died"),
         (Unstoppable, "the_robot_stands_still_after_a_good_run", "still moves after a good run"),
         (Stubborn, "the_robot_stands_still_whenever_the_mission_breaks_off", "did not end it"),
         (Fragile, "it_can_be_made_safe_at_any_time_and_twice", "has no attribute 'publish'"),

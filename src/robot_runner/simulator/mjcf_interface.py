@@ -24,11 +24,12 @@ _SCANNERS = ("base_scan", "scan", "lidar", "laser")
 _SIDES = ("left", "right")
 # Its enumerations do not equal the numbers in its arrays in every release.
 _MOVABLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _TO_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
-_ROUND = tuple(
-    map(int, (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_ELLIPSOID))
-)
+_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+_FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
+_ROUND = tuple(map(int, (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CYLINDER, _ELLIPSOID)))
 
 
 class ActuatorKind(Enum):
@@ -48,6 +49,7 @@ class Joint:
         position, velocity: its places in `qpos` and `qvel`.
         actuator: its actuator's number; None where nothing drives it.
         kind: what that actuator's control value means.
+        scale: the control value for one unit (rad or m, a second, N m or N) at the joint, gears included.
     """
 
     name: str
@@ -55,16 +57,22 @@ class Joint:
     velocity: int
     actuator: int | None = None
     kind: ActuatorKind = ActuatorKind.EFFORT
+    scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class WheelPair:
-    """Two wheels that are driven by their speeds: joints, radius (m) and distance from each other (m)."""
+    """Two wheels that are driven by their speeds: joints, radius (m) and distance from each other (m).
+
+    Attributes:
+        senses: 1 of a wheel that rolls forward where its joint turns forward, -1 of one whose axis points to the right.
+    """
 
     left: Joint
     right: Joint
     radius: float
     separation: float
+    senses: tuple[float, float] = (1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,17 +82,21 @@ class MjcfInterface:
     Attributes:
         joints: those that move, in the model's order.
         wheels: of a differential drive, if it is one.
-        base: the place in `qpos` of a free joint, whose pose is the robot's; None where it is fixed.
+        base: the place in `qpos` of the robot's free joint, whose pose is the robot's; None where it is fixed.
+        base_velocity: the place of that joint in `qvel`.
         scanner: the site that a laser scanner turns at; None without one.
         gyroscope, accelerometer: their places in `sensordata`; None without them.
+        gyroscope_site: the site that the gyroscope is at, whose orientation is that of the inertial sensor.
         camera: the number of its first camera; None without one.
     """
 
     joints: tuple[Joint, ...]
     wheels: WheelPair | None
     base: int | None
+    base_velocity: int
     scanner: int | None
     gyroscope: int | None
+    gyroscope_site: int
     accelerometer: int | None
     camera: int | None
 
@@ -151,20 +163,26 @@ def read_interface(model: mujoco.MjModel, *, where: str, left: str = "", right: 
         LinkError: nothing drives it, or the wheels that are named are none.
     """
     joints = _joints(model)
-    if not any(each.actuator is not None for each in joints):
+    driven = next((each for each in joints if each.actuator is not None), None)
+    if driven is None:
         raise LinkError(
             "the model has no actuator that drives a hinge or a slide: it can do nothing",
             where=where,
             fix='Give it some: <actuator><velocity joint="left_wheel" kv="1"/></actuator>.',
         )
-    bases = [each for each in range(model.njnt) if model.jnt_type[each] == _FREE]
+    wheels = _wheels(model, joints, {"left": left, "right": right}, where)
+    base = _base(model, driven if wheels is None else wheels.left)
+    gyroscope = _sensor(model, mujoco.mjtSensor.mjSENS_GYRO)
+    accelerometer = _sensor(model, mujoco.mjtSensor.mjSENS_ACCELEROMETER)
     return MjcfInterface(
         joints=joints,
-        wheels=_wheels(model, joints, {"left": left, "right": right}, where),
-        base=int(model.jnt_qposadr[bases[0]]) if bases else None,
+        wheels=wheels,
+        base=None if base is None else int(model.jnt_qposadr[base]),
+        base_velocity=0 if base is None else int(model.jnt_dofadr[base]),
         scanner=next((place for place, name in _names(model, "site", model.nsite) if name in _SCANNERS), None),
-        gyroscope=_sensor(model, mujoco.mjtSensor.mjSENS_GYRO),
-        accelerometer=_sensor(model, mujoco.mjtSensor.mjSENS_ACCELEROMETER),
+        gyroscope=None if gyroscope is None else int(model.sensor_adr[gyroscope]),
+        gyroscope_site=0 if gyroscope is None else int(model.sensor_objid[gyroscope]),
+        accelerometer=None if accelerometer is None else int(model.sensor_adr[accelerometer]),
         camera=0 if model.ncam else None,
     )
 
@@ -175,7 +193,18 @@ def _names(model: mujoco.MjModel, kind: str, count: int) -> list[tuple[int, str]
 
 def _sensor(model: mujoco.MjModel, kind: mujoco.mjtSensor) -> int | None:
     found = np.flatnonzero(np.asarray(model.sensor_type) == int(kind))
-    return int(model.sensor_adr[found[0]]) if len(found) else None
+    return int(found[0]) if len(found) else None
+
+
+def _joint_number(model: mujoco.MjModel, joint: Joint) -> int:
+    return int(model.dof_jntid[joint.velocity])
+
+
+def _base(model: mujoco.MjModel, joint: Joint) -> int | None:
+    """Return the free joint of the robot that a joint is part of: what else lies around freely has one, too."""
+    root = model.body_rootid[model.jnt_bodyid[_joint_number(model, joint)]]
+    found = (each for each in range(model.njnt) if model.jnt_type[each] == _FREE and model.jnt_bodyid[each] == root)
+    return next(found, None)
 
 
 def _joints(model: mujoco.MjModel) -> tuple[Joint, ...]:
@@ -188,19 +217,29 @@ def _joints(model: mujoco.MjModel) -> tuple[Joint, ...]:
     for number in range(model.njnt):
         if model.jnt_type[number] in _MOVABLE:
             actuator = by_joint.get(number)
-            kind = ActuatorKind.EFFORT if actuator is None else _kind(model, actuator)
+            drive = (ActuatorKind.EFFORT, 1.0) if actuator is None else _drive(model, actuator)
             name = model.joint(number).name or f"joint_{number}"
             places = int(model.jnt_qposadr[number]), int(model.jnt_dofadr[number])
-            joints.append(Joint(name, *places, actuator, kind))
+            joints.append(Joint(name, *places, actuator, *drive))
     return tuple(joints)
 
 
-def _kind(model: mujoco.MjModel, actuator: int) -> ActuatorKind:
-    """Return what a control value means: MuJoCo's force is gain * control + bias on position and speed."""
-    _, on_position, on_speed = model.actuator_biasprm[actuator][:3]
-    if on_position:
-        return ActuatorKind.POSITION
-    return ActuatorKind.VELOCITY if on_speed else ActuatorKind.EFFORT
+def _drive(model: mujoco.MjModel, actuator: int) -> tuple[ActuatorKind, float]:
+    """Return what a control value means, and the one for a unit at the joint.
+
+    MuJoCo's force is gain * control + bias on length and speed, which are the joint's times the gear; an integrator
+    adds up the control value first (https://mujoco.readthedocs.io/en/stable/computation/, actuation model).
+    """
+    _, on_position, on_speed = map(float, model.actuator_biasprm[actuator][:3])
+    gear, gain = float(model.actuator_gear[actuator][0]), float(model.actuator_gainprm[actuator][0])
+    adds_up = model.actuator_dyntype[actuator] == _INTEGRATOR
+    bias = on_position or on_speed
+    kind = ActuatorKind.EFFORT
+    if bias:
+        kind = ActuatorKind.POSITION if on_position and not adds_up else ActuatorKind.VELOCITY
+    if model.actuator_gaintype[actuator] != _FIXED_GAIN or not gain or not gear:
+        return kind, 1.0
+    return kind, -bias * gear / gain if bias else 1 / (gain * gear)
 
 
 def _wheels(model: mujoco.MjModel, joints: Sequence[Joint], given: dict[str, str], where: str) -> WheelPair | None:
@@ -217,18 +256,27 @@ def _wheels(model: mujoco.MjModel, joints: Sequence[Joint], given: dict[str, str
     left, right = found["left"], found["right"]
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    anchors = [data.xanchor[model.joint(each.name).id] for each in (left, right)]
-    separation = float(np.linalg.norm(anchors[0] - anchors[1]))
-    radius = _radius(model, int(model.jnt_bodyid[model.joint(left.name).id]))
+    numbers = [_joint_number(model, each) for each in (left, right)]
+    across = data.xanchor[numbers[0]] - data.xanchor[numbers[1]]
+    separation = float(np.linalg.norm(across))
+    radius = _radius(model, int(model.jnt_bodyid[numbers[0]]))
     if not (separation > 0 and radius > 0):
         problem = f"its wheels are {separation:g} m apart and have a radius of {radius:g} m"
         raise LinkError(
             problem, where=where, fix="Give each wheel a body with a round geom, to the left and the right."
         )
-    return WheelPair(left, right, radius, separation)
+    # A wheel rolls forward where it turns about an axis that points to the left.
+    left_sense, right_sense = (-1.0 if float(data.xaxis[each] @ across) < 0 else 1.0 for each in numbers)
+    return WheelPair(left, right, radius, separation, (left_sense, right_sense))
 
 
 def _radius(model: mujoco.MjModel, body: int) -> float:
     """Return the radius of a wheel: the largest of the round geoms of its body."""
     geoms = range(int(model.body_geomadr[body]), int(model.body_geomadr[body] + model.body_geomnum[body]))
-    return max((float(model.geom_size[each][0]) for each in geoms if model.geom_type[each] in _ROUND), default=0.0)
+    return max((_round_radius(model, each) for each in geoms if model.geom_type[each] in _ROUND), default=0.0)
+
+
+def _round_radius(model: mujoco.MjModel, geom: int) -> float:
+    # An ellipsoid may have any of its axes along the axle; of a cylinder the second figure is half its width.
+    sizes = model.geom_size[geom]
+    return float(sizes.max() if model.geom_type[geom] == _ELLIPSOID else sizes[0])

@@ -32,14 +32,20 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from robot_runner.simulator.mjcf_interface import WheelPair
-    from robot_runner.simulator.rooms import Room
+    from robot_runner.simulator.rooms import Pose, Room
     from robot_runner.simulator.simulated_clock import SimulatedClock
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
     Message = Mapping[str, Any]
 
+#: So far behind a surface (m) a ray goes on that has met the robot itself.
+_PAST = 1e-6
 _TWIST = "geometry_msgs/Twist"
 _JOINTS = "sensor_msgs/JointState"
+#: What MuJoCo notes where a number became too large or none, before it begins anew by itself.
+_DIVERGED = tuple(
+    map(int, (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC))
+)
 
 
 class RobotModel:
@@ -95,6 +101,7 @@ class ModelledRobot:
         self._data = mujoco.MjData(self._model)
         self._substeps = round(1 / STEPS_PER_SECOND / self._model.opt.timestep)
         self._steps = 0
+        self._place = None if made_of.room is None else made_of.room.robots.get(namespace)
         self._start()
         streams = NoiseStreams(seed, namespace)
         self._imu_noise = streams.numbered("imu", width=6)
@@ -135,9 +142,18 @@ class ModelledRobot:
             mujoco.mj_resetDataKeyframe(self._model, self._data, 0)
         else:
             mujoco.mj_resetData(self._model, self._data)
+        if self._place is not None and self._interface.base is not None:
+            self._stand_at(self._place, self._data.qpos[self._interface.base :][:7])
         mujoco.mj_forward(self._model, self._data)
         self._odometry = OdometryState()
         self._angles = self._wheel_angles()
+
+    @staticmethod
+    def _stand_at(place: Pose, pose: npt.NDArray[np.float64]) -> None:
+        """Have the robot begin where its room says, turned from how its model looks, at the model's height."""
+        turn = np.array([math.cos(place.yaw / 2), 0.0, 0.0, math.sin(place.yaw / 2)])
+        pose[:2] = place.x, place.y
+        mujoco.mju_mulQuat(pose[3:], turn, pose[3:].copy())
 
     def _reach(self) -> None:
         for _ in range(self._steps, self._clock.step):
@@ -145,13 +161,21 @@ class ModelledRobot:
             if self._interface.wheels is not None:
                 self._count_wheels(self._interface.wheels)
         self._steps = max(self._steps, self._clock.step)
+        if any(self._data.warning[each].number for each in _DIVERGED):
+            raise LinkError(
+                "the physics of the model diverged, and MuJoCo put the robot back to its beginning",
+                where=str(self.path),
+                fix="Give the model a shorter time step, softer actuators or more damping; `python -m mujoco.viewer` "
+                "shows it.",
+            )
 
     def _drive(self, linear: float, angular: float) -> None:
         wheels = self._interface.wheels
         if wheels is not None:
             turning = angular * wheels.separation / 2
-            for joint, speed in ((wheels.left, linear - turning), (wheels.right, linear + turning)):
-                self._data.ctrl[joint.actuator] = speed / wheels.radius
+            speeds = (linear - turning, linear + turning)
+            for joint, sense, speed in zip((wheels.left, wheels.right), wheels.senses, speeds, strict=True):
+                self._data.ctrl[joint.actuator] = sense * speed / wheels.radius * joint.scale
 
     def _move_joints(self, message: Message) -> None:
         driven = {each.name: each for each in self._interface.joints if each.actuator is not None}
@@ -165,13 +189,14 @@ class ModelledRobot:
             if place >= len(given):
                 problem = f"{name!r} is driven by its {joint.kind.value}, and none is given"
                 raise LinkError(problem, where="joint_commands", fix=f"Give {joint.kind.value}, one for each name.")
-            self._data.ctrl[joint.actuator] = given[place]
+            self._data.ctrl[joint.actuator] = given[place] * joint.scale
 
     def _wheel_angles(self) -> tuple[float, float]:
         wheels = self._interface.wheels
         if wheels is None:
             return 0.0, 0.0
-        return float(self._data.qpos[wheels.left.position]), float(self._data.qpos[wheels.right.position])
+        left, right = (float(self._data.qpos[each.position]) for each in (wheels.left, wheels.right))
+        return wheels.senses[0] * left, wheels.senses[1] * right
 
     def _count_wheels(self, wheels: WheelPair) -> None:
         """Add up the arcs that the wheels roll, as a robot's firmware does."""
@@ -213,9 +238,18 @@ class ModelledRobot:
 
     def _ground_truth(self) -> dict[str, Any]:
         self._reach()
-        base = self._interface.base or 0
+        base, moving = self._interface.base or 0, self._interface.base_velocity
         x, y, z, w, qx, qy, qz = map(float, self._data.qpos[base : base + 7])
+        # MuJoCo's linear velocity is along the world's axes, ROS' twist along those of the robot.
+        inverse, linear = np.empty(4), np.empty(3)
+        mujoco.mju_negQuat(inverse, self._data.qpos[base + 3 : base + 7])
+        mujoco.mju_rotVecQuat(linear, self._data.qvel[moving : moving + 3], inverse)
+        angular = self._data.qvel[moving + 3 : moving + 6]
         message = odometry(self._clock.now_ns, OdometryState(x, y))
+        message["twist"]["twist"] = {
+            part: dict(zip("xyz", vector.tolist(), strict=True))
+            for part, vector in (("linear", linear), ("angular", angular))
+        }
         message["header"]["frame_id"] = "world"
         message["pose"]["pose"]["position"]["z"] = z
         message["pose"]["pose"]["orientation"] = {"x": qx, "y": qy, "z": qz, "w": w}
@@ -236,8 +270,9 @@ class ModelledRobot:
         noise, parameters = self._imu_noise.at(self._clock.step).reshape(2, 3), self.parameters
         places = (self._interface.gyroscope or 0, self._interface.accelerometer or 0)
         angular, linear = (self._data.sensordata[place : place + 3] for place in places)
-        base = self._interface.base
-        w, x, y, z = (1.0, 0.0, 0.0, 0.0) if base is None else map(float, self._data.qpos[base + 3 : base + 7])
+        turned = np.empty(4)
+        mujoco.mju_mat2Quat(turned, self._data.site_xmat[self._interface.gyroscope_site])
+        w, x, y, z = turned.tolist()
         return imu(
             self._clock.now_ns,
             orientation=(x, y, z, w),
@@ -259,11 +294,21 @@ class ModelledRobot:
         )
 
     def _ray_distances(self) -> npt.NDArray[np.float64]:
-        """Return how far each ray goes, in the plane of the scanner's site; its own body is passed through."""
+        """Return how far each ray goes, in the plane of the scanner's site; the robot itself is passed through."""
         site = self._interface.scanner or 0
         turned = self._data.site_xmat[site].reshape(3, 3)
         angles = np.arange(RAYS) * (2 * math.pi / RAYS)
         rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(RAYS)], axis=1) @ turned.T
-        own, start, geom = int(self._model.site_bodyid[site]), self._data.site_xpos[site], np.zeros(1, dtype=np.int32)
-        met = [mujoco.mj_ray(self._model, self._data, start, ray, None, 1, own, geom) for ray in rays]
-        return np.array([math.inf if distance < 0 else distance for distance in met])
+        own, start = int(self._model.site_bodyid[site]), self._data.site_xpos[site]
+        return np.array([self._ray_distance(start, ray, own) for ray in rays])
+
+    def _ray_distance(self, start: npt.NDArray[np.float64], ray: npt.NDArray[np.float64], own: int) -> float:
+        roots, bodies, met = self._model.body_rootid, self._model.geom_bodyid, np.zeros(1, dtype=np.int32)
+        gone, left_out = 0.0, own or -1  # what is part of the world does not leave out the world
+        while (further := mujoco.mj_ray(self._model, self._data, start + gone * ray, ray, None, 1, left_out, met)) >= 0:
+            gone += float(further)
+            # MuJoCo leaves out one body at most: a wheel, or a mast, is another one of the same robot.
+            if not own or roots[bodies[met[0]]] != roots[own]:
+                return gone
+            gone += _PAST
+        return math.inf

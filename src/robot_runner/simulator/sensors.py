@@ -238,10 +238,14 @@ _SCANNER_HEIGHT = 0.182  # above the floor (ROBOTIS' URDF: base_joint and scan_j
 def scan_of(
     true: npt.NDArray[np.float64], noise: npt.NDArray[np.float64], parameters: Turtlebot3Parameters
 ) -> list[float]:
-    """Return what a scanner reads of true distances (m): with its noise, and infinite where nothing is in range."""
+    """Return what a scanner reads of true distances (m), with its noise, as REP 117 has it.
+
+    Infinite where nothing is in range, and minus infinity where something is too near to be measured.
+    """
     read = true * (1 + parameters.scan_deviation / 100 * noise)
-    is_in_range = (read >= parameters.scan_minimum) & (read <= parameters.scan_maximum)
-    ranges: list[float] = np.where(is_in_range, read, np.inf).tolist()
+    read[read > parameters.scan_maximum] = np.inf
+    read[read < parameters.scan_minimum] = -np.inf
+    ranges: list[float] = read.tolist()
     return ranges
 
 
@@ -291,7 +295,7 @@ class SensorBoard:
         )
 
     def scan(self) -> dict[str, Any]:
-        """Return the distances to what stands all around; infinite where nothing is in range (REP 117)."""
+        """Return the distances to what stands all around, as `scan_of` gives them."""
         self.powered.reach(self.clock.step)
         pose, parameters = self.drive.pose, self.parameters
         x = pose.x + _SCANNER_X * math.cos(pose.yaw)

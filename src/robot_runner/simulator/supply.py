@@ -64,11 +64,12 @@ class Battery:
         """Return the current in amperes that feeds a load of so many watts behind inner resistance and shunt.
 
         The load takes power = current * (U - R * current); of the two solutions the smaller current is the stable one.
+        Where it asks for more than the battery can give, it gets the current at which that gives most: U / 2R.
         """
         voltage = self.open_circuit_voltage(self.charge(energy))
         resistance = self.resistance + self._outer
         root = np.sqrt(np.maximum(voltage**2 - 4 * resistance * power, 0.0))
-        return 2 * power / (voltage + root)
+        return np.minimum(2 * power / (voltage + root), voltage / (2 * resistance))
 
     def terminal_voltage(self, current: Floats, energy: Floats) -> Floats:
         """Return the voltage in volts at the battery's terminals under this current."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.core.errors import LinkError
+from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,10 +22,14 @@ _MAY_BE_ZERO = (
     *("activation_energy", "cold_loss", "cut_off_voltage"),
 )
 #: What has a largest value, or may be negative: a slope that rises by as much as it is long, the temperatures at which
-#: lithium-polymer batteries can be discharged at all, and pictures that a laptop renders without a graphics card.
+#: lithium-polymer batteries can be discharged at all, pictures that a laptop renders without a graphics card, and what
+#: happens at the points of the simulation's grid.
 _BOUNDS = {
     "floor_slope": (-100.0, 100.0),
     "battery_temperature": (-30.0, 60.0),
+    "odometry_rate": (1, STEPS_PER_SECOND),
+    "imu_rate": (1, STEPS_PER_SECOND),
+    "scan_rate": (1, STEPS_PER_SECOND),
     "camera_rate": (1, 30),
     "camera_width": (16, 1280),
     "camera_height": (16, 960),
@@ -144,6 +149,11 @@ class Turtlebot3Parameters:
             if fix:
                 problem = f"the simulated robot's {parameter.name} is {value!r}"
                 raise LinkError(problem, where="Turtlebot3Parameters", fix=fix)
+        if self.mass <= 2 * self.wheel_mass:
+            problem = (
+                f"the simulated robot's mass is {self.mass!r} kg, and each of its two wheels has {self.wheel_mass!r} kg"
+            )
+            raise LinkError(problem, where="Turtlebot3Parameters", fix="Give mass more, or wheel_mass less.")
 
     @property
     def battery_energy(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.ros.lifecycle import LifecycleState
@@ -22,7 +23,7 @@ class ParameterNode:
         name: of the node, such as `/planner`.
         parameters: their values at first; None for one that has no value yet, and takes any.
         read_only: which of them are read-only.
-        limits: the least and the greatest value of some.
+        limits: the least and the greatest value of some; others are refused.
         refuses: returns why a value is refused, or an empty text.
         is_rclcpp: whether it answers as rclcpp does, which tells nothing at all where one of several names is unknown;
             rclpy tells what it knows, and the others as not set.
@@ -136,6 +137,10 @@ class ParameterNode:
             return f"parameter '{name}' cannot be set because it is read-only"
         if kind is not self._kinds.get(name, kind):
             return f"Wrong parameter type, parameter {{{name}}} is of type {{{self._kinds[name].words}}}"
+        least, greatest = self._limits.get(name, (-math.inf, math.inf))
+        if isinstance(value, int | float) and not least <= value <= greatest:
+            numbers = "integer" if kind is ParameterKind.INTEGER else "floating point"
+            return f"Parameter {{{name}}} doesn't comply with {numbers} range."
         return self._refuses(name, value)
 
 

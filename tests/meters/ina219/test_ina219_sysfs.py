@@ -240,3 +240,12 @@ class TestIna219BehindADriver(ProfilerContract):
 
     def make_context(self, folder, plugin, *, run_seed=1):
         return make_context(folder, plugin, robot=None, clock=SystemClock(), run_seed=run_seed)
+
+
+@pytest.mark.parametrize("micro_ohm", ["2000", "100000"])
+def test_an_ina226_at_the_end_of_its_range_is_clipped_whatever_its_shunt(tmp_path, micro_ohm):
+    # The last step of its register is 32767 x 2.5 uV = 81.9175 mV, which the driver tells in whole mA.
+    milli_ampere = str(round(81917.5 / float(micro_ohm) * 1000))
+    files = {**HWMON, "name": "ina226", "shunt_resistor": micro_ohm}
+    context, _ = measured(tmp_path, lambda _: ("500000000", milli_ampere, "12400"), files=files)
+    assert any("100.0 % of the samples were clipped" in problem for problem in problems(context))

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import os
+import struct
 import threading
 import time
 import tty
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.meters.scripted_meter import sample
+from tests.meters.scripted_meter import frame, hello, sample
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.measuring import live_samples
+from robot_runner.meters.ina219.line_meter import LineMeter, SharedLine
 from robot_runner.plugins.profilers import Ina219, PsUtil
-from robot_runner.testing import make_context, rehearse
+from robot_runner.testing import Chunk, FakeClock, FakeSerialLine, make_context, rehearse
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -97,3 +99,12 @@ def test_a_simulated_meter_is_shown_as_a_real_one_and_its_samples_are_those_of_a
     values = [float(cell) for row in rows[1:] for cell in row.split(",")[1:]]
     assert all(0 < value < 100 for value in values)
     assert executed("unwatched", float("inf"))[1:] == (samples, measures)
+
+
+def test_the_first_sensor_is_shown_where_its_address_is_named() -> None:
+    clock = FakeClock()
+    told = frame(0x14, 0, struct.pack("<IBIHIB", 0, 0x40, 100_000, 0x1CCF, 0, 1))
+    line = FakeSerialLine(clock, [Chunk(0.0, hello(0, 0) + told + sample(0, 0))])
+    meter = LineMeter(SharedLine(line), clock, address=0x40)
+    meter.begin()
+    assert meter.latest_power() == pytest.approx(0.613 * 12.4)

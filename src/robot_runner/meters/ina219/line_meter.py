@@ -180,9 +180,8 @@ class LineMeter:
             LinkError: the line was lost.
         """
         frames = FrameDecoder().feed(self._line.latest())
-        address = self._stream.address
         for each in reversed(frames):
-            if isinstance(each, SampleFrame) and each.address == address:
+            if isinstance(each, SampleFrame) and self._stream.is_ours(each.address):
                 said = self._stream.sensing or self._stream.hello
                 calibration = Calibration(self._shunt_ohm or (said.shunt_ohm if said else 0.0) or DEFAULT_SHUNT)
                 return calibration.current(each.shunt_raw) * calibration.voltage(each.bus_raw)

@@ -185,7 +185,7 @@ class SampleStream:
     def _add(self, frames: Iterable[Frame], received_at: float) -> None:
         for frame in frames:
             if isinstance(frame, SampleFrame):
-                if self._is_ours(frame.address):
+                if self.is_ours(frame.address):
                     self._add_sample(frame, received_at)
             elif isinstance(frame, Hello):
                 self.hello = frame
@@ -197,7 +197,8 @@ class SampleStream:
                 self._add_mark(frame)
             self._is_behind_hello = isinstance(frame, Hello)
 
-    def _is_ours(self, address: int) -> bool:
+    def is_ours(self, address: int) -> bool:
+        """Whether samples with this address are of this sensor; the device's first one sends none with its samples."""
         return address == self.address or (address == FIRST_SENSOR and self.address == self._first_address)
 
     def _take_sensing(self, sensing: Sensing) -> None:

@@ -25,8 +25,9 @@ AUTO = "auto"
 
 #: Where the two drivers put their devices.
 _PATTERNS = ("/sys/class/hwmon/hwmon*/name", "/sys/bus/iio/devices/iio:device*/name")
-#: The largest voltage at the shunt, V, by the chips' data sheets; the drivers leave the INA219's gain at 1/8.
-_SHUNT_RANGES = {"ina219": 0.32, "ina220": 0.32, "ina226": 0.08192, "ina230": 0.08192, "ina231": 0.08192}
+#: The largest voltage at the shunt, V, by the chips' data sheets; the drivers leave the INA219's gain at 1/8. Of the
+#: others it is the register's last step, 32767 x 2.5 uV (SBOS547A, shunt voltage register).
+_SHUNT_RANGES = {"ina219": 0.32, "ina220": 0.32, "ina226": 0.0819175, "ina230": 0.0819175, "ina231": 0.0819175}
 _CHIPS = tuple(_SHUNT_RANGES)
 _OTHERS = "For another sensor, such as an INA3221 or INA238, use the profiler PowerRails."
 
