@@ -190,8 +190,10 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=_processes(), help="how many at once (default: %(default)s)")
     parser.add_argument("-m", dest="marks", default="", help="which tests, by their marks, as pytest takes it")
     chosen, words = parser.parse_known_args()
-    # A shell has what it starts in the background ignore Ctrl-C, and that is inherited by all that tests send it to.
+    # A shell has what it starts in the background ignore Ctrl-C, and `nohup` that a terminal was closed: all that tests
+    # send these signals to would inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     began = time.monotonic()
     tests = Path("tests")
     batches = [*ros2_batches_of(tests), *batches_of(tests)]  # those of ROS 2 wait most of their time

@@ -163,8 +163,19 @@ def test_what_is_made_once_is_made_by_one_process_for_all(tmp_path: Path) -> Non
     assert len(set(makers)) == 1
 
 
-def test_ctrl_c_reaches_what_tests_start_also_where_a_shell_started_them_in_the_background(tmp_path: Path) -> None:
-    heeds = "import signal\n\n\ndef test_it():\n    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN\n"
-    write_tests(tmp_path, {"room/test_a.py": heeds})
-    answer = execute(tmp_path, by=("sh", "-c", "trap '' INT; exec \"$@\"", "sh"))
+HEEDS = """\
+import signal
+
+import pytest
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_it(number):
+    assert signal.getsignal(number) is not signal.SIG_IGN
+"""
+
+
+def test_stop_signals_reach_what_tests_start_also_where_they_were_started_in_the_background(tmp_path: Path) -> None:
+    write_tests(tmp_path, {"room/test_a.py": HEEDS})
+    answer = execute(tmp_path, by=("sh", "-c", "trap '' INT HUP; exec \"$@\"", "sh"))
     assert answer.returncode == 0, answer.stdout
