@@ -20,7 +20,7 @@ import pytest
 from robot_runner.core.storage.outliving import process_stat
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from tests.processor_wait import ProcessorWait
 
@@ -113,6 +113,14 @@ class Experiment:
         except OSError:
             return False
         return state != "Z" and f"{MARK}={self.mark}".encode() in environment.split(b"\0")
+
+
+def kill_together(pids: Iterable[int]) -> None:
+    """Kill processes so that none of them has the time to do anything about the death of another."""
+    doomed = list(pids)
+    for number in (signal.SIGSTOP, signal.SIGKILL):
+        for pid in doomed:
+            os.kill(pid, number)
 
 
 def wait_until(holds: Callable[[], Any], what: str) -> Any:

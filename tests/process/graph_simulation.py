@@ -72,12 +72,14 @@ class Witness:
 
         `meanwhile` is called again and again until it stands still.
         """
-        moment = self._first(lambda seen: seen < STANDSTILL, since, meanwhile, in_a_row=_IN_A_ROW)
-        self._first(lambda _: True, moment + 0.5)
-        later = self.speeds[bisect_right(self.speeds, moment, key=itemgetter(0)) :]
-        moved = [(round(at - moment, 3), round(seen, 3)) for at, seen in later if seen >= 3 * STANDSTILL]
-        assert not moved, f"it moves again, s later and m/s: {moved}"
-        return moment
+        while True:
+            moment = self._first(lambda seen: seen < STANDSTILL, since, meanwhile, in_a_row=_IN_A_ROW)
+            self._first(lambda _: True, moment + 0.5, meanwhile)
+            later = self.speeds[bisect_right(self.speeds, moment, key=itemgetter(0)) :]
+            moved = [at for at, seen in later if seen >= 3 * STANDSTILL]
+            if not moved:
+                return moment
+            since = moved[-1]  # it rocked on, or was commanded again: that counts
 
     def _first(
         self, holds: Any, since: float, meanwhile: Callable[[], object] = lambda: None, *, in_a_row: int = 1

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import signal
 import struct
 import threading
 import time
@@ -13,7 +11,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 
 import pytest
-from tests.process.conftest import wait_until
+from tests.process.conftest import kill_together, wait_until
 from tests.process.test_real_graphs import failures_of, written
 from tests.processor_wait import ProcessorWait, family
 from tests.ros.dds_domain import LOOPBACK, claim_domain
@@ -99,8 +97,7 @@ def test_a_robot_on_fast_dds_stands_still_after_a_kill_and_a_rival_of_its_comman
     experiment = start(config=config)
     wait_until(lambda: robot.drives(0.0), "the robot drives")
     wait, doomed, killed = ProcessorWait(family()), [experiment.run_process(), experiment.process.pid], time.time()
-    for pid in doomed:
-        os.kill(pid, signal.SIGKILL)
+    kill_together(doomed)
     wait_until(lambda: wait.look() or robot.stood(killed), "it is told to stand still")
     assert robot.stood(killed) - killed - wait.seconds < 1.0
     experiment.end()

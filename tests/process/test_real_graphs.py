@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import HEAD, TABLE
-from tests.process.conftest import wait_until
+from tests.process.conftest import kill_together, wait_until
 from tests.process.graph_simulation import rival, simulated_robot, witness
 from tests.processor_wait import OWN_WAITS, ProcessorWait, family
 from tests.ros.dds_domain import LOOPBACK, claim_domain
@@ -210,8 +210,7 @@ def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
             experiment = start(config=config)
             until_it_drives(graph, looking, since=killed + 1.0)
             wait, doomed, killed = ProcessorWait(family()), kill(experiment), time.time()
-            for pid in doomed:
-                os.kill(pid, signal.SIGKILL)
+            kill_together(doomed)
             stood = looking.sees_standstill(since=killed, meanwhile=wait.look)
             assert stood - killed - wait.seconds < 1.0
             experiment.end()
@@ -270,8 +269,7 @@ def seconds_to_standstill(graph: str, experiment: Any, looking: Any, doomed: str
     """Kill these processes while the robot drives; return how long it went on, and how much of it nobody computed."""
     until_it_drives(graph, looking, since)
     wait, pids, killed = ProcessorWait(family()), DOOMED[doomed](experiment), time.time()
-    for pid in pids:
-        os.kill(pid, signal.SIGKILL)
+    kill_together(pids)
     stood = looking.sees_standstill(since=killed, meanwhile=wait.look)
     if experiment.process.pid in pids:
         experiment.end()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import HEAD
-from tests.process.conftest import wait_until
+from tests.process.conftest import kill_together, wait_until
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.ros1_master import needs_ros1
 
@@ -91,8 +91,7 @@ def test_each_run_has_its_treatment_and_whoever_is_killed_the_parameter_is_put_b
     (tmp_path / "launched").unlink()
     gone = experiment(robot)
     gone.wait_for("launched")
-    for pid in (gone.standby(), gone.keeper(), gone.process.pid, gone.run_process()):
-        os.kill(pid, signal.SIGKILL)
+    kill_together([gone.standby(), gone.keeper(), gone.process.pid, gone.run_process()])
     gone.end()
     wait_until(gone.nobody_is_left, "all of it is dead")
     assert speed() == 0.5, "nobody was left who could put it back"

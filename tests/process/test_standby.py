@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import HEAD
-from tests.process.conftest import wait_until
+from tests.process.conftest import kill_together, wait_until
 
 from robot_runner.core.storage.lock import holder_of
 
@@ -69,8 +67,7 @@ def is_on(experiment: Any) -> bool:
 
 
 def kill(*pids: int) -> None:
-    for pid in pids:
-        os.kill(pid, signal.SIGKILL)
+    kill_together(pids)
 
 
 @pytest.mark.parametrize("process", ["FORK", "SPAWN"])
