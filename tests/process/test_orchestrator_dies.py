@@ -282,7 +282,7 @@ def launch_mission(self, context):
     if context.run_id != "r_2": return
     self.flag("moving").touch()
     while not self.flag("suspended").exists(): context.clock.sleep(0.01)
-    for number in range(self.shared): context.share(number=number, way="x" * 100)
+    for number in range(self.shared): context.share(number=number, way="x" * 150)
     self.flag("arrived").touch()
 def flag(self, name): return Path(__file__).parent / name
 """
@@ -290,7 +290,7 @@ def flag(self, name): return Path(__file__).parent / name
 
 @pytest.mark.parametrize(
     ("settings", "shared", "seconds"),
-    [("shared = 3000", 3000, 0.0), ("shared, run_deadline_in_s = 30, 10", 30, 10.5)],
+    [("shared = 9000", 9000, 0.0), ("shared, run_deadline_in_s = 30, 10", 30, 10.5)],
     ids=["more than a pipe takes", "for longer than the deadline"],
 )
 def test_a_mission_goes_on_while_its_orchestrator_is_suspended_and_what_it_said_is_kept(

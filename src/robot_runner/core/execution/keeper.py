@@ -19,6 +19,7 @@ keeper's work.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
 import signal
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
 
 _STOP, _KILL = b"s", b"k"
 _NUMBER_BYTES = 8
+#: As wide as a user may make a pipe (/proc/sys/fs/pipe-max-size).
+_PIPE_BYTES = 1 << 20
 #: How long the keeper waits for processes that it has killed, s: one that waits for a broken disk cannot be reaped.
 _REAPING = 5.0
 #: How long it waits until it looks again, s.
@@ -120,6 +123,7 @@ class Keeper:
             requests, self._requests = _pipe(undone)
             self.told, tell = _pipe(undone)
             self.records, records = _pipe(undone)
+            _widen(records)
             self._pid = forked()
             undone.pop_all()
         if self._pid == 0:
@@ -333,6 +337,13 @@ class _KeeperProcess:
             if not orphans:
                 return
             time.sleep(_LOOK)
+
+
+def _widen(descriptor: int) -> None:
+    """Have a pipe hold what a run says in a burst (Linux): what has come into it outlives the run."""
+    if hasattr(fcntl, "F_SETPIPE_SZ"):
+        with suppress(OSError):  # the user has too many wide pipes: it is as wide as any
+            fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
 
 def _pipe(undone: ExitStack) -> tuple[int, int]:

@@ -17,6 +17,8 @@ POPULATE = "populate_run_data"
 
 #: How much of one write a pipe takes at once or not at all, bytes (PIPE_BUF of Linux; POSIX asks for 512).
 _AT_ONCE = 4096
+#: How long an orchestrator that is only slow is waited for, s, once: what is held is lost where the run is killed.
+_PATIENCE = 0.5
 #: What is held at most for an orchestrator that does not read, bytes: an hour of 50 records a second.
 _MOST_HELD = 32 << 20
 
@@ -29,8 +31,8 @@ class RecordWriter:
     Measures that are published while the run is evaluated cross the pipe in one write, with the next record of another
     kind; there always is one. Those of a longer event are sent at once, as a mission may last for hours.
 
-    A mission does not wait for an orchestrator that waits for a disk, or was suspended: the robot would drive on as it
-    was commanded last. What the pipe does not take is held, and sent with the next record.
+    A mission does not wait for long for an orchestrator that waits for a disk, or was suspended: the robot would drive
+    on as it was commanded last. What the pipe does not take is held then, and sent with the next record.
 
     Args:
         descriptor: of the pipe.
@@ -43,6 +45,7 @@ class RecordWriter:
         self._lock = threading.Lock()
         self._event = ""
         self._held = bytearray()
+        self._is_stalled = False
 
     def __call__(self, kind: str, fields: dict[str, Any]) -> None:
         """Send one record, without what the environment keeps secret.
@@ -63,13 +66,15 @@ class RecordWriter:
             try:
                 written = os.write(self.descriptor, self._held[:_AT_ONCE])
             except BlockingIOError:
-                if not waits:
+                if not waits and (self._is_stalled or not _has_room(self.descriptor, _PATIENCE)):
+                    self._is_stalled = True
                     return
-                _await_room(self.descriptor)
+                _has_room(self.descriptor)
                 continue
             except BrokenPipeError:
                 written = len(self._held)
             del self._held[:written]
+            self._is_stalled = False
 
     def close(self) -> None:
         """Close this end: a process that does not report must not keep the pipe open."""
@@ -77,10 +82,11 @@ class RecordWriter:
         self.descriptor = -1
 
 
-def _await_room(descriptor: int) -> None:
+def _has_room(descriptor: int, seconds: float | None = None) -> bool:
+    """Wait until a pipe takes something again, for so long at most; return whether it does."""
     poll = select.poll()
     poll.register(descriptor, select.POLLOUT)
-    poll.poll()
+    return bool(poll.poll(None if seconds is None else 1000 * seconds))
 
 
 class RecordReader:
