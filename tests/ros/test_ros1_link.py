@@ -298,6 +298,18 @@ class TestProcess:
             server.unregisterPublisher("/move_base", "/lamp", master_uri)
         assert gone not in Master(master_uri).state().nodes
 
+    def test_a_run_of_another_machine_that_refuses_us_stays_at_the_master(self, master_uri, opened):
+        other, nowhere = "/robot_runner_1_1769853600000", f"http://127.0.0.2:{claim_port()}"
+        with xmlrpc.client.ServerProxy(master_uri) as server:  # as behind a firewall that lets the robot through alone
+            server.registerPublisher(other, "/lamp", "std_msgs/String", nowhere)
+            server.registerPublisher("/move_base", "/lamp", "std_msgs/String", master_uri)
+        assert [each.node for each in opened().publishers("lamp")] == ["/move_base"]
+        kept = Master(master_uri).state().publishers["/lamp"]
+        with xmlrpc.client.ServerProxy(master_uri) as server:
+            server.unregisterPublisher(other, "/lamp", nowhere)
+            server.unregisterPublisher("/move_base", "/lamp", master_uri)
+        assert other in kept
+
     def test_a_run_s_process_cannot_use_the_orchestrator_s_node(self, master_uri):
         printed = execute(
             master_uri,

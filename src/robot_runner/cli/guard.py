@@ -109,7 +109,7 @@ def _explained(error: Exception, *, show_traceback: bool) -> int:
 
 
 def _replace_closed_streams() -> None:
-    """Open nothing where a standard stream is closed: the next file that is opened would get what is printed."""
+    """Open the null device in place of a closed standard stream: what is printed would go to the next opened file."""
     import os  # noqa: PLC0415 - as above
 
     for number, name in enumerate(("stdin", "stdout", "stderr")):

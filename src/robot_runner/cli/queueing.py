@@ -23,7 +23,7 @@ from robot_runner.cli.guard import INTERRUPTED, REFUSED, SOME_FAILED, guarded
 from robot_runner.cli.parser import parser_of
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.interruption import stop_signals_taken
+from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.storage.claim_locks import claim_holders
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -197,7 +197,7 @@ class QueueRunner:
     def execute(self) -> int:
         """Execute them, and return the exit code: 1 where one failed or was refused, 130 where the user ended it."""
         failed = False
-        with self._queue.attended(), stop_signals_taken(self._take_signal):
+        with self._queue.attended(), stop_signals_handled(self._take_signal):
             while not self._is_ending:
                 left = self._left()
                 if not left and not self._stays:

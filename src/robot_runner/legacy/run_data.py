@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from robot_runner.legacy.run_tables import EarlierDesign
 
 
-#: How numbers are written that are none, of Python, NumPy and pandas: many are no `float`, as one of 32 bits.
+#: How Python, NumPy and pandas write NaN and missing values; many of these are not a `float`, such as `np.float32`.
 _NO_VALUE = frozenset({"nan", "nat", "<na>", "--"})
 _INFINITE = frozenset({"inf", "-inf", "infinity", "-infinity"})
 

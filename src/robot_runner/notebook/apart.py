@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 from robot_runner.core import errors
 from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, Severity
-from robot_runner.core.execution.interruption import heeded_stop_signals
+from robot_runner.core.execution.interruption import stop_signals_to_handle
 from robot_runner.core.execution.notices import ExperimentFinished
 from robot_runner.core.execution.processes import stop_with_parent
 
@@ -142,7 +142,7 @@ class _Told(io.TextIOBase):
 def _be_apart(work: Work, records: io.FileIO) -> NoReturn:
     """Execute the experiment in the copy, and leave without what the copied program would do at its end."""
     stop_with_parent()
-    for number in heeded_stop_signals():
+    for number in stop_signals_to_handle():
         signal.signal(number, signal.default_int_handler)
 
     def tell(record: dict[str, Any]) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PackageError
-from robot_runner.core.execution.interruption import stop_signals_taken
+from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.storage.guarded_files import read_text
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import REQUIREMENTS, WHEELS
@@ -222,5 +222,5 @@ def _passed_on() -> Iterator[list[subprocess.Popen[bytes]]]:
         for process in processes:
             process.send_signal(number)
 
-    with stop_signals_taken(pass_on):
+    with stop_signals_handled(pass_on):
         yield processes

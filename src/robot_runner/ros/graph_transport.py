@@ -194,7 +194,7 @@ def receive_clock(clock: Clock) -> Callable[[], int]:
 
 
 def is_simulated_time(clock: Clock) -> bool:
-    """Whether a clock is that of a simulation; all others go by this machine's time, whoever has wrapped them.
+    """Whether a clock is a simulation's; every other clock follows this machine's time, also where it is wrapped.
 
     Example:
         >>> from robot_runner.core.events.context import SystemClock

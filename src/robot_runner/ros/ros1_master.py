@@ -164,8 +164,17 @@ class Master:
         Raises:
             LinkError: the master or the node does not answer.
         """
+        uri = self.uri_of(node)
+        return None if uri is None else Master(uri, timeout=self._timeout).pid()
+
+    def uri_of(self, node: str) -> str | None:
+        """Return where a node answers, or None where there is no such node.
+
+        Raises:
+            LinkError: the master does not answer.
+        """
         code, _, uri = self._answer("lookupNode", node)
-        return Master(uri, timeout=self._timeout).pid() if code == _SUCCESS else None
+        return uri if code == _SUCCESS else None
 
     def forget(self, node: str) -> None:
         """Take away all that a node has registered, in its name: one that was killed does not do so itself.
@@ -175,8 +184,8 @@ class Master:
         Raises:
             LinkError: the master does not answer.
         """
-        state, (code, _, uri) = self.state(), self._answer("lookupNode", node)
-        if code != _SUCCESS:
+        state, uri = self.state(), self.uri_of(node)
+        if uri is None:
             return
         for name in (name for name, nodes in state.publishers.items() if node in nodes):
             self._answer("unregisterPublisher", name, uri, caller=node)
@@ -191,8 +200,8 @@ class Master:
         Source: wiki.ros.org/ROS/Slave_API, getBusInfo.
         """
         try:
-            code, _, uri = self._answer("lookupNode", node)
-            connections = Master(uri, timeout=self._timeout).connections() if code == _SUCCESS else ()
+            uri = self.uri_of(node)
+            connections = () if uri is None else Master(uri, timeout=self._timeout).connections()
             return any(each[1] == listener and each[2] == "o" and each[4] == topic for each in connections)
         except (LinkError, IndexError, TypeError):  # it is gone, or tells it in another way
             return False

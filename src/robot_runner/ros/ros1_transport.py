@@ -9,6 +9,7 @@ from contextlib import suppress
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
@@ -153,14 +154,19 @@ class Ros1Transport:
         began = pid_in_name(node)
         try:
             answered = self._master.pid_of(node)
-            is_gone = answered not in {None, began}  # its address is somebody else's by now
+            is_gone = began is not None and answered not in {None, began}  # its address is somebody else's by now
         except LinkError as error:
-            answered, is_gone = None, isinstance(error.__cause__, ConnectionRefusedError)
-        if began is None or not is_gone:
-            return answered is not None
-        with suppress(LinkError):
+            answered, is_gone = None, began is not None and isinstance(error.__cause__, ConnectionRefusedError)
+        if is_gone:
+            with suppress(LinkError):
+                self._forget_if_here(node)
+        return answered is not None and not is_gone
+
+    def _forget_if_here(self, node: str) -> None:
+        """Take a node away that is registered with this machine's address: another's firewall may refuse us as well."""
+        hosts = {urlsplit(uri or "").hostname for uri in (self._master.uri_of(node), self._rospy.get_node_uri())}
+        if len(hosts) == 1:
             self._master.forget(node)
-        return False
 
     @property
     def parameter_server(self) -> Master:

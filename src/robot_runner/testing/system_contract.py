@@ -40,7 +40,7 @@ class SystemContract(PluginContract):
         breaking_points: at how many moments, evenly spread over the mission, it is broken off.
         goes_on_without_its_process: whether what the mission has begun goes on where the run's process dies. The
             simulated robot's goals do not: their server dies with it, and nothing there cancels those of others. Nor do
-            processes that a run started: whoever outlives it ends them.
+            processes that a run started: its keeper ends them, or the next run does.
 
     Example:
         >>> from robot_runner.plugins.systems import BasicTurtlebot3

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
 
 
@@ -38,6 +39,17 @@ def test_what_a_run_publishes_in_its_evaluation_crosses_the_pipe_in_one_write_an
     os.close(reading)
 
 
+def taken(report: RecordWriter, reading: int) -> list[tuple[str, dict[str, Any]]]:
+    """End a run's report, which waits until all of it was taken, and return what arrived."""
+    reader, arrived = RecordReader(reading), []
+    end = threading.Thread(target=report, args=(FINISHED, {}))
+    end.start()
+    while not arrived or arrived[-1][0] != FINISHED:
+        arrived += reader.read()[0]
+    end.join()
+    return arrived
+
+
 def test_a_run_does_not_wait_for_an_orchestrator_that_does_not_read_and_loses_nothing_of_what_it_said() -> None:
     reading, writing = os.pipe()
     report = RecordWriter(writing)
@@ -45,14 +57,7 @@ def test_a_run_does_not_wait_for_an_orchestrator_that_does_not_read_and_loses_no
     for kind, fields in said:
         report(kind, fields)
 
-    reader = RecordReader(reading)
-    arrived: list[tuple[str, dict[str, Any]]] = []
-    end = threading.Thread(target=report, args=(FINISHED, {}))  # the last one waits until all have been taken
-    end.start()
-    while not arrived or arrived[-1][0] != FINISHED:
-        arrived += reader.read()[0]
-    end.join()
-    assert arrived == [*said, (FINISHED, {})]
+    assert taken(report, reading) == [*said, (FINISHED, {})]
     os.close(writing)
     os.close(reading)
 
@@ -65,3 +70,27 @@ def test_a_run_whose_orchestrator_is_gone_does_not_wait_with_what_it_holds() -> 
     os.close(reading)
     report(FINISHED, {})
     os.close(writing)
+
+
+def test_callbacks_do_not_fill_the_memory_for_an_orchestrator_that_never_reads_and_the_failure_is_told_once_it_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("robot_runner.core.execution.run_records._MOST_HELD", 100_000)
+    reading, writing = os.pipe()
+    report = RecordWriter(writing)
+    said: list[tuple[str, dict[str, Any]]] = []
+
+    def share(times: int) -> None:
+        for _ in range(times):
+            said.append(("shared", {"number": len(said), "text": "x" * 1000}))
+            report(*said[-1])
+
+    with pytest.raises(ExecutionError, match="does not take what the run tells"):
+        share(1000)
+    assert 100 < len(said) < 200
+    said.append(("failure", {"problem": "the orchestrator does not take what the run tells"}))
+    report(*said[-1])
+    assert taken(report, reading) == [*said, (FINISHED, {})]
+    share(1)  # once it reads, callbacks go on
+    os.close(writing)
+    os.close(reading)

@@ -52,12 +52,18 @@ def test_the_way_by_tf_is_that_of_the_robot_in_the_map(tmp_path: Path) -> None:
         unknown.begin(link, context, timeout=1.0)
 
 
-def test_ranges_that_say_nothing_are_no_obstacles_and_silence_is_doubted(tmp_path: Path) -> None:
+def _scanning(tmp_path: Path) -> tuple[WayMeasures, FakeRobotLink, Any]:
+    """Return what measures the closest obstacle of a mission that has begun."""
     clock = FakeClock()
     link = FakeRobotLink(clock)
     way = WayMeasures(None, "scan", None, where="Go")
     way.begin(link, context := _context(tmp_path, clock, link), timeout=1.0)
     way.begin_mission()
+    return way, link, context
+
+
+def test_ranges_that_say_nothing_are_no_obstacles_and_silence_is_doubted(tmp_path: Path) -> None:
+    way, link, context = _scanning(tmp_path)
     ranges = [0.01, math.nan, math.inf, 0.8, 3.6, 0.5]
     link.deliver("scan", {"range_min": 0.12, "range_max": 3.5, "ranges": ranges})
     assert way.end_mission(context) == {"ClosestObstacle": 0.5}
@@ -67,11 +73,7 @@ def test_ranges_that_say_nothing_are_no_obstacles_and_silence_is_doubted(tmp_pat
 
 
 def test_an_obstacle_that_was_too_near_to_measure_makes_the_closest_one_doubtful(tmp_path: Path) -> None:
-    clock = FakeClock()
-    link = FakeRobotLink(clock)
-    way = WayMeasures(None, "scan", None, where="Go")
-    way.begin(link, context := _context(tmp_path, clock, link), timeout=1.0)
-    way.begin_mission()
+    way, link, context = _scanning(tmp_path)
     for ranges in ([0.8, 0.5], [0.8, -math.inf]):
         link.deliver("scan", {"range_min": 0.12, "range_max": 3.5, "ranges": ranges})
     assert way.end_mission(context) == {"ClosestObstacle": 0.5}

@@ -42,7 +42,7 @@ ASK_AGAIN = 0.2
 _SAME_REQUEST = 1.0
 
 
-def heeded_stop_signals() -> list[signal.Signals]:
+def stop_signals_to_handle() -> list[signal.Signals]:
     """Return the stop signals, without SIGHUP where it is ignored.
 
     That is how `nohup` has a program go on after its terminal was closed.
@@ -51,9 +51,9 @@ def heeded_stop_signals() -> list[signal.Signals]:
 
 
 @contextmanager
-def stop_signals_taken(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+def stop_signals_handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """While this lasts, a handler takes the signals that ask a program to stop."""
-    earlier = {number: signal.signal(number, handler) for number in heeded_stop_signals()}
+    earlier = {number: signal.signal(number, handler) for number in stop_signals_to_handle()}
     try:
         yield
     finally:
@@ -197,7 +197,7 @@ class Interruption:
         os.set_blocking(self._writer, False)
         os.set_blocking(self._reader, False)
         self._earlier_wakeup = signal.set_wakeup_fd(self._writer, warn_on_full_buffer=False)
-        self._signals = stop_signals_taken(self._count_signal)
+        self._signals = stop_signals_handled(self._count_signal)
         self._signals.__enter__()
         return self
 

@@ -340,7 +340,7 @@ class _KeeperProcess:
 
 
 def _widen(descriptor: int) -> None:
-    """Have a pipe hold what a run says in a burst (Linux): what has come into it outlives the run."""
+    """Let a pipe buffer a burst of records (Linux): what is in the pipe can be read after the run has died."""
     if hasattr(fcntl, "F_SETPIPE_SZ"):
         with suppress(OSError):  # the user has too many wide pipes: it is as wide as any
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)

@@ -8,6 +8,7 @@ import select
 import threading
 from typing import Any
 
+from robot_runner.core.errors import ExecutionError
 from robot_runner.core.secret_names import sentences_without_secrets
 
 #: The last record of a run that ended by itself.
@@ -19,8 +20,10 @@ POPULATE = "populate_run_data"
 _AT_ONCE = 4096
 #: How long an orchestrator that is only slow is waited for, s, once: what is held is lost where the run is killed.
 _PATIENCE = 0.5
-#: What is held at most for an orchestrator that does not read, bytes: an hour of 50 records a second.
+#: How much may be held for an orchestrator that does not read, bytes: an hour of 50 records a second. Beyond that, what
+#: a callback tells fails the run, so that its robot is stopped.
 _MOST_HELD = 32 << 20
+_OF_CALLBACKS = ("shared", "measure")
 
 _encode = json.JSONEncoder(ensure_ascii=True, separators=(",", ":"), default=str).encode
 
@@ -51,6 +54,9 @@ class RecordWriter:
         """Send one record, without what the environment keeps secret.
 
         An orchestrator that is gone is no reason for the run not to close what it opened.
+
+        Raises:
+            ExecutionError: a callback goes on sharing or publishing, and the orchestrator has not read for too long.
         """
         line = f"{_encode([kind, sentences_without_secrets(fields)])}\n"
         with self._lock:
@@ -58,7 +64,13 @@ class RecordWriter:
             self._held += line.encode()
             if kind == "measure" and self._event == POPULATE:
                 return
-            self._send(waits=kind == FINISHED or len(self._held) > _MOST_HELD)
+            self._send(waits=kind == FINISHED)
+            if len(self._held) > _MOST_HELD and kind in _OF_CALLBACKS:
+                raise ExecutionError(
+                    "the orchestrator does not take what the run tells: it was suspended, or waits for a disk",
+                    where=kind,
+                    fix="Let it go on (fg), or look at the disk of the results; then execute the run again.",
+                )
 
     def _send(self, *, waits: bool) -> None:
         """Write what is held, as far as the pipe takes it, or all of it where that is waited for."""
@@ -66,10 +78,10 @@ class RecordWriter:
             try:
                 written = os.write(self.descriptor, self._held[:_AT_ONCE])
             except BlockingIOError:
-                if not waits and (self._is_stalled or not _has_room(self.descriptor, _PATIENCE)):
+                patience = None if waits else 0.0 if self._is_stalled else _PATIENCE
+                if not _has_room(self.descriptor, patience):
                     self._is_stalled = True
                     return
-                _has_room(self.descriptor)
                 continue
             except BrokenPipeError:
                 written = len(self._held)
@@ -82,8 +94,8 @@ class RecordWriter:
         self.descriptor = -1
 
 
-def _has_room(descriptor: int, seconds: float | None = None) -> bool:
-    """Wait until a pipe takes something again, for so long at most; return whether it does."""
+def _has_room(descriptor: int, seconds: float | None) -> bool:
+    """Wait until a pipe takes something again, for so long at most; None for any time. Return whether it does."""
     poll = select.poll()
     poll.register(descriptor, select.POLLOUT)
     return bool(poll.poll(None if seconds is None else 1000 * seconds))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Advertiser
+from robot_runner.ros.graph_transport import is_simulated_time
 from robot_runner.ros.turtlebot3.odometry import Odometer, Pose, wrapped
 from robot_runner.ros.watchdog import TWIST, VELOCITY_COMMANDS, velocity_command
 
@@ -236,8 +237,7 @@ class Pilot:
 
     def _check_moving(self, lag: float, ramp: Ramp, covered: str, due: str) -> None:
         # A simulation's time may go by much faster than messages do.
-        is_simulated = getattr(self._clock, "is_simulated", False)
-        if lag > _LONGEST_LAG * abs(ramp.cruise) and not is_simulated:
+        if lag > _LONGEST_LAG * abs(ramp.cruise) and not is_simulated_time(self._clock):
             raise LinkError(
                 f"the robot does not move as it is commanded: it covered {covered} where {due} are due",
                 where=self._where,

@@ -128,7 +128,7 @@ class Odometer:
             LinkError: the odometry has been silent for longer than it may, jumped, told what is no number, or two
                 robots tell theirs on one topic.
         """
-        if self._is_lost:  # as of a filter that diverged; whoever steers by it would steer at the limits
+        if self._is_lost:  # a filter has diverged, say; a controller that is fed NaN commands its limits
             raise LinkError(
                 "the odometry told a pose that is no number (NaN or infinite)",
                 where=self._where,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.cli.console import output
 from robot_runner.cli.parser import UsageError
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.core.execution.interruption import stop_signals_taken
+from robot_runner.core.execution.interruption import stop_signals_handled
 from robot_runner.core.links.connect import SIMULATED, link_findings
 from robot_runner.core.words import counted, shown_duration
 
@@ -117,5 +117,5 @@ def _ending() -> Iterator[list[int]]:
         del frame
         noted.append(number)
 
-    with stop_signals_taken(note):
+    with stop_signals_handled(note):
         yield noted
