@@ -154,8 +154,6 @@ _SENTENCES = frozenset({"problem", "traceback", "fix", "failure", "reason", "tex
 
 def sentences_without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
     """Return a record's fields with no secret of the environment in a sentence; names and values stay as they are."""
-    if not secrets_of_environment():
-        return fields
     sentences = {name: fields[name] for name in _SENTENCES & fields.keys() if isinstance(fields[name], str)}
     return fields | {name: without_environment_secrets(text) for name, text in sentences.items()}
 

@@ -9,6 +9,7 @@ import pytest
 from tests.core.execution.conftest import execute_in
 
 from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.processes import children
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -391,3 +392,10 @@ def test_how_a_run_ended_is_known_where_the_end_of_children_is_ignored(execute: 
         signal.signal(signal.SIGCHLD, earlier)
     assert [row["status"] for row in executed.table] == ["Done", "Failed", "Done", "Done"]
     assert "exited with code 3" in executed.finished.failures[0]
+
+
+def test_no_keeper_is_left_when_the_experiment_has_ended(execute: Execute) -> None:
+    before = set(children())  # of other tests
+    executed = execute("workers = 2\nclaims = []\ndef launch_mission(self, context): pass")
+    assert [row["status"] for row in executed.table] == ["Done"] * 4
+    assert set(children()) <= before

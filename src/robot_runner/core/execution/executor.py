@@ -13,7 +13,7 @@ from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.entry_points import named_entry_point
 from robot_runner.core.errors import PluginError
 from robot_runner.core.execution.interruption import InterruptGate
-from robot_runner.core.execution.keeper import Keeper
+from robot_runner.core.execution.keeper import Keeper, reap_keepers
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_records import FINISHED, RecordReader
 from robot_runner.core.execution.standby import standby_of
@@ -80,7 +80,8 @@ class LocalPlaces:
         return ()
 
     def close(self) -> None:
-        """Do nothing: there is nothing to let go of."""
+        """Wait until the last keepers are gone."""
+        reap_keepers()
 
 
 def places_of(experiment: Experiment, claims: Claims, combinations: Iterable[Mapping[str, Any]]) -> Places:

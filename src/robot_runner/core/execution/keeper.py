@@ -64,6 +64,8 @@ _LOOK = 0.01
 
 #: The keepers whose runs are in flight, in the process that has forked them.
 _in_flight: set[Keeper] = set()
+#: Those that have told how their run ended and are about to exit: a process with as much memory takes a millisecond.
+_leaving: list[Keeper] = []
 
 
 def _let_go_in_child() -> None:
@@ -74,9 +76,16 @@ def _let_go_in_child() -> None:
     for keeper in _in_flight:
         keeper.let_go()
     _in_flight.clear()
+    _leaving.clear()
 
 
 os.register_at_fork(after_in_child=_let_go_in_child)
+
+
+def reap_keepers() -> None:
+    """Reap the keepers that had done their work when they were left."""
+    while _leaving:
+        _leaving.pop().reap()
 
 
 class Keeper:
@@ -116,7 +125,6 @@ class Keeper:
     def __enter__(self) -> Self:
         sys.stdout.flush()  # or the run would print it once more
         sys.stderr.flush()
-        # Made here and not by the keeper: each page that a forked process is the first to touch is copied.
         mark = RunMark(self._folder)
         with ExitStack() as undone:  # where no process is to be had, nothing stays open
             undone.callback(mark.close)
@@ -124,18 +132,21 @@ class Keeper:
             self.told, tell = _pipe(undone)
             self.records, records = _pipe(undone)
             _widen(records)
+            # Made here and not in the keeper: each page that a forked process is the first to touch is copied.
+            report = RecordWriter(records)
+            process = _KeeperProcess(self, requests, tell, report, mark)
             self._pid = forked()
             undone.pop_all()
         if self._pid == 0:
             for descriptor in (self._requests, self.told, self.records):
                 os.close(descriptor)
-            report = RecordWriter(records)
-            leave_after(_KeeperProcess(self, requests, tell, report, mark).keep, report)
+            leave_after(process.keep, report)
         for descriptor in (requests, tell, records):
             os.close(descriptor)
         mark.close()
         os.set_blocking(self.told, False)
         _in_flight.add(self)
+        reap_keepers()  # now, while this one begins
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -143,8 +154,11 @@ class Keeper:
         # A run that is still alive (the disk is full, say, and we cannot go on) must not wait for a reader.
         os.close(self.records)
         os.close(self._requests)  # and is ended by this
-        self._wait()
         os.close(self.told)
+        if self._has_told:  # all that the run started has ended: nobody has to wait until the keeper is gone, too
+            _leaving.append(self)
+        else:
+            self.reap()
 
     def let_go(self) -> None:
         """Close what connects this process to the keeper: it was forked, and is not the orchestrator."""
@@ -156,8 +170,8 @@ class Keeper:
         with suppress(BlockingIOError):
             numbers = os.read(self.told, 2 * _NUMBER_BYTES)
             self._numbers += numbers
-            self.was_killed = not numbers and len(self._numbers) < 2 * _NUMBER_BYTES
-        return self.was_killed or len(self._numbers) == 2 * _NUMBER_BYTES
+            self.was_killed = not (numbers or self._has_told)
+        return self.was_killed or self._has_told
 
     def stop(self) -> None:
         """Ask the run to close what it opened and to end; it is killed when the grace is over."""
@@ -181,7 +195,7 @@ class Keeper:
             grace: how long the run may take to close what it opened, s.
         """
         if self.run is not None:  # else the run had not begun, and does not begin without a keeper
-            yield from group_ended(self.run, grace, self.spared())
+            yield from group_ended(self.run, grace, self.spared)
         yield from left_over_ended(self._folder, [])
 
     def spared(self) -> frozenset[int]:
@@ -196,22 +210,28 @@ class Keeper:
     @property
     def has_failed(self) -> bool:
         """Whether the keeper ended by a fault, which it has reported like a failure of the run."""
-        return self.was_killed and os.waitstatus_to_exitcode(self._wait()) > 0
+        return self.was_killed and os.waitstatus_to_exitcode(self.reap()) > 0
 
     def death(self) -> str:
         """Return how the run's process died, or its keeper's if that was killed; empty if it exited with 0."""
         whose, status = (
-            ("the run's keeper", self._wait()) if self.was_killed else ("the run's process", self._run_status())
+            ("the run's keeper", self.reap()) if self.was_killed else ("the run's process", self._run_status())
         )
         code = os.waitstatus_to_exitcode(status)
         if code < 0:
             return f"{whose} was killed by {signal.Signals(-code).name}"
         return f"{whose} exited with code {code}" if code else ""
 
+    @property
+    def _has_told(self) -> bool:
+        """Whether the keeper has told both numbers, and so has done its work."""
+        return len(self._numbers) == 2 * _NUMBER_BYTES
+
     def _run_status(self) -> int:
         return _number(self._numbers[_NUMBER_BYTES:])
 
-    def _wait(self) -> int:
+    def reap(self) -> int:
+        """Wait until the keeper has exited; return how it did, as `os.waitpid` does."""
         if self._status is None:
             try:
                 self._status = os.waitpid(self._pid, 0)[1]
@@ -252,7 +272,7 @@ class _KeeperProcess:
             self._standby.begin(self._run, let_go=[*ours, self._mark.descriptor])
         self._report.close()  # the run's alone from here on
         status = self._watch()
-        kill_group(self._run, self._spared())
+        kill_group(self._run, self._spared)
         if self._standby is not None:
             self._standby.wait()
             self._standby.look_after(self._run)  # it may have been killed, and the orchestrator as well
@@ -297,7 +317,7 @@ class _KeeperProcess:
                 self._ask_again_at = None
                 os.kill(self._run, signal.SIGTERM)
             if self._kill_at is not None and time.monotonic() >= self._kill_at:
-                kill_group(self._run, self._spared())
+                kill_group(self._run, self._spared)
                 self._kill_at = time.monotonic() + self._grace
         return status
 

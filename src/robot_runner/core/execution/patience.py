@@ -141,7 +141,11 @@ class Patience:
         now = time.monotonic()
         waits = [due - now for each in every if (due := each.due) is not None]
         waits += [seconds for seconds in (self.refresh_interval, self._tend()) if seconds is not None]
-        # A millisecond more, as poll would return a little before the moment that is waited for.
-        ready = poll.poll(max(0.0, min(waits)) * 1000 + 1 if waits else None)
+        ready = poll.poll(_milliseconds(min(waits)) if waits else None)
         if any(descriptor == self.interruption.descriptor for descriptor, _ in ready):
             self.interruption.forget_wakeups()
+
+
+def _milliseconds(seconds: float) -> float:
+    """Return how long to poll: a millisecond more, as poll would return a little before the moment that is due."""
+    return seconds * 1000 + 1 if seconds > 0 else 0

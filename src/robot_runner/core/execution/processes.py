@@ -134,7 +134,7 @@ def children() -> Iterator[int]:
     return (pid for pid in processes() if process_stat(pid)[_PARENT:_GROUP] == [own])
 
 
-def group_ended(leader: int, grace: float, spared: frozenset[int]) -> Iterator[float]:
+def group_ended(leader: int, grace: float, spared: Callable[[], frozenset[int]]) -> Iterator[float]:
     """Ask a process that is not our child to stop; kill it, and its group, when it has not after `grace` seconds.
 
     Yields how long to wait each time, s.
@@ -142,7 +142,7 @@ def group_ended(leader: int, grace: float, spared: frozenset[int]) -> Iterator[f
     Args:
         leader: the id of the process, and of its group.
         grace: how long it may take.
-        spared: those of the group that may go on.
+        spared: returns those of the group that may go on.
     """
     deadline = time.monotonic() + grace
     with suppress(ProcessLookupError):
@@ -153,15 +153,16 @@ def group_ended(leader: int, grace: float, spared: frozenset[int]) -> Iterator[f
     kill_group(leader, spared)
 
 
-def kill_group(leader: int, spared: frozenset[int]) -> None:
-    """Kill what is left of a process group, but for `spared`, and what those have started."""
-    if spared:
-        for pid in processes():
-            if process_stat(pid)[_GROUP:_SESSION] == [str(leader)] and not is_spared(pid, spared):
-                is_killed(pid)
-        return
+def kill_group(leader: int, spared: Callable[[], frozenset[int]]) -> None:
+    """Kill what is left of a process group, but for what `spared` returns, and what those have started."""
     with suppress(ProcessLookupError, PermissionError):  # macOS: no permission where all of them are zombies
-        os.killpg(leader, signal.SIGKILL)
+        os.killpg(leader, 0)  # nearly always nobody is left, and `spared` has not to be asked
+        if not (going_on := spared()):
+            os.killpg(leader, signal.SIGKILL)
+            return
+        for pid in processes():
+            if process_stat(pid)[_GROUP:_SESSION] == [str(leader)] and not is_spared(pid, going_on):
+                is_killed(pid)
 
 
 def is_killed(pid: int) -> bool:

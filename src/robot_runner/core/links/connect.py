@@ -122,7 +122,7 @@ def is_simulated(robot: str | None) -> bool:
         True
     """
     kind = None if robot is None else _kind_or_none(robot)
-    return isinstance(kind, RobotLinkKind) and kind.is_simulated
+    return kind is not None and isinstance(kind, RobotLinkKind) and kind.is_simulated
 
 
 def lives_by_simulation(context: RobotRunnerContext) -> bool:
