@@ -30,10 +30,19 @@ _SCAN = "sensor_msgs/msg/LaserScan"
 _FOREVER = QosTime(2147483647, 4294967295)
 
 
-def scans_of_ros1(path: Path, count: int = 20, *, others: tuple[str, ...] = ()) -> Path:
+def scans_of_ros1(
+    path: Path,
+    count: int = 20,
+    *,
+    others: tuple[str, ...] = (),
+    compression: Writer1.CompressionFormat | None = None,
+) -> Path:
     """Write a bag of ROS 1 with `count` scans at 20 Hz on /scan, and one text on each of the other topics."""
     store = get_typestore(Stores.ROS1_NOETIC)
-    with Writer1(path) as writer:
+    writer = Writer1(path)
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
         scans = writer.add_connection("/scan", _SCAN, typestore=store)
         for number in range(count):
             stamp = BEGIN_NS + number * PERIOD_NS

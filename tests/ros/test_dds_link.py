@@ -323,3 +323,26 @@ def test_types_come_from_the_user_s_files(link, tmp_path):
         assert time.monotonic() < deadline
         time.sleep(0.01)
     assert heard[0] == {"speed": 0.5, "names": ["left"]}
+
+
+def test_a_callback_may_close_the_link_and_its_thread_does_not_trip_over_what_is_gone(closing):
+    robot, link = (open_dds_link({"domain": str(DOMAIN)}, SystemClock()) for _ in range(2))
+    closing.callback(robot.close)
+    faults, ended = [], threading.Event()
+    receiving = [thread for thread in threading.enumerate() if thread.name == "dds reception"]
+    closing.callback(setattr, threading, "excepthook", threading.excepthook)
+    threading.excepthook = faults.append
+
+    def leave(_):
+        link.close()
+        ended.set()
+
+    link.subscribe("farewell", STRING, leave)
+    deadline = time.monotonic() + 60.0
+    while not ended.wait(0.05):
+        robot.publish("farewell", STRING, {"data": "a"})
+        assert time.monotonic() < deadline
+    while sum(thread.is_alive() for thread in receiving) > len(receiving) - 1:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert [str(fault.exc_value) for fault in faults] == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 from types import SimpleNamespace
 
 import pytest
@@ -244,3 +245,77 @@ def test_a_closed_link_is_of_no_use(link):
     for use in (link.topics, link.services, link.nodes, lambda: link.offer("lamp", TRIGGER, lambda _: {})):
         with pytest.raises(LinkError, match="the link was closed"):
             use()
+
+
+def test_a_command_that_was_begun_when_the_link_is_closed_does_not_follow_the_last_stop(link, transport):
+    class ClosingIt(dict):
+        def get(self, *wanted):
+            link.close()  # as another thread does while this one makes its message
+            return super().get(*wanted)
+
+    link.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
+    with pytest.raises(LinkError, match="the link was closed"):
+        link.publish("cmd_vel", TWIST, ClosingIt(linear={"x": 0.3}))
+    assert [message["linear"]["x"] for message in transport.published] == [0.2, 0.0]
+
+
+@pytest.mark.parametrize("opened", ["a publisher", "a subscription"])
+def test_what_is_on_its_way_to_the_graph_when_the_link_is_closed_comes_to_nothing(link, transport, opened):
+    is_opening, is_closed, refused = threading.Event(), threading.Event(), []
+
+    def slowly(opening):
+        def open_it(*given, **named):
+            is_opening.set()
+            is_closed.wait(5)
+            return opening(*given, **named)
+
+        return open_it
+
+    transport.advertise, transport.subscribe = slowly(transport.advertise), slowly(transport.subscribe)
+
+    def use():
+        try:
+            if opened == "a publisher":
+                link.publish("cmd_vel", TWIST, {"linear": {"x": 0.2}})
+            else:
+                link.subscribe("cmd_vel", TWIST, print)
+        except LinkError as error:
+            refused.append(error.problem)
+
+    using = threading.Thread(target=use)
+    using.start()
+    is_opening.wait(5)
+    link.close()
+    is_closed.set()
+    using.join()
+    assert refused == ["the link was closed"]
+    assert transport.done[-1] == "close /cmd_vel"
+    assert transport.published == []
+
+
+def test_a_goal_is_not_sent_once_the_link_is_closed(link, transport):
+    client = SimpleNamespace(send=lambda *_: pytest.fail("the goal was sent"), is_served=lambda: True, close=print)
+
+    def found_late(*_):
+        link.close()  # as another thread does while the server is looked for
+        return client
+
+    transport.actions.client = found_late
+    with pytest.raises(LinkError, match="the link was closed"):
+        link.send_goal("spin", "example_interfaces/Fibonacci", {"order": 1})
+
+
+def test_closing_asks_for_the_end_of_a_goal_that_has_a_key_and_of_no_other(link, transport):
+    asked = []
+
+    def accepted_late(_goal, sent, _timeout):
+        link.close()
+        assert asked == []  # the key of no goal stands for all goals of all clients, in ROS 1
+        sent.key = "a"
+
+    transport.actions.client = lambda *_: SimpleNamespace(
+        send=accepted_late, is_served=lambda: True, cancel=lambda sent, _: asked.append(sent.key), close=lambda: None
+    )
+    with pytest.raises(LinkError, match="the link was closed"):
+        link.send_goal("spin", "example_interfaces/Fibonacci", {"order": 1})
+    assert asked == ["a"]

@@ -11,6 +11,7 @@ import time
 from itertools import pairwise
 
 import pytest
+from rosbags.rosbag1 import Writer
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.recordings import BEGIN_NS, PERIOD_NS, scans_of_ros1, scans_of_ros2
 from tests.ros.ros1_master import quiet_about_rospy
@@ -23,6 +24,7 @@ from robot_runner.plugins import treatment
 from robot_runner.ros.bag_file import new_bag
 from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.ros.play_bag import PlayBag
+from robot_runner.ros.recorded_bag import RecordedBag
 from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.ros.shapes import completed
 from robot_runner.ros.type_catalogue import TypeCatalogue
@@ -157,6 +159,18 @@ def test_a_bag_that_was_cut_off_is_an_error_and_no_traceback(tmp_path, scans, ki
     ((problem, fix),) = problems(cut)
     assert problem.startswith("the bag cannot be read: ")
     assert "Record it anew" in fix
+
+
+@pytest.mark.parametrize("compression", list(Writer.CompressionFormat))
+def test_a_bag_whose_compressed_bytes_are_damaged_is_an_error_and_no_traceback(tmp_path, compression):
+    bag = scans_of_ros1(tmp_path / "hall.bag", compression=compression)
+    data, magic = bag.read_bytes(), {"bz2": b"BZh9", "lz4": b'\x04"M\x18'}[compression.name.lower()]
+    begin = data.index(magic) + len(magic)
+    bag.write_bytes(data[:begin] + bytes(100) + data[begin + 100 :])
+    ((problem, _),) = problems(bag)
+    assert problem.startswith("the first message on /scan is no sensor_msgs/LaserScan: ")
+    with RecordedBag(bag) as opened, pytest.raises(PluginError, match="the bag cannot be read"):
+        list(opened.messages(list(opened.topics.values()), Encoding.ROS1))
 
 
 def test_a_type_that_nobody_knows_is_named_and_the_rest_can_be_played(tmp_path, play):

@@ -259,11 +259,12 @@ def test_a_bag_of_ros_1_has_the_sums_of_ros_1(tmp_path):
         assert reader.connections[0].digest == "cd5e73d190d741a2f92e81eda573aca7"
 
 
-def test_a_disk_that_is_full_is_told_of(record, monkeypatch):
+@pytest.mark.parametrize("full", ["robot_runner.ros.bag_file.McapBag.write", "mcap.writer.Writer.finish"])
+def test_a_disk_that_is_full_is_told_of(record, monkeypatch, full):
     def fail(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("robot_runner.ros.bag_file.McapBag.write", fail)
+    monkeypatch.setattr(full, fail)
     context = record(RosBag(["odom"], by="link"))
     assert any("No space left" in each.problem for each in context.broker.findings)
 
@@ -292,3 +293,17 @@ def test_no_thread_outlives_the_run(record):
 def test_arguments_that_cannot_be_are_refused(arguments, problem):
     with pytest.raises(PluginError, match=problem):
         RosBag(**arguments)
+
+
+@pytest.mark.parametrize("damaged", ["metadata.yaml", "bag.mcap"])
+def test_a_bag_that_its_recorder_left_broken_has_no_number_of_messages_and_fails_no_run(tmp_path, damaged):
+    bag = new_bag(tmp_path, Encoding.CDR)
+    topic = bag.add_topic("/chatter", "std_msgs/String", "string data")
+    for number in range(1, 4):
+        bag.write(topic, number * 10**9, EMPTY_CDR)
+    bag.close()
+    assert messages_in(tmp_path) == 3
+    data = (tmp_path / damaged).read_bytes()
+    (tmp_path / damaged).write_bytes(b"\xff" * 40 + data[40:])
+    assert messages_in(tmp_path) is None
+    assert began_late(tmp_path, 0) == 0.0

@@ -48,6 +48,16 @@ def test_nodes_and_topics_are_counted_and_kept(measure):
     assert graph["stop"]["topics"] == {"/odom": "nav_msgs/Odometry", "/scan": "sensor_msgs/LaserScan"}
 
 
+def test_topics_that_ros_2_hides_are_kept_and_not_counted_as_a_rosbridge_does_not_list_them(tmp_path):
+    robot, plugin = FakeRobotLink(SystemClock()), RosGraph()
+    robot.known_topics |= {"odom": "nav_msgs/Odometry", "dock/_action/status": "action_msgs/GoalStatusArray"}
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=robot))
+    rehearse(context, plugin)
+    assert context.measures["Topics"] == 1
+    graph = json.loads((context.raw_data_folder / "graph.json").read_text())
+    assert "/dock/_action/status" in graph["stop"]["topics"]
+
+
 def test_a_node_is_found_by_the_name_that_it_was_given(measure):
     command = [sys.executable, "-c", "import time; time.sleep(60)", "--ros-args", "-r", "__node:=fake_robot"]
     with subprocess.Popen(command) as node:

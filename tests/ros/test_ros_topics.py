@@ -190,12 +190,19 @@ def test_a_message_without_header_or_stamp_has_no_age():
     assert HeaderReader("std_msgs/Header header\n", Encoding.CDR).read(bytes([0, 1, 0, 0, *bytes(12)])) == (None, None)
 
 
+@pytest.mark.parametrize("first", ["string<=8 name", "uint8[<=8] data", "string name 'a=b'"])
+def test_a_field_with_a_bound_or_a_default_is_no_constant_before_a_header(first):
+    reader = HeaderReader(f"uint8 MODE = 1\n{first}\nstd_msgs/Header header\n", Encoding.CDR)
+    assert not reader.has_header
+    assert reader.read(bytes([0, 1, 0, 0, 5, 0, 0, 0, *b"hall\0\0\0\0"])) == (None, None)
+
+
 @pytest.mark.parametrize(
     ("topics", "problem"),
     [
         ({}, "topics is"),
         ("odom", "topics is 'odom'"),
-        ({"odom": 0.0}, "the rate of 'odom' is 0.0"),
+        ({"odom": 0.0}, "rate is 0.0"),
         (["odom", "/odom"], "two topics would have the columns of 'Odom'"),
         (["od om"], "'od om' cannot be the name of a topic"),
     ],

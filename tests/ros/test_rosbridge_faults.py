@@ -9,6 +9,7 @@ import threading
 import time
 from contextlib import closing
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from types import SimpleNamespace
 
 import pytest
 from tests.processor_wait import ProcessorWait
@@ -18,7 +19,9 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Encoding
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_types
+from robot_runner.ros.graph_addresses import RosbridgeAddress
 from robot_runner.ros.rosbridge_link import findings, open_rosbridge_link
+from robot_runner.ros.shapes import completed
 from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import RosbridgeServer
 
@@ -226,6 +229,19 @@ def test_an_orientation_left_out_of_a_type_that_only_the_robot_knows_has_ros_def
         link.publish("aim", "my_robot/Aim", {"pose": {"position": {"x": 1.0}}})
         until(lambda: heard)
         assert heard[0]["pose"]["orientation"] == {"x": 0.0, "y": 0.0, "z": 0.0, "w": w}
+
+
+@pytest.mark.parametrize(
+    ("generation", "level"), [(1, {"one": -1, "all": [-2, 3]}), (2, {"one": 255, "all": b"\xfe\x03"})]
+)
+def test_a_byte_of_a_type_that_only_the_robot_knows_has_a_sign_in_ros_1_and_none_in_ros_2(generation, level):
+    told = {"fieldnames": ["one", "all"], "fieldtypes": ["byte", "byte"], "fieldarraylen": [-1, 0]}
+    rosapi = SimpleNamespace(details=lambda *_: [{"type": "my_robot/Level", **told}])
+    types = rosbridge_types.RobotTypes(rosapi, RosbridgeAddress.parse(f"rosbridge://robot?ros={generation}"))
+    shape = types.shape("my_robot/Level")
+    assert completed(shape, level, where="level") == level
+    protocol = rosbridge_frames.to_protocol(shape, level)
+    assert rosbridge_frames.from_protocol(shape, protocol, where="level") == level
 
 
 def test_a_callback_may_call_a_service(server):

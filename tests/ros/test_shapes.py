@@ -162,6 +162,12 @@ def test_a_text_is_a_text_and_keeps_to_its_bound():
             one("string", value, limit=3)
 
 
+def test_a_text_that_no_encoding_has_is_refused_before_a_client_library_trips_over_it():
+    assert one("string", "caméra") == "caméra"
+    with pytest.raises(LinkError, match=r"topic \(a/B\): field 'f': no encoding has the character '\\udcff'"):
+        one("string", b"cam\xff".decode(errors="surrogateescape"))
+
+
 def test_the_field_of_an_element_is_named_with_its_index():
     shape = Shape("a/Path", (Field("poses", VECTOR, UNBOUNDED),))
     with pytest.raises(LinkError, match=r"no field 'poses\[1\]\.X'") as caught:

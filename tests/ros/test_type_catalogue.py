@@ -211,6 +211,16 @@ def test_a_definition_that_cannot_be_used_is_named_by_its_file(tmp_path, name, t
     assert caught.value.where == str(file)
 
 
+def test_two_files_of_one_type_have_to_say_the_same(tmp_path):
+    _written(tmp_path, "install/my_robot/share/my_robot/msg/Wheel.msg", "float32 speed\nuint8 place\n")
+    source = _written(tmp_path, "src/my_robot/msg/Wheel.msg", "# A wheel.\nfloat32   speed  # m/s\n\nuint8 place\n")
+    assert TypeCatalogue.of(2, extra=(tmp_path,)).shape("my_robot/Wheel").names == ("speed", "place")
+    source.write_text("uint8 place\nfloat32 speed\n")
+    with pytest.raises(LinkError, match=r"my_robot/Wheel is defined otherwise in .*/install/.*Wheel\.msg") as caught:
+        TypeCatalogue.of(2, "humble", (tmp_path,))
+    assert caught.value.where == str(source)
+
+
 def test_a_folder_without_definitions_is_refused(tmp_path):
     for path in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(LinkError, match=r"there is no"):

@@ -103,14 +103,22 @@ class LinkGoals:
     Args:
         dialect: how the graph speaks of actions.
         wait: waits for an event, as the link's transport does.
+        check_open: raises a `LinkError` where the link is closed, or is about to be.
     """
 
-    def __init__(self, dialect: ActionDialect, wait: Callable[[threading.Event, float], None]) -> None:
+    def __init__(
+        self,
+        dialect: ActionDialect,
+        wait: Callable[[threading.Event, float], None],
+        check_open: Callable[[str], None],
+    ) -> None:
         self._dialect = dialect
         self._wait = wait
+        self._check_open = check_open
         self._lock = threading.Lock()
         self._clients: dict[tuple[str, str], ActionClient] = {}
         self._goals: list[SentGoal] = []
+        self._is_closed = False
 
     def send(
         self, action: str, action_type: str, goal: Message, take_feedback: Callable[[Message], None], timeout: float
@@ -121,10 +129,14 @@ class LinkGoals:
         sent = SentGoal(action, self._wait, take_feedback)
         sent.client = client
         with self._lock:
+            self._check_open(action)  # to find the server may have taken seconds
             self._goals = [each for each in self._goals if not each.is_over]
             self._goals.append(sent)  # before it is accepted: a link that is closed meanwhile cancels it
         try:
             client.send(complete, sent, timeout)
+            if self._is_closed and not sent.is_over:  # and could not cancel what was not sent yet
+                sent.ask_for_end(CLOSING_SECONDS)
+                self._check_open(action)
         except LinkError as error:
             sent.is_abandoned = True
             sent.lose(error)
@@ -139,7 +151,10 @@ class LinkGoals:
         """
         deadline = time.monotonic() + CLOSING_SECONDS
         faults: list[LinkError] = []
-        open_goals = [goal for goal in self._goals if not goal.is_over]
+        with self._lock:
+            self._is_closed = True
+            # In ROS 1 to cancel one that has no key yet is to cancel those of all clients.
+            open_goals = [goal for goal in self._goals if goal.key and not goal.is_over]
         for goal in open_goals:  # all are asked before any is waited for
             with suppress(LinkError):  # it is asked again, and said then
                 goal.ask_for_end(CLOSING_SECONDS)

@@ -5,23 +5,22 @@ from __future__ import annotations
 import queue
 import threading
 from collections import defaultdict
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from itertools import islice, pairwise
 from statistics import median
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.bag_metadata import Contents, offered_profiles
+from robot_runner.ros.recorded_bag import RecordedBag
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.ros.topic_statistics import TypedTopic
-
-_Found = TypeVar("_Found")
 
 #: So many messages of a bag tell when it began, and the period of each topic.
 _FIRST = 2000
@@ -90,8 +89,8 @@ class McapBag:
     def close(self) -> None:
         """Finish the file, and describe it; closing twice does nothing."""
         if not self._file.closed:
-            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
-            self._file.close()
+            with self._file:  # which a full disk does not leave open
+                self._writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
             self._contents.write(self.path.parent)
 
 
@@ -131,7 +130,9 @@ class Ros1Bag:
 
 def messages_in(folder: Path) -> int | None:
     """Return how many messages the bag in a folder holds; None where that cannot be told."""
-    return _read(folder, lambda reader: int(reader.message_count))
+    with suppress(PluginError), RecordedBag(folder) as bag:
+        return bag.count
+    return None
 
 
 def began_late(folder: Path, begin_ns: int) -> float:
@@ -140,31 +141,19 @@ def began_late(folder: Path, begin_ns: int) -> float:
     Each topic's first message is due one of its own periods after that moment. A topic may be silent at first, so that
     the earliest of them counts.
     """
-    return _read(folder, lambda reader: min(_delays(reader, begin_ns), default=0.0)) or 0.0
+    with suppress(PluginError), RecordedBag(folder) as bag:
+        return min(_delays(bag, begin_ns), default=0.0)
+    return 0.0
 
 
-def _delays(reader: Any, begin_ns: int) -> Iterator[float]:
+def _delays(bag: RecordedBag, begin_ns: int) -> Iterator[float]:
     stamps: dict[str, list[int]] = defaultdict(list)
-    for connection, stamp, _ in islice(reader.messages(), _FIRST):
-        stamps[connection.topic].append(stamp)
+    for topic, stamp in islice(bag.stamps(), _FIRST):
+        stamps[topic].append(stamp)
     for found in stamps.values():
         periods = [later - earlier for earlier, later in pairwise(found)]
         if periods:
             yield max(0.0, (found[0] - begin_ns - median(periods)) * 1e-9)
-
-
-def _read(folder: Path, look: Callable[[Any], _Found]) -> _Found | None:
-    """Return what is seen of the bag in a folder; None where there is none, or nothing here reads it."""
-    try:
-        from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415  # an extra
-    except ModuleNotFoundError:
-        return None
-    paths = [*folder.glob("*.bag"), *folder.glob("*.mcap"), *(path.parent for path in folder.glob("*/metadata.yaml"))]
-    try:
-        with AnyReader(paths[:1]) as reader:
-            return look(reader)
-    except (AnyReaderError, OSError):
-        return None
 
 
 def _offers(link: RobotLink, topic: str) -> set[Qos]:
@@ -245,7 +234,10 @@ class LinkRecorder:
         self._writer.join(_PATIENCE)
         if self._writer.is_alive():
             return f"the disk did not take all messages within {_PATIENCE:g} s"
-        self._bag.close()
+        try:
+            self._bag.close()  # much is written at the end
+        except (OSError, ValueError) as error:
+            self._fault = self._fault or error
         return None if self._fault is None else f"the bag could not be written to its end: {self._fault}"
 
     def _subscribe(self, link: RobotLink, topic: TypedTopic) -> None:

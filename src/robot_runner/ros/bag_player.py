@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from array import array
 from collections import deque
@@ -15,6 +14,7 @@ from robot_runner.core.errors import PluginError
 from robot_runner.core.links.robot import Advertiser, Encoding
 from robot_runner.core.words import enumerated
 from robot_runner.measuring.meter_process import MeterProcess
+from robot_runner.ros.bag_recorder import ENDING, PROGRAMS
 from robot_runner.ros.recorded_bag import RecordedMessage
 
 if TYPE_CHECKING:
@@ -34,9 +34,6 @@ _AHEAD, _MARGIN = 200, 0.002
 #: A message that is due within so little, s, is published at once: a sleep is no more precise than that.
 _SLEEP = 50e-6
 
-#: The program that plays messages of each generation of ROS, and what it takes for "end".
-PLAYERS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
-_END = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
 #: How long a program of ROS may take until its first message is heard, and to end once the bag is over, s.
 _STARTUP, _GRACE = 30.0, 10.0
 _LOOK = 0.02
@@ -170,7 +167,7 @@ class ProgramPlayer:
                 subscriptions.callback(subscription.close)
             if self._process.wait(received.is_set, seconds=_STARTUP):
                 return
-        program = PLAYERS[self._encoding]
+        program = PROGRAMS[self._encoding]
         if not self._process.is_running:
             raise self._failure()
         fix = "See that it is on the same graph: ROS_DOMAIN_ID, ROS_MASTER_URI."
@@ -184,17 +181,17 @@ class ProgramPlayer:
         """
         while self._process.is_running:
             self._clock.sleep(_LOOK)
-        ending = self._process.stop(_END[self._encoding], grace=_GRACE)
+        ending = self._process.stop(ENDING[self._encoding], grace=_GRACE)
         if ending.exit_code != 0:
             raise self._failure()
 
     def close(self) -> None:
         """End it, if it goes on; closing twice does nothing."""
-        self._process.stop(_END[self._encoding], grace=_GRACE)
+        self._process.stop(ENDING[self._encoding], grace=_GRACE)
 
     def _failure(self) -> PluginError:
-        ending = self._process.stop(_END[self._encoding], grace=_GRACE)
-        program = PLAYERS[self._encoding]
+        ending = self._process.stop(ENDING[self._encoding], grace=_GRACE)
+        program = PROGRAMS[self._encoding]
         problem = f"{program} ended with exit code {ending.exit_code}: {ending.complaint or 'it said nothing'}"
         return PluginError(problem, where="PlayBag", fix="Execute it by hand to see why.")
 

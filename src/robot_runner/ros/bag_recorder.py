@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import GraphListing
 
-#: The program that records messages of each generation of ROS.
+#: The program that records and plays messages of each generation of ROS.
 PROGRAMS = {Encoding.ROS1: "rosbag", Encoding.CDR: "ros2"}
 
 #: How long a recorder may take to begin, to finish its bag, and to send it from the robot, s: a bag of a mission has
@@ -32,9 +32,9 @@ _CONNECTING = 0.5
 #: How often the folder is looked at until the bag is finished, s.
 _LOOK = 0.02
 
-#: What each takes for "finish your bag, and end". `rosbag` passes SIGTERM on to the program behind it as SIGINT, and
+#: What each takes for "finish, and end". `rosbag` passes SIGTERM on to the program behind it as SIGINT, and
 #: SIGINT not at all, which a terminal would send to both.
-_END = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
+ENDING = {Encoding.ROS1: signal.SIGTERM, Encoding.CDR: signal.SIGINT}
 
 #: Recording goes on until this script's input ends, as it does when ssh ends, whatever ended it; then the recorder gets
 #: its signal. The folder is named on the first line that is said. Without `set -m` the recorder would ignore SIGINT.
@@ -90,12 +90,12 @@ class BagProgram:
             command = ["bash", "-c", f"cd {shlex.quote(str(folder))} && {sourced}exec {words}"]
         else:
             sourced = f". {shlex.quote(setup)}" if setup else ""
-            script = _ON_HOST.format(setup=sourced, command=words, signal=_END[encoding].name.removeprefix("SIG"))
+            script = _ON_HOST.format(setup=sourced, command=words, signal=ENDING[encoding].name.removeprefix("SIG"))
             command = ssh_command(host, f"bash -c {shlex.quote(script)}", config=ssh_config)
         self._process = MeterProcess(command, output=None, folder=folder, clock=SystemClock())
         self._process.wait(self._has_begun, seconds=_STARTUP)
         if not self._process.is_running:
-            ending = self._process.stop(_END[encoding], grace=_GRACE)
+            ending = self._process.stop(ENDING[encoding], grace=_GRACE)
             raise PluginError(
                 f"{PROGRAMS[encoding]} ended at once: {ending.complaint}",
                 where=f"RosBag on {host}",
@@ -105,7 +105,7 @@ class BagProgram:
     def close(self) -> str | None:
         """End it, fetch the bag where it is on another computer, and say what went wrong, if anything did."""
         if self._host == LOCAL:
-            ending = self._process.stop(_END[self._encoding], grace=_GRACE)
+            ending = self._process.stop(ENDING[self._encoding], grace=_GRACE)
             self._wait_until_renamed()
         else:
             ending = self._process.stop(signal.SIGTERM, grace=_GRACE)

@@ -308,7 +308,7 @@ class Reception:
             with READING_QOS if is_discovery else nullcontext():
                 samples = source.reader.take(_BATCH)
         except DDSException:
-            if source.is_open:
+            if source.is_open and not self._is_closed:  # a callback may close the link
                 raise
             return
         except Exception:  # cyclonedds cannot always make an object of what a leaving participant announces

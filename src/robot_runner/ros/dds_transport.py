@@ -13,7 +13,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos
 from robot_runner.ros.dds_foreign_services import ForeignServices
 from robot_runner.ros.dds_graph import matched_subscriptions, ros_type, wire_topic
-from robot_runner.ros.dds_qos import adapted, incompatibility, profile_of, reader_profile, writer_profile
+from robot_runner.ros.dds_qos import adapted_profile, policies_of, reader_profile, writer_profile
 from robot_runner.ros.dds_reception import delete, topic_wire_type
 from robot_runner.ros.dds_services import OfferedService, ServiceClient, await_service, is_foreign
 from robot_runner.ros.dds_session import Session
@@ -132,7 +132,7 @@ class DdsTransport:
     def _endpoint(self, found: Endpoint) -> GraphEndpoint:
         is_own = found.participant == self._session.guid
         return GraphEndpoint(
-            self._session.nodes.name_of(found), ros_type(found.type_name), is_own, profile_of(found.qos)
+            self._session.nodes.name_of(found), ros_type(found.type_name), is_own, policies_of(found.qos).profile
         )
 
     def wait(self, event: threading.Event, seconds: float) -> None:
@@ -206,7 +206,7 @@ class _Publisher:
         if matched_subscriptions(self._writer):
             return
         for reader in self._session.graph.readers(wire):
-            less = incompatibility(reader.qos, offered)
+            less = policies_of(reader.qos).shortfall(policies_of(offered))
             if less is not None:
                 raise LinkError(
                     f"a subscriber asks for more than the QoS {str(qos)!r} offers: {less}",
@@ -275,11 +275,13 @@ class _Subscription:
     def _policies(self) -> DdsQos:
         if self._qos is not None:
             return reader_profile(self._qos, self._user_data)
-        return adapted([writer.qos for writer in self._session.graph.writers(self._wire_topic)], self._user_data)
+        return adapted_profile(
+            [writer.qos for writer in self._session.graph.writers(self._wire_topic)], self._user_data
+        )
 
     def _check_offers(self) -> None:
         for writer in self._session.graph.writers(self._wire_topic):
-            less = incompatibility(self._asked, writer.qos)
+            less = policies_of(self._asked).shortfall(policies_of(writer.qos))
             if less is not None:
                 raise LinkError(
                     f"a publisher offers less than the QoS {str(self._qos)!r} asks for: {less}",

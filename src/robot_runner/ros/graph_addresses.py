@@ -19,7 +19,7 @@ from robot_runner.ros.rosbridge_security import SECURITY_OPTIONS, RosbridgeSecur
 from robot_runner.ros.type_store import ROS1_DISTROS, ROS2_DISTROS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Iterable, Mapping
     from urllib.parse import SplitResult
 
 _WHERE = "robot"
@@ -38,6 +38,13 @@ _DEFAULT_PORT = 9090
 _TLS_PORTS = MappingProxyType({"rosbridge+tls": _DEFAULT_PORT, "wss": 443})
 _OPEN = RosbridgeSecurity()
 _ROSBRIDGE_OPTIONS = ("ros", "distro", "types", *SECURITY_OPTIONS)
+
+
+def check_options(link: str, options: Iterable[str], known: Collection[str]) -> None:
+    """See that a link has these options; raises a `LinkError` that names the nearest."""
+    for name in options:
+        if name not in known:
+            raise LinkError(f"{link} has no option {name!r}", where=_WHERE, fix=did_you_mean(name, known))
 
 
 def domain_id(options: Mapping[str, str], environment: Mapping[str, str]) -> int:
@@ -113,9 +120,7 @@ class DdsSettings:
             LinkError: there is no such option, or it cannot have this value.
         """
         variables = os.environ if environment is None else environment
-        for name in options:
-            if name not in _DDS_OPTIONS:
-                raise LinkError(f"dds has no option {name!r}", where=_WHERE, fix=did_you_mean(name, _DDS_OPTIONS))
+        check_options("dds", options, _DDS_OPTIONS)
         distro = options.get("distro")
         if distro is None and variables.get("ROS_DISTRO") in ROS2_DISTROS:
             distro = variables["ROS_DISTRO"]
@@ -232,11 +237,7 @@ class RosbridgeAddress:
 
 def _options(parts: SplitResult) -> dict[str, str]:
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
-    for name in options:
-        if name not in _ROSBRIDGE_OPTIONS:
-            raise LinkError(
-                f"rosbridge has no option {name!r}", where=_WHERE, fix=did_you_mean(name, _ROSBRIDGE_OPTIONS)
-            )
+    check_options("rosbridge", options, _ROSBRIDGE_OPTIONS)
     return options
 
 

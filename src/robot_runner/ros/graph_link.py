@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.errors import LinkError
@@ -15,7 +15,7 @@ from robot_runner.core.links.robot import Qos
 from robot_runner.ros.action_calls import LinkGoals
 from robot_runner.ros.action_server import GoalServer
 from robot_runner.ros.first_message import FirstMessage
-from robot_runner.ros.graph_transport import check_type
+from robot_runner.ros.graph_transport import check_type, is_hidden, link_closed
 from robot_runner.ros.opened_names import Advertised, Opened
 from robot_runner.ros.sent_commands import is_watched, note_sent
 from robot_runner.ros.shapes import completed, plain_type
@@ -33,15 +33,12 @@ if TYPE_CHECKING:
         RawMessage,
         Subscription,
     )
-    from robot_runner.ros.graph_transport import Reception, TopicSubscription, Transport
+    from robot_runner.ros.graph_transport import Reception, TopicPublisher, TopicSubscription, Transport
     from robot_runner.ros.parameter_access import ParameterServer
 
 _logger = logging.getLogger(__name__)
 
 _Received = TypeVar("_Received")
-
-#: What `topics` says where neither the graph nor a subscription of this link tells the type.
-_UNKNOWN_TYPE = "*"
 
 
 class GraphLink:
@@ -82,7 +79,7 @@ class GraphLink:
         self._first_fault: tuple[str, Exception] | None = None
         self._is_closed = False
         self._transport = connect()
-        self._goals = LinkGoals(self._transport.actions, self._transport.wait)
+        self._goals = LinkGoals(self._transport.actions, self._transport.wait, self._check_open)
         self.parameter_server: ParameterServer | None = getattr(self._transport, "parameter_server", None)
 
     @property
@@ -106,11 +103,13 @@ class GraphLink:
         if advertised.message_type != message_type:
             check_type(name, message_type, [advertised.message_type])
         complete = completed(advertised.shape, message, where=name)
-        if advertised.message_type in VELOCITY_COMMANDS:
-            note_sent(name, planar(velocity_of(advertised.message_type, complete)))
-        elif is_watched(name):
-            note_sent(name, complete)
-        advertised.publisher.publish(complete)
+        with advertised.sending():
+            self._check_open(name)  # another thread may have closed it meanwhile: the last command is to stand still
+            if advertised.message_type in VELOCITY_COMMANDS:
+                note_sent(name, planar(velocity_of(advertised.message_type, complete)))
+            elif is_watched(name):
+                note_sent(name, complete)
+            advertised.publisher.publish(complete)
 
     def advertise(self, topic: str, message_type: str, *, qos: Qos = Qos.DEFAULT) -> bool:
         """Return whether the subscribers of a topic that are there would receive what is published, once they do."""
@@ -248,7 +247,7 @@ class GraphLink:
         """Return the type of each topic that is published or subscribed, by full name; `*` where nothing tells it."""
         self._check_open("the graph")
         own = {opened.name: plain_type(opened.type_name) for opened in list(self._opened)}
-        return {name: told or own.get(name, _UNKNOWN_TYPE) for name, told in self._transport.topics().items()}
+        return {name: told or own.get(name, "*") for name, told in self._transport.topics().items()}
 
     def services(self) -> Mapping[str, str]:
         """Return the type of each service on the graph, by its full name."""
@@ -263,7 +262,7 @@ class GraphLink:
     def nodes(self) -> Sequence[str]:
         """Return the full names of the nodes on the graph, sorted; hidden ones (`_daemon`) are left out, as in ROS."""
         self._check_open("the graph")
-        return sorted(name for name in self._transport.nodes() if not name.rpartition("/")[2].startswith("_"))
+        return sorted(name for name in self._transport.nodes() if not is_hidden(name))
 
     def publishers(self, topic: str) -> Sequence[GraphEndpoint]:
         """Return who publishes a topic, this link included; nobody where there is no such topic."""
@@ -296,9 +295,9 @@ class GraphLink:
             stack.callback(self._transport.close)
             for opened in list(self._opened):
                 stack.callback(opened.close)
-            for advertised in self._advertised.values():
+            for advertised in list(self._advertised.values()):
                 stack.callback(advertised.publisher.close)
-            for (topic, _), advertised in self._advertised.items():
+            for (topic, _), advertised in list(self._advertised.items()):
                 if advertised.message_type in VELOCITY_COMMANDS:
                     stack.callback(advertised.stop, topic)
             stack.callback(self._goals.close)  # before the last stop: what executes a goal may drive
@@ -310,7 +309,14 @@ class GraphLink:
 
     def _check_open(self, where: str) -> None:
         if self._is_closed:
-            raise LinkError("the link was closed", where=where, fix="Use it before the run ends.")
+            raise link_closed(where)
+
+    def _keep_open(self, name: str, opened: Opened | TopicPublisher) -> None:
+        """See that the link was not closed while something was opened on it, which takes seconds on some graphs."""
+        if self._is_closed:
+            with suppress(Exception):  # what the client library says of a graph that was left
+                opened.close()
+            self._check_open(name)
 
     def _advertise(self, name: str, message_type: str, message: Message, qos: Qos) -> Advertised:
         plain = plain_type(message_type)
@@ -320,6 +326,7 @@ class GraphLink:
                 shape = self._transport.types.shape(message_type)
                 completed(shape, message, where=name)  # a wrong message is refused before the topic is on the graph
                 known = Advertised(plain, shape, self._transport.advertise(name, plain, qos))
+                self._keep_open(name, known.publisher)
                 self._advertised[name, qos] = known
                 if plain in VELOCITY_COMMANDS:
                     tell_commanded(name, plain)
@@ -336,15 +343,15 @@ class GraphLink:
     ) -> Opened:
         name, plain = self._name(topic), plain_type(message_type)
 
-        def open_subscription(opened: Opened) -> TopicSubscription:
-            receive = self._receiver(opened, deliver)
-            return self._transport.subscribe(name, plain, receive, qos=qos, is_raw=is_raw)
+        def subscribed(opened: Opened) -> TopicSubscription:
+            return self._transport.subscribe(name, plain, self._receiver(opened, deliver), qos=qos, is_raw=is_raw)
 
-        return self._open(name, message_type, open_subscription)
+        return self._open(name, message_type, subscribed)
 
     def _open(self, name: str, type_name: str, opener: Callable[[Opened], Any]) -> Opened:
         opened = Opened(name, type_name, self._forget)
         opened.inner = opener(opened)
+        self._keep_open(name, opened)
         with self._lock:
             self._opened[opened] = None
         return opened
@@ -389,6 +396,5 @@ class GraphLink:
     def _raise_fault(self) -> None:
         if self._first_fault is not None:
             name, fault = self._first_fault
-            problem = f"a callback raised {type(fault).__name__}: {fault}"
             fix = "Mend the callback; the run's log has the traceback."
-            raise LinkError(problem, where=name, fix=fix) from fault
+            raise LinkError(f"a callback raised {type(fault).__name__}: {fault}", where=name, fix=fix) from fault

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
-from robot_runner.core.links.robot import Qos, RawMessage
+from robot_runner.core.links.robot import RawMessage
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Subscription
+    from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, Subscription
     from robot_runner.ros.action_calls import ActionDialect
     from robot_runner.ros.shapes import Shape
 
@@ -184,6 +184,16 @@ class Transport(Protocol):
         ...
 
 
+def is_hidden(name: str) -> bool:
+    """Whether a name is one that ROS 2 hides: its lists of nodes and topics leave it out, and so does rosapi.
+
+    Example:
+        >>> is_hidden("/navigate_to_pose/_action/status"), is_hidden("/odom")
+        (True, False)
+    """
+    return "/_" in name
+
+
 def receive_clock(clock: Clock) -> Callable[[], int]:
     """Return what stamps raw messages, in ns: this machine's time, or a simulation's where the run has one."""
     if not is_simulated_time(clock):
@@ -224,38 +234,6 @@ def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = ""
             raise LinkError(problem, where=topic, fix=fix)
 
 
-def shortfall(*, asked: tuple[bool, bool], offered: tuple[bool, bool]) -> str | None:
-    """Say which policy of an offer is less than what is asked for, or return None if none is.
-
-    The rules are those of DDS 1.4, 2.2.3, for the policies that the profiles of ROS set.
-
-    Args:
-        asked: whether a subscription asks for reliable delivery, and for kept messages.
-        offered: whether the publisher offers them.
-
-    Example:
-        >>> shortfall(asked=(True, False), offered=(False, False))
-        'reliability: it is published best effort, and subscribed reliable'
-    """
-    if asked[0] and not offered[0]:
-        return "reliability: it is published best effort, and subscribed reliable"
-    if asked[1] and not offered[1]:
-        return "durability: it is published volatile, and subscribed transient local"
-    return None
-
-
-def nearest_profile(*, is_reliable: bool, is_kept: bool) -> Qos:
-    """Return the profile of ROS that comes nearest to a publisher's or subscriber's own.
-
-    Example:
-        >>> str(nearest_profile(is_reliable=False, is_kept=False))
-        'sensor_data'
-    """
-    if is_kept:
-        return Qos.TRANSIENT_LOCAL
-    return Qos.DEFAULT if is_reliable else Qos.SENSOR_DATA
-
-
 def silent_publishers(names: Iterable[str]) -> str:
     """Say what to do where these nodes publish a topic and nothing came."""
     return f"Look whether {', '.join(sorted(set(names)))}, which publishes it, is alive and reachable from here."
@@ -265,6 +243,11 @@ def nobody_publishes(topic: str, known: Iterable[str]) -> str:
     """Say what to do where nobody publishes a topic; `known` are the topics that are published."""
     near = nearest(topic, [name for name in known if name != topic])
     return f"Nobody publishes {topic!r}: " + (f"did you mean {near!r}?" if near else "start the node that does.")
+
+
+def link_closed(where: str) -> LinkError:
+    """Return the error that something is to be done over a link that was closed."""
+    return LinkError("the link was closed", where=where, fix="Use it before the run ends.")
 
 
 def wrong_service_type(service: str, true: str, wanted: str) -> LinkError:

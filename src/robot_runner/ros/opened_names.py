@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import threading
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
@@ -10,7 +12,7 @@ from robot_runner.ros.sent_commands import note_sent
 from robot_runner.ros.shapes import completed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from robot_runner.ros.graph_transport import TopicPublisher
     from robot_runner.ros.shapes import Shape
@@ -27,6 +29,17 @@ class Advertised:
     message_type: str
     shape: Shape
     publisher: TopicPublisher
+    _sending: threading.RLock = field(default_factory=threading.RLock)
+
+    @contextmanager
+    def sending(self) -> Iterator[None]:
+        """While it lasts, no other thread sends on the topic; one that is stuck is not waited for for long."""
+        is_ours = self._sending.acquire(timeout=_STOPPING_SECONDS)
+        try:
+            yield
+        finally:
+            if is_ours:
+                self._sending.release()
 
     def stop(self, topic: str) -> None:
         """Command zero on a topic on which a velocity was published, and see that it is taken.
@@ -36,7 +49,8 @@ class Advertised:
         """
         try:
             note_sent(topic, (0.0, 0.0))
-            self.publisher.publish(completed(self.shape, {}, where=topic))
+            with self.sending():
+                self.publisher.publish(completed(self.shape, {}, where=topic))
             self.publisher.flush(_STOPPING_SECONDS)
         except LinkError as error:
             problem = f"the robot could not be told to stand still: {error.problem}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from enum import StrEnum
 from functools import lru_cache
@@ -13,11 +12,12 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, join_beforehand
 from robot_runner.core.links.robot_name import RobotName
-from robot_runner.core.plugin import System
 from robot_runner.core.storage.input_files import InputFile
 from robot_runner.measuring.quality import Column, write_quality, write_samples
-from robot_runner.ros.bag_player import CLOCK, PLAYERS, LinkPlayer, Played, ProgramPlayer, playing, refuse_rivals
+from robot_runner.ros.bag_player import CLOCK, LinkPlayer, Played, ProgramPlayer, playing, refuse_rivals
+from robot_runner.ros.bag_recorder import PROGRAMS
 from robot_runner.ros.recorded_bag import RecordedBag, bag_at
+from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.topic_statistics import nearest_rank, robot_findings
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_command
 
@@ -38,7 +38,7 @@ class _By(StrEnum):
     PROGRAM = "program"
 
 
-class PlayBag(System):
+class PlayBag(RobotSystem):
     """Plays a recorded bag: its first message begins the mission, and its last one ends it, `settle_s` later.
 
     The plugin itself publishes the messages over the link to the robot, as far apart as they were recorded, and tells
@@ -89,11 +89,8 @@ class PlayBag(System):
         if isinstance(topics, str) or (topics is not None and not topics):
             fix = "Give a list of names, such as ['/scan', '/odom'], or leave it out."
             raise PluginError(f"topics is {topics!r}", where=self.name, fix=fix)
-        for parameter, value in (("rate", rate), ("late_s", late_s)):
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise PluginError(f"{parameter} is {value!r}", where=self.name, fix="Give a number above 0.")
-        if isinstance(settle_s, bool) or not isinstance(settle_s, int | float) or not 0 <= settle_s < math.inf:
-            raise PluginError(f"settle_s is {settle_s!r}", where=self.name, fix="Give a number of seconds.")
+        check_numbers(self.name, rate=rate, late_s=late_s)
+        check_numbers(self.name, may_be_zero=True, settle_s=settle_s)
         if by not in set(_By):
             raise PluginError(f"by is {by!r}", where=self.name, fix=did_you_mean(str(by), list(_By)))
         self.path = Path(path)
@@ -113,11 +110,6 @@ class PlayBag(System):
         self._span: float | None = None
         self._is_simulated = False
 
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
-
     def input_files(self) -> Iterable[InputFile]:
         """Return the bag."""
         return [InputFile(self.path)]
@@ -128,8 +120,8 @@ class PlayBag(System):
         try:
             with RecordedBag(self.path) as bag:
                 bag.chosen(self.topics)
-                if self.by is _By.PROGRAM and shutil.which(PLAYERS[bag.encoding]) is None:
-                    problem = f"the program {PLAYERS[bag.encoding]!r}, which plays this bag, is not there"
+                if self.by is _By.PROGRAM and shutil.which(PROGRAMS[bag.encoding]) is None:
+                    problem = f"the program {PROGRAMS[bag.encoding]!r}, which plays this bag, is not there"
                     yield Finding.error(self._where, problem, "Source the setup file of ROS, or say by='link'.")
         except PluginError as error:
             yield from (Finding.error(self._where, each.problem, each.fix) for each in error.findings)
@@ -234,7 +226,7 @@ class PlayBag(System):
 
     def _require_program(self, link: RobotLink) -> None:
         if self._bag is not None and (link.encoding is not self._bag.encoding or link.is_simulated):
-            problem = f"{PLAYERS[self._bag.encoding]} cannot play this bag on the graph of this robot"
+            problem = f"{PROGRAMS[self._bag.encoding]} cannot play this bag on the graph of this robot"
             raise PluginError(problem, where=self.name, fix="Say by='link'.")
 
     def _play_by_program(self, context: RobotRunnerContext, link: RobotLink) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
-import struct
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -11,8 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 from robot_runner.core.errors import PluginError, did_you_mean, nearest
 from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.core.storage.input_files import input_file
-from robot_runner.ros.graph_transport import nearest_profile
 from robot_runner.ros.message_codec import MessageCodec
+from robot_runner.ros.qos_policies import Policies
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
@@ -25,8 +23,6 @@ _INSTALL = "Install it: pip install 'robot-runner[bag]'."
 _SUFFIXES = (".bag", ".mcap", ".db3")
 _METADATA = "metadata.yaml"
 _LOOK = "Record it anew, or look at it with `ros2 bag info` or `rosbag info`; `rosbag reindex` mends some."
-#: What rosbags raises beside its own errors where the bytes of a bag are not what they should be.
-_BROKEN = (OSError, ValueError, AssertionError, IndexError, KeyError, struct.error, sqlite3.Error)
 #: The fields of a header in ROS 1; ROS 2 has no `seq`.
 _ROS1_HEADER = frozenset({"seq", "stamp", "frame_id"})
 
@@ -83,12 +79,9 @@ class RecordedBag:
     def __init__(self, path: Path) -> None:
         self.path = bag_at(path)
         self._opened = ExitStack()
-        rosbags = _rosbags()
-        # Bags of ROS 2 before Iron, as sqlite3 files, do not hold the definitions of their types.
-        known = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
+        reader, known = _rosbags()
         with _told_as_broken(self.path):
-            reader = rosbags.AnyReader([self.path], default_typestore=known)
-            self._reader: Any = self._opened.enter_context(reader)
+            self._reader: Any = self._opened.enter_context(reader([self.path], default_typestore=known))
         self.encoding = Encoding.CDR if self._reader.is2 else Encoding.ROS1
         self._codec = MessageCodec(self._reader.typestore, signed_bytes=self.encoding is Encoding.ROS1)
         self.count: int = self._reader.message_count
@@ -156,6 +149,12 @@ class RecordedBag:
                 message = self._decoded(connection.msgtype, data)
                 yield RecordedMessage(stamp, connection.topic, _without_numbers(message) if is_other else message)
 
+    def stamps(self) -> Iterator[tuple[str, int]]:
+        """Yield topic and time, ns since the epoch, of each message, as they were recorded; raises as `messages`."""
+        with _told_as_broken(self.path):
+            for connection, stamp, _ in self._reader.messages():
+                yield connection.topic, stamp
+
     def _decoded(self, message_type: str, data: bytes) -> dict[str, Any]:
         return self._codec.as_mapping(message_type, self._reader.deserialize(data, message_type))
 
@@ -180,7 +179,7 @@ class RecordedBag:
             for connection, _, data in self._reader.messages(connections):
                 self._decoded(connection.msgtype, data)
                 return ""
-        except _faults() as error:
+        except Exception as error:  # noqa: BLE001  # as in `_told_as_broken`
             return f"the first message on {first.topic} is no {plain_type(first.msgtype)}: {_reason(error)}"
         return ""
 
@@ -212,38 +211,23 @@ def bag_at(path: Path) -> Path:
     raise PluginError(f"there are {len(found) or 'no'} bags in {str(path)!r}", where=str(path), fix=fix)
 
 
-class _Rosbags(NamedTuple):
-    """What is used of the library."""
-
-    AnyReader: Any
-    Stores: Any
-    get_typestore: Any
-    errors: tuple[type[Exception], ...]
-
-
-def _rosbags() -> _Rosbags:
+def _rosbags() -> tuple[Any, Any]:
+    """Return the library's reader, and the types that are known without a bag."""
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415  # an extra
-        from rosbags.rosbag1 import ReaderError as Ros1Error  # noqa: PLC0415  # an extra
-        from rosbags.rosbag2 import ReaderError as Ros2Error  # noqa: PLC0415  # an extra
-        from rosbags.serde import SerdeError  # noqa: PLC0415  # an extra
-        from rosbags.typesys import Stores, TypesysError, get_typestore  # noqa: PLC0415  # an extra
+        from rosbags.highlevel import AnyReader  # noqa: PLC0415  # an extra
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415  # an extra
     except ModuleNotFoundError as error:
         problem = f"bags cannot be read: {error.name} cannot be imported"
         raise PluginError(problem, where="PlayBag", fix=_INSTALL) from error
-    errors = (AnyReaderError, Ros1Error, Ros2Error, SerdeError, TypesysError)
-    return _Rosbags(AnyReader, Stores, get_typestore, errors)
-
-
-def _faults() -> tuple[type[Exception], ...]:
-    return (*_BROKEN, *_rosbags().errors)
+    # Bags of ROS 2 before Iron, as sqlite3 files, do not hold the definitions of their types.
+    return AnyReader, get_typestore(Stores.ROS2_HUMBLE)
 
 
 @contextmanager
 def _told_as_broken(path: Path) -> Iterator[None]:
     try:
         yield
-    except _faults() as error:
+    except Exception as error:  # of rosbags, and of what it has decompress, unpack or query the bytes
         raise PluginError(f"the bag cannot be read: {_reason(error)}", where=str(path), fix=_LOOK) from error
 
 
@@ -256,10 +240,10 @@ def _offered(ext: Any) -> Qos:
     if hasattr(ext, "latching"):
         return Qos.TRANSIENT_LOCAL if ext.latching else Qos.DEFAULT
     offers = ext.offered_qos_profiles
-    return nearest_profile(
+    return Policies(
         is_reliable=all(offer.reliability.name != "BEST_EFFORT" for offer in offers),
         is_kept=bool(offers) and all(offer.durability.name == "TRANSIENT_LOCAL" for offer in offers),
-    )
+    ).profile
 
 
 def _without_numbers(value: Any) -> Any:

@@ -7,7 +7,7 @@ import logging
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, PluginError
+from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.links.connect import connect_robot, is_simulated
 from robot_runner.core.plugin import System
 from robot_runner.core.words import enumerated
@@ -15,6 +15,7 @@ from robot_runner.ros.kept_settings import KeptSettings, left_settings
 from robot_runner.ros.node_services import NodeNotReadyError, full_node
 from robot_runner.ros.parameter_access import all_at_once
 from robot_runner.ros.parameter_values import same_value, to_json
+from robot_runner.ros.robot_system import check_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -60,9 +61,7 @@ class RestoredSettings(System):
         self, settings: Settings, *, name: str | None, namespace: str, patience: float, timeout: float
     ) -> None:
         super().__init__(name=name)
-        for word, seconds in (("patience", patience), ("timeout", timeout)):
-            if not isinstance(seconds, int | float) or isinstance(seconds, bool) or not 0 <= seconds < float("inf"):
-                raise PluginError(f"{word} is {seconds!r}", where=self.name, fix="Give a number of seconds.")
+        check_numbers(self.name, may_be_zero=True, patience=patience, timeout=timeout)
         self.settings = settings
         self.namespace = namespace
         self.patience = patience

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.links.connect import is_simulated, join_beforehand
 from robot_runner.core.plugin import System
 from robot_runner.ros.sent_messages import StandardTypes, misfits
@@ -14,6 +15,26 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
+
+
+def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object) -> None:
+    """See that parameters are finite numbers above 0, or not below it.
+
+    Raises:
+        PluginError: one is not.
+
+    Example:
+        >>> check_numbers("Waypoints", speed=0.2, timeout_s=5)
+        >>> check_numbers("Waypoints", speed="0.2")
+        Traceback (most recent call last):
+            ...
+        robot_runner.core.errors.PluginError: Waypoints: speed is '0.2' → Give a number above 0.
+    """
+    for name, value in parameters.items():
+        number = value if isinstance(value, int | float) and not isinstance(value, bool) else -1
+        if not 0 <= number < math.inf or (number == 0 and not may_be_zero):
+            fix = "Give a number from 0 up." if may_be_zero else "Give a number above 0."
+            raise PluginError(f"{name} is {value!r}", where=where, fix=fix)
 
 
 class RobotSystem(System):

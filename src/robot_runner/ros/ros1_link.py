@@ -6,7 +6,8 @@ import importlib.util
 from functools import partial
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import Finding, LinkError, did_you_mean
+from robot_runner.core.errors import Finding, LinkError
+from robot_runner.ros.graph_addresses import check_options
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import receive_clock
 from robot_runner.ros.ros1_master import Master
@@ -66,7 +67,5 @@ def master_of(options: Mapping[str, str], *, timeout: float = 3.0) -> Master:
     Raises:
         LinkError: there is no such option, or it cannot be the address of a master.
     """
-    for name in options:
-        if name not in _OPTIONS:
-            raise LinkError(f"ros1 has no option {name!r}", where="robot", fix=did_you_mean(name, _OPTIONS))
+    check_options("ros1", options, _OPTIONS)
     return Master(options.get("master"), timeout=timeout)

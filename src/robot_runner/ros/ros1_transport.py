@@ -7,7 +7,6 @@ import threading
 import time
 from contextlib import suppress
 from functools import partial
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -21,6 +20,7 @@ from robot_runner.ros.graph_transport import (
     nobody_publishes,
     silent_publishers,
 )
+from robot_runner.ros.qos_policies import DEPTHS
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.ros1_node import REGISTERING_SECONDS, join_graph, pid_in_name, within
 from robot_runner.ros.ros1_services import call_service, service_type
@@ -36,10 +36,6 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-#: How many messages wait for a slow subscriber, each; 0 is any number.
-_QUEUE_SIZES: Mapping[Qos, int] = MappingProxyType(
-    {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
-)
 #: How long those who are on a topic already may take to connect to a new publisher or subscriber, s.
 _CONNECTING_SECONDS = 2.0
 #: How long a publisher that is connected may take to tell so, s: a millisecond, or another client library does not.
@@ -244,7 +240,7 @@ class _Publisher:
                 subscriber_listener=self._arrivals,
                 tcp_nodelay=True,  # a command is small, and should not wait for the next
                 latch=qos is Qos.TRANSIENT_LOCAL,
-                queue_size=_QUEUE_SIZES[qos],
+                queue_size=DEPTHS[qos],
             ),
             where=topic,
             doing="registering the publisher",

@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.generated_types import TypeKind, generated_class
-from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, plain_type
+from robot_runner.ros.shapes import BYTE_KINDS, ROS1_KINDS, UNBOUNDED, Field, Shape, plain_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
 _FIELD = re.compile(r"([\w/]+)(\[(\d*)\])?")
-#: What these names mean in ROS 1; in ROS 2 they are an octet and a uint8.
-_KINDS = {"byte": "int8", "char": "uint8"}
 _STAMPS = {"time": "Time", "duration": "Duration"}
 
 
@@ -71,7 +69,7 @@ def _field(name: str, written: str) -> Field:
     parts = _FIELD.fullmatch(written)
     kind, array, number = parts.groups() if parts else (written, None, None)
     count = None if not array else int(number) if number else UNBOUNDED
-    return Field(name, shape_of(message_class(kind)) if "/" in kind else _KINDS.get(kind, kind), count)
+    return Field(name, shape_of(message_class(kind)) if "/" in kind else ROS1_KINDS.get(kind, kind), count)
 
 
 def as_mapping(message: Any) -> dict[str, Any]:

@@ -8,8 +8,8 @@ import sys
 from functools import partial
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import Finding, LinkError, did_you_mean
-from robot_runner.ros.graph_addresses import domain_id
+from robot_runner.core.errors import Finding, LinkError
+from robot_runner.ros.graph_addresses import check_options, domain_id
 from robot_runner.ros.graph_link import GraphLink
 from robot_runner.ros.graph_transport import is_simulated_time, receive_clock
 from robot_runner.ros.ros_environment import find_ros, other_python_of_rclpy
@@ -58,9 +58,7 @@ def open_ros2_link(options: Mapping[str, str], clock: Clock, namespace: str = ""
 
 
 def _domain(options: Mapping[str, str]) -> int | None:
-    for name in options:
-        if name not in _OPTIONS:
-            raise LinkError(f"ros2 has no option {name!r}", where="robot", fix=did_you_mean(name, _OPTIONS))
+    check_options("ros2", options, _OPTIONS)
     domain = domain_id(options, os.environ)
     return domain if "domain" in options else None  # rclpy reads ROS_DOMAIN_ID itself
 

@@ -18,13 +18,12 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
 from robot_runner.core.links.robot import GraphEndpoint
-from robot_runner.ros.graph_transport import nearest_profile
+from robot_runner.ros.qos_policies import Policies
 from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from robot_runner.core.links.robot import Qos
 
 _logger = logging.getLogger(__name__)
 
@@ -255,7 +254,7 @@ class Graph:
         own = self._node.own_name
         named = [(f"{info.node_namespace.rstrip('/')}/{info.node_name}", info) for info in infos]
         return [
-            GraphEndpoint(name, plain_type(info.topic_type), name == own, _profile_of(info.qos_profile))
+            GraphEndpoint(name, plain_type(info.topic_type), name == own, policies_of(info.qos_profile).profile)
             for name, info in named
         ]
 
@@ -274,8 +273,9 @@ class Graph:
         return list(self._node.hidden.get_node_names_and_namespaces())
 
 
-def _profile_of(policies: Any) -> Qos:
-    return nearest_profile(
-        is_reliable=policies.reliability != ReliabilityPolicy.BEST_EFFORT,
-        is_kept=policies.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+def policies_of(profile: Any) -> Policies:
+    """Return what a profile of rclpy asks for or offers."""
+    return Policies(
+        is_reliable=profile.reliability != ReliabilityPolicy.BEST_EFFORT,
+        is_kept=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
     )

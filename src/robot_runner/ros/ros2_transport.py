@@ -19,14 +19,15 @@ from robot_runner.ros.graph_transport import (
     ReceivedBytes,
     already_offered,
     check_type,
+    is_hidden,
     nobody_publishes,
     service_timeout,
-    shortfall,
     silent_publishers,
     wrong_service_type,
 )
+from robot_runner.ros.qos_policies import WEAKEST, adapted, asked_by, offered_by
 from robot_runner.ros.ros2_actions import Ros2Actions
-from robot_runner.ros.ros2_node import SETTLING, Graph, GraphNode, join_graph
+from robot_runner.ros.ros2_node import SETTLING, Graph, GraphNode, join_graph, policies_of
 from robot_runner.ros.ros2_types import Ros2Types, as_mapping, as_message, message_class, service_class
 
 try:
@@ -39,11 +40,8 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import GraphEndpoint, Message
     from robot_runner.ros.graph_transport import Reception
+    from robot_runner.ros.qos_policies import Policies
 
-#: How much of a topic is kept while the callbacks are behind, where the user names no profile: a second of 1 kHz.
-_KEPT = 1000
-# rmw/qos_profiles.h of ROS 2, for the depths; 0 is as many as come.
-_DEPTHS = {Qos.DEFAULT: 10, Qos.SENSOR_DATA: 5, Qos.RELIABLE: 0, Qos.TRANSIENT_LOCAL: 1}
 #: How long after joining the graph the publishers and subscribers of a topic are known, s: Fast DDS finds a process
 #: within 3.2 s (see LONGEST_DISCOVERY), and its topics right afterwards.
 _FINDING = 4.0
@@ -148,13 +146,13 @@ class _Publisher:
         self._node = node
         self._cls = message_class(message_type)
         # What nobody hears is lost, unless it is kept. Hidden topics, those of actions, are heard by who asked first.
-        is_awaited = qos is not Qos.TRANSIENT_LOCAL and "/_" not in topic
+        is_awaited = qos is not Qos.TRANSIENT_LOCAL and not is_hidden(topic)
         node.settle(lambda: graph.subscriptions(topic), _FINDING if is_awaited else SETTLING)
         subscriptions = graph.subscriptions(topic)
         _check_types(topic, message_type, [*graph.publishers(topic), *subscriptions])
-        profile = _writer_profile(qos)
-        reachable = sum(_incompatibility(each.qos_profile, profile) is None for each in subscriptions)
-        self._publisher = node.node.create_publisher(self._cls, topic, profile)
+        offered = offered_by(qos)
+        reachable = sum(policies_of(each.qos_profile).shortfall(offered) is None for each in subscriptions)
+        self._publisher = node.node.create_publisher(self._cls, topic, _as_profile(offered))
         node.until(lambda: self._publisher.get_subscription_count() >= reachable, _MATCHING)
 
     def publish(self, message: Message) -> None:
@@ -198,12 +196,13 @@ class _Subscription:
         node.settle(lambda: graph.publishers(topic), _FINDING if qos is None else SETTLING)
         publishers = graph.publishers(topic)
         _check_types(topic, message_type, publishers)
-        profile = _adapted([each.qos_profile for each in publishers]) if qos is None else _reader_profile(qos)
+        # Most publishers are reliable: where there is none yet, it is taken to come so.
+        offers = [policies_of(each.qos_profile) for each in publishers]
+        self._asked = adapted(offers, alone=True) if qos is None else asked_by(qos)
         for each in publishers:
-            self._check_offer(profile, each)
+            self._check_offer(each)
         self._is_adapting = qos is None
-        self._profile = profile
-        self._subscription = self._created(profile)
+        self._subscription = self._created(self._asked)
 
     def explain(self) -> str:
         if self._mismatch:
@@ -218,10 +217,10 @@ class _Subscription:
             self._is_open = False
             self._node.node.destroy_subscription(self._subscription)
 
-    def _created(self, profile: Any) -> Any:
+    def _created(self, asked: Policies) -> Any:
         events = SubscriptionEventCallbacks(incompatible_qos=self._note_mismatch)
         return self._node.node.create_subscription(
-            self._cls, self._topic, self._take, profile, event_callbacks=events, raw=True
+            self._cls, self._topic, self._take, _as_profile(asked), event_callbacks=events, raw=True
         )
 
     def _note_mismatch(self, event: Any) -> None:
@@ -230,18 +229,18 @@ class _Subscription:
             self._node.later(self._weaken)
             return
         for each in self._graph.publishers(self._topic):
-            self._mismatch = _incompatibility(self._profile, each.qos_profile) or self._mismatch
+            self._mismatch = self._asked.shortfall(policies_of(each.qos_profile)) or self._mismatch
 
     def _weaken(self) -> None:
         """Take what the publisher that came now has to offer, too."""
         with self._lock:
             if self._is_open and self._is_adapting:
                 self._is_adapting = False  # every publisher satisfies the weakest
-                former, self._subscription = self._subscription, self._created(_weakest())
+                former, self._subscription = self._subscription, self._created(WEAKEST)
                 self._node.node.destroy_subscription(former)
 
-    def _check_offer(self, profile: Any, publisher: Any) -> None:
-        less = _incompatibility(profile, publisher.qos_profile)
+    def _check_offer(self, publisher: Any) -> None:
+        less = self._asked.shortfall(policies_of(publisher.qos_profile))
         if less is not None:
             raise LinkError(
                 f"the publisher {_owner(publisher)} offers less than is asked for: {less}",
@@ -321,52 +320,12 @@ def _owner(endpoint: Any) -> str:
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
-def _writer_profile(qos: Qos) -> QoSProfile:
-    """Return a profile of ROS for a publisher."""
-    return _profile(_DEPTHS[qos], is_reliable=qos is not Qos.SENSOR_DATA, is_kept=qos is Qos.TRANSIENT_LOCAL)
-
-
-def _reader_profile(qos: Qos) -> QoSProfile:
-    """Return a profile of ROS for a subscription."""
-    # The last message of each publisher: the depth of a reader is that of them all.
-    depth = _KEPT if qos is Qos.TRANSIENT_LOCAL else _DEPTHS[qos]
-    return _profile(depth, is_reliable=qos is not Qos.SENSOR_DATA, is_kept=qos is Qos.TRANSIENT_LOCAL)
-
-
-def _adapted(offers: Sequence[QoSProfile]) -> QoSProfile:
-    """Return the profile of a subscription that all these publishers satisfy, as strong as they allow.
-
-    Where there is none yet it is reliable, which is what most publishers are.
-    """
-    is_reliable = all(_is_reliable(offer) for offer in offers)
-    is_kept = is_reliable and bool(offers) and all(_is_kept(offer) for offer in offers)
-    return _profile(_KEPT, is_reliable=is_reliable, is_kept=is_kept)
-
-
-def _weakest() -> QoSProfile:
-    """Return the profile of a subscription that every publisher satisfies."""
-    return _profile(_KEPT, is_reliable=False, is_kept=False)
-
-
-def _incompatibility(asked: QoSProfile, offered: QoSProfile) -> str | None:
-    """Say which policy of an offer is less than what is asked for, or return None if none is."""
-    return shortfall(asked=(_is_reliable(asked), _is_kept(asked)), offered=(_is_reliable(offered), _is_kept(offered)))
-
-
-def _profile(depth: int, *, is_reliable: bool, is_kept: bool) -> QoSProfile:
-    history: dict[str, Any] = {"history": HistoryPolicy.KEEP_LAST if depth else HistoryPolicy.KEEP_ALL}
-    if depth:
-        history["depth"] = depth
+def _as_profile(policies: Policies) -> QoSProfile:
+    history: dict[str, Any] = {"history": HistoryPolicy.KEEP_LAST if policies.depth else HistoryPolicy.KEEP_ALL}
+    if policies.depth:
+        history["depth"] = policies.depth
     return QoSProfile(
-        reliability=ReliabilityPolicy.RELIABLE if is_reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if is_kept else DurabilityPolicy.VOLATILE,
+        reliability=ReliabilityPolicy.RELIABLE if policies.is_reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if policies.is_kept else DurabilityPolicy.VOLATILE,
         **history,
     )
-
-
-def _is_reliable(profile: QoSProfile) -> bool:
-    return bool(profile.reliability != ReliabilityPolicy.BEST_EFFORT)
-
-
-def _is_kept(profile: QoSProfile) -> bool:
-    return bool(profile.durability == DurabilityPolicy.TRANSIENT_LOCAL)

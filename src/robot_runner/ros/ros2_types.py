@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError
 from robot_runner.ros.action_types import action_parts, whole_action
 from robot_runner.ros.generated_types import TypeKind, generated_class
-from robot_runner.ros.shapes import BYTE_KINDS, UNBOUNDED, Field, Shape, UpTo, plain_type
+from robot_runner.ros.shapes import BYTE_KINDS, IDL_KINDS, UNBOUNDED, Field, Shape, UpTo, plain_type
 from robot_runner.ros.type_store import stored_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-#: What the interface definition language calls some kinds.
-_KINDS = MappingProxyType({"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"})
 _OCTET = "byte"
 #: Where the class of an action has those of its parts.
 _ACTION_STEPS = MappingProxyType(
@@ -117,7 +115,7 @@ def _kind(written: Any) -> str | Shape:
         return shape_of(message_class(f"{written.namespaces[0]}/{written.name}"))
     if hasattr(written, "typename"):
         name: str = written.typename
-        return _KINDS.get(name, name)
+        return IDL_KINDS.get(name, name)
     return "wstring" if "WString" in type(written).__name__ else "string"
 
 

@@ -11,14 +11,13 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
-from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import note_own_window, publish_measures
 from robot_runner.ros.bag_file import LinkRecorder, began_late, messages_in
 from robot_runner.ros.bag_recorder import PROGRAMS, BagProgram, await_subscriptions, subscriptions_of
-from robot_runner.ros.topic_statistics import found_topics, robot_findings, topic_label
+from robot_runner.ros.robot_system import check_numbers
+from robot_runner.ros.topic_statistics import TopicProfiler, robot_findings, topic_label
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -38,7 +37,7 @@ class _By(StrEnum):
     LINK = "link"
 
 
-class RosBag(Profiler):
+class RosBag(TopicProfiler):
     """Records topics of a robot into a bag in the plugin's folder.
 
     `rosbag record` or `ros2 bag record` is used where it is there: on the robot's computer if a host is named, else on
@@ -69,8 +68,6 @@ class RosBag(Profiler):
         Measure("BagMessages", "1", "Messages in the bag, all topics together."),
         Measure("BagSize", "B", "Size of the bag."),
     )
-    #: Topics may be published by nobody before the mission.
-    probe_s: float | None = None
     needs: ClassVar[str] = "A robot whose topics can be subscribed; the extra `bag`, or rosbag or ros2."
     bytes_per_run: int = 20_000_000  # 200 kB a second, as of odometry, laser and battery, for a mission of 95 s
 
@@ -94,6 +91,7 @@ class RosBag(Profiler):
             topic_label(topic, where=self.name)
         if by not in set(_By):
             raise PluginError(f"by is {by!r}", where=self.name, fix=did_you_mean(by, list(_By)))
+        check_numbers(self.name, may_be_zero=True, patience=patience)
         self.topics = tuple(dict.fromkeys(topics))
         self.namespace = namespace
         self.by = _By(by)
@@ -109,11 +107,6 @@ class RosBag(Profiler):
         self._messages: int | None = None
         self._size: int | None = None
         self._problems: list[str] = []
-
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or a host that cannot be reached."""
@@ -131,9 +124,7 @@ class RosBag(Profiler):
         self._recorder, self._messages, self._size = None, None, None
         self._begun_at, self._recorded, self._problems = None, None, []
         self._measured_from_ns = 0
-        link = connect_robot(context, namespace=self.namespace)
-        namespace = robot_namespace(context, self.namespace)
-        found = found_topics(link, self.topics, namespace, context.clock, patience=self.patience)
+        link, found = self.link(context), self.found(self.topics, context)
         self._problems = [f"{topic} is not published" for topic, typed in found.items() if typed is None]
         topics = [typed for typed in found.values() if typed is not None]
         if not topics:
@@ -164,8 +155,7 @@ class RosBag(Profiler):
         if isinstance(self._recorder, LinkRecorder):
             self._recorder.end()
             self._note_end(context)
-        link = connect_robot(context, namespace=self.namespace)
-        self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
+        self._is_simulated = self.is_of_simulation(context)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Finish the bag, and weigh it."""

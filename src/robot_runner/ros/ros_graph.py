@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -27,6 +26,8 @@ from robot_runner.measuring.host import (
 )
 from robot_runner.measuring.measured_machine import host_findings, machine_clock
 from robot_runner.measuring.utilisation import Selection, Utilisation
+from robot_runner.ros.graph_transport import is_hidden
+from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.ros1_link import master_of
 from robot_runner.ros.topic_statistics import robot_findings
 
@@ -72,7 +73,7 @@ class RosGraph(Profiler):
 
     measures: Sequence[Measure] = (
         Measure("Nodes", "1", "Nodes on the graph when the measurement stops, this link's own among them."),
-        Measure("Topics", "1", "Topics on the graph when the measurement stops."),
+        Measure("Topics", "1", "Topics on the graph when the measurement stops, but those that ROS 2 hides."),
     )
     #: The nodes of an experiment are often started with its mission.
     probe_s: float | None = None
@@ -89,8 +90,7 @@ class RosGraph(Profiler):
         namespace: str = "",
     ) -> None:
         super().__init__(name=name)
-        if not (math.isfinite(rate_hz) and rate_hz > 0):
-            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        check_numbers(self.name, rate_hz=rate_hz)
         self.nodes = _selectors(nodes, self.name)
         self.host = host
         self.rate_hz = rate_hz
@@ -186,7 +186,8 @@ class RosGraph(Profiler):
             context.doubt("nothing was measured: the measurement was never started", fix=_FIX)
         origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
         context.publish("Nodes", None if graph is None else len(graph["nodes"]), origin=origin)
-        context.publish("Topics", None if graph is None else len(graph["topics"]), origin=origin)
+        shown = None if graph is None else sum(not is_hidden(topic) for topic in graph["topics"])
+        context.publish("Topics", shown, origin=origin)
         clock = machine_clock(context)
         self._doubt_processes(context, context.times.window(clock))
         publish_measures(context, self.selection.measures(), self._evaluated, clock=clock)

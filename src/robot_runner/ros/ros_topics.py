@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.measuring.quality import Column, write_quality, write_samples
+from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.topic_statistics import (
     DROPPED,
     HeaderReader,
     ReceivedTopic,
-    found_topics,
-    robot_findings,
+    TopicProfiler,
     topic_label,
 )
 
@@ -29,7 +26,6 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
-    from robot_runner.core.plugin import Circumstances
 
 _FIX = "Look at the topic, with `ros2 topic hz` or `rostopic hz`, before you use this run."
 _CLOCKS_FIX = "Synchronise the clocks of the robot and of this machine, with chrony or ntpd."
@@ -39,7 +35,7 @@ _LINE_BYTES = 48
 _MISSION_SECONDS = 95
 
 
-class RosTopics(Profiler):
+class RosTopics(TopicProfiler):
     """Measures topics as this machine receives them: rate, bandwidth, age by header stamps, jitter, and losses.
 
     Messages are weighed as they come, not decoded. A topic without a header has no age.
@@ -59,10 +55,6 @@ class RosTopics(Profiler):
         ['OdomRate', 'OdomBandwidth', 'OdomAge', 'OdomMaxAge', 'OdomJitter']
     """
 
-    #: Topics may be published by nobody before the mission.
-    probe_s: float | None = None
-    needs: ClassVar[str] = "A robot whose topics can be subscribed."
-
     def __init__(
         self,
         topics: Mapping[str, float | None] | Sequence[str] = ("odom",),
@@ -74,6 +66,7 @@ class RosTopics(Profiler):
     ) -> None:
         super().__init__(name=name)
         self.topics = _rates(topics, self.name)
+        check_numbers(self.name, may_be_zero=True, patience=patience)
         self.namespace = namespace
         self.patience = patience
         labels = _labels(self.topics, self.name)
@@ -94,23 +87,12 @@ class RosTopics(Profiler):
         self._begun_at = 0.0
         self._sampled: Window | None = None
 
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
-
-    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot."""
-        return robot_findings(self.name, circumstances)
-
     def start_run(self, context: RobotRunnerContext) -> None:
         """Subscribe, so that publishers and subscriptions have found each other when the measurement starts."""
         self._sampled, self._is_measuring = None, False
         self._received = {topic: ReceivedTopic(self._labels[topic], rate) for topic, rate in self.topics.items()}
         self._subscriptions, self._live = [], []
-        link = connect_robot(context, namespace=self.namespace)
-        namespace = robot_namespace(context, self.namespace)
-        found = found_topics(link, self.topics, namespace, context.clock, patience=self.patience)
+        link, found = self.link(context), self.found(self.topics, context)
         for topic, typed in found.items():
             if typed is None:
                 self._received[
@@ -129,8 +111,7 @@ class RosTopics(Profiler):
         if self._is_measuring:
             self._is_measuring = False
             self._sampled = Window(self._begun_at, context.clock.now())
-        link = connect_robot(context, namespace=self.namespace)
-        self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
+        self._is_simulated = self.is_of_simulation(context)
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Unsubscribe, and write what was received."""
@@ -225,8 +206,7 @@ def _rates(topics: Mapping[str, float | None] | Sequence[str], where: str) -> di
         raise PluginError(f"topics is {topics!r}", where=where, fix=fix)
     rates = dict(topics) if isinstance(topics, Mapping) else dict.fromkeys(topics)
     for topic, rate in rates.items():
-        if rate is not None and not (math.isfinite(rate) and rate > 0):
-            raise PluginError(f"the rate of {topic!r} is {rate!r}", where=where, fix="Give a number above 0, or None.")
+        check_numbers(f"{where}, {topic}", rate=1.0 if rate is None else rate)
     return rates
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
-from robot_runner.ros.graph_transport import service_timeout
+from robot_runner.ros.graph_transport import link_closed, service_timeout
 from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, closed_reason, connect, send_errors
 
 if TYPE_CHECKING:
@@ -104,7 +104,7 @@ class Session:
     def check_open(self, where: str) -> None:
         """Raise a `LinkError` if the session was closed or lost."""
         if self._is_closed:
-            raise LinkError("the link was closed", where=where, fix="Use it before the run ends.")
+            raise link_closed(where)
         if self._lost is not None:
             raise self._lost
 

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
-from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
+from robot_runner.ros.graph_transport import already_offered, check_type, is_hidden, wrong_service_type
 from robot_runner.ros.ros1_actions import Ros1Actions
 from robot_runner.ros.rosapi_parameters import RosapiParameters
 from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
-from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, is_hidden
+from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, GraphEndpoint
 from robot_runner.ros.rosbridge_session import ANSWER
-from robot_runner.ros.shapes import UNBOUNDED, Field, Shape, plain_type
+from robot_runner.ros.shapes import IDL_KINDS, ROS1_KINDS, UNBOUNDED, Field, Shape, plain_type
 from robot_runner.ros.type_catalogue import STANDARD_DEFAULTS, TypeCatalogue
 from robot_runner.ros.type_store import ROS2_DISTROS, stored_name
 
@@ -22,20 +21,10 @@ if TYPE_CHECKING:
 #: How long rosapi, which is a node of its own, may take to see what the server has done, and how often it is asked, s.
 _CONFIRMATION, _LOOK = 2.0, 0.02
 
-#: What every node of a generation offers, for the rosbridge server's own, as its launch file names it.
 #: How the name of a rosbridge server's node begins, whatever its generation.
 _SERVER = "rosbridge"
+#: What every node of a generation offers, for the rosbridge server's own, as its launch file names it.
 _SIGNS = ((1, "/rosbridge_websocket/get_loggers"), (2, "/rosbridge_websocket/list_parameters"))
-
-
-def is_hidden(name: str) -> bool:
-    """Whether a name is one that ROS 2 hides, and that rosapi does not list.
-
-    Example:
-        >>> is_hidden("/navigate_to_pose/_action/status"), is_hidden("/odom")
-        (True, False)
-    """
-    return "/_" in name
 
 
 class Rosapi:
@@ -209,8 +198,6 @@ def _text(answer: Reply, field: str) -> str:
     return str(answer.values.get(field) or "") if answer.is_good and isinstance(answer.values, dict) else ""
 
 
-#: What rosapi calls some kinds of field in ROS 2.
-_KINDS = MappingProxyType({"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"})
 _STAMPS = frozenset({"time", "duration"})
 
 
@@ -310,7 +297,7 @@ def _assembled(name: str, definitions: Sequence[Mapping[str, Any]], generation: 
     """Return the shape that a type and those that it is made of are told to be; the first is the type itself."""
     by_name = {plain_type(each["type"]): each for each in definitions}
     # rosapi tells no defaults.
-    defaults = {} if generation == 1 else STANDARD_DEFAULTS
+    defaults, kinds = ({}, ROS1_KINDS) if generation == 1 else (STANDARD_DEFAULTS, IDL_KINDS)
     shapes: dict[str, Shape] = {}
 
     def shape(own: str, told: Mapping[str, Any], under: frozenset[str]) -> Shape:
@@ -320,7 +307,7 @@ def _assembled(name: str, definitions: Sequence[Mapping[str, Any]], generation: 
         return shapes[own]
 
     def field(own: str, label: str, told: str, count: int, under: frozenset[str]) -> Field:
-        kind = _KINDS.get(told, plain_type(told))
+        kind = kinds.get(told, plain_type(told))
         length = None if count < 0 else count or UNBOUNDED
         if kind in _STAMPS or kind not in by_name or kind in under:
             return Field(label, kind, length, defaults.get((stored_name(own), label)))

@@ -22,6 +22,12 @@ _INTEGERS: Mapping[str, tuple[int, int]] = MappingProxyType(
         **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
     }
 )
+#: What these names mean in ROS 1; in ROS 2 they are an octet and a uint8.
+ROS1_KINDS: Mapping[str, str] = MappingProxyType({"byte": "int8", "char": "uint8"})
+#: What the interface definition language of ROS 2 calls some kinds.
+IDL_KINDS: Mapping[str, str] = MappingProxyType(
+    {"boolean": "bool", "float": "float32", "double": "float64", "octet": "byte"}
+)
 _FLOATS: Mapping[str, float] = MappingProxyType({"float32": 3.4028234663852886e38, "float64": math.inf})
 _TEXTS = ("string", "wstring")
 #: The least and the greatest seconds: ROS 1 counts times as uint32 and durations as int32.
@@ -293,6 +299,11 @@ def _stamp(seconds: tuple[int, int], given: object) -> dict[str, int]:
 def _text(limit: int | None, given: object) -> str:
     if not isinstance(given, str):
         raise _misfit(given, "Give a text.")
+    try:
+        given.isascii() or given.encode()
+    except UnicodeEncodeError as error:  # as in a file's name that is not UTF-8
+        problem = f"no encoding has the character {given[error.start]!r}"
+        raise _MisfitError(lambda path: f"field {path!r}: {problem}", "Give a text that can be encoded.") from None
     if limit is not None and len(given) > limit:
         raise _MisfitError(lambda path: f"field {path!r} has {len(given)} characters", f"Give {limit} at most.")
     return given

@@ -9,21 +9,19 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.errors import PluginError
 from robot_runner.core.events.measure import Measure, Origin, Over
-from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
-from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import Column, write_quality, write_samples
-from robot_runner.ros.topic_statistics import HeaderReader, found_topics, nearest_rank, robot_findings, topic_label
+from robot_runner.ros.robot_system import check_numbers
+from robot_runner.ros.topic_statistics import HeaderReader, TopicProfiler, nearest_rank, topic_label
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.events.window import Window
     from robot_runner.core.links.robot import RawMessage, RobotLink, Subscription
-    from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.topic_statistics import TypedTopic
 
 #: How often we look whether the last answers have come, s.
@@ -68,7 +66,7 @@ class _Stamped:
         return list(zip(self.stamps[first:last], self.times[first:last], strict=True))
 
 
-class TopicLatency(Profiler):
+class TopicLatency(TopicProfiler):
     """Measures the latency of software along a chain of topics, by the stamps in the headers of its messages.
 
     An answer is a message that has the stamp of its cause, as filters, detectors and estimators of ROS publish theirs.
@@ -91,8 +89,6 @@ class TopicLatency(Profiler):
         ['ScanMessages', 'ObstaclesLatency', 'ObstaclesMedianLatency']
     """
 
-    #: Nothing answers before the mission.
-    probe_s: float | None = None
     needs: ClassVar[str] = "A robot whose topics can be subscribed; nodes that keep the stamps of what they answer."
     bytes_per_run: int = 200_000
 
@@ -109,8 +105,7 @@ class TopicLatency(Profiler):
         if not answers:
             fix = f"Name the topic that answers: TopicLatency({cause!r}, '/obstacles')."
             raise PluginError("no topic answers", where=self.name, fix=fix)
-        if not 0 <= timeout_s < math.inf:
-            raise PluginError(f"timeout_s is {timeout_s!r}", where=self.name, fix="Give a number of seconds.")
+        check_numbers(self.name, may_be_zero=True, timeout_s=timeout_s, patience=patience)
         self.topics = (cause, *answers)
         labels = [topic_label(topic, where=self.name) for topic in self.topics]
         if len(set(labels)) < len(labels):
@@ -123,22 +118,11 @@ class TopicLatency(Profiler):
         self._subscriptions: list[Subscription] = []
         self._is_simulated = False
 
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
-
-    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot."""
-        return robot_findings(self.name, circumstances)
-
     def start_run(self, context: RobotRunnerContext) -> None:
         """Subscribe, so that publishers and subscriptions have found each other when the mission starts."""
         self._received = {topic: _Stamped(label) for topic, label in self._labels.items()}
         self._subscriptions = []
-        link = connect_robot(context, namespace=self.namespace)
-        namespace = robot_namespace(context, self.namespace)
-        found = found_topics(link, self.topics, namespace, context.clock, patience=self.patience)
+        link, found = self.link(context), self.found(self.topics, context)
         for topic, typed in found.items():
             if typed is None:
                 self._received[topic].problem = f"it is not published within {self.patience:g} s of the run's start"
@@ -155,8 +139,7 @@ class TopicLatency(Profiler):
         for subscription in subscriptions:
             subscription.close()
         if subscriptions and context.window is not None:
-            link = connect_robot(context, namespace=self.namespace)
-            self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
+            self._is_simulated = self.is_of_simulation(context)
             self._write(context, context.window)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:

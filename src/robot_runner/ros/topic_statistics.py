@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 from array import array
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding
+from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.quality import Column, quality_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.events.window import Window
     from robot_runner.core.links.robot import RawMessage, RobotLink
     from robot_runner.core.plugin import Circumstances
@@ -32,6 +35,8 @@ _LOOK = 0.1
 _ROS1 = struct.Struct("<III")
 _CDR = {1: struct.Struct("<iI"), 0: struct.Struct(">iI")}
 _CDR_HEADER = 4
+#: A line with the type of a field, which may have bounds (`string<=5`), and its name; `=` follows that of a constant.
+_FIELD = re.compile(r"^[ \t]*([^\s#]+)[ \t]+\w+(?![\w \t]*=)", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +74,39 @@ def robot_findings(name: str, circumstances: Circumstances) -> list[Finding]:
     return [
         Finding.error(f"plugin {name}", "the plugin subscribes topics of a robot, and the experiment names none", fix)
     ]
+
+
+class TopicProfiler(Profiler):
+    """A profiler of what a robot publishes, which the experiment names; a run claims nothing else for it."""
+
+    #: Topics may be published by nobody before the mission.
+    probe_s: float | None = None
+    needs: ClassVar[str] = "A robot whose topics can be subscribed."
+    #: Which robot, where there are several, and how long a topic may take to appear on the graph, s.
+    namespace: str
+    patience: float
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
+        del robot
+        return ()
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Return what stands in the way: no robot."""
+        return robot_findings(self.name, circumstances)
+
+    def found(self, names: Iterable[str], context: RobotRunnerContext) -> Mapping[str, TypedTopic | None]:
+        """Return each topic with its type; None for one that is not on the graph in time."""
+        link, namespace = self.link(context), robot_namespace(context, self.namespace)
+        return found_topics(link, names, namespace, context.clock, patience=self.patience)
+
+    def link(self, context: RobotRunnerContext) -> RobotLink:
+        """Return the link to the robot."""
+        return connect_robot(context, namespace=self.namespace)
+
+    def is_of_simulation(self, context: RobotRunnerContext) -> bool:
+        """Whether the robot is a simulated one."""
+        return is_simulation(self.link(context), robot_namespace(context, self.namespace))
 
 
 def found_topics(
@@ -132,11 +170,8 @@ class HeaderReader:
 
 
 def _first_field_type(definition: str) -> str:
-    for line in definition.splitlines():
-        words = line.partition("#")[0].split()
-        if words and "=" not in line.partition("#")[0]:
-            return words[0]
-    return ""
+    found = _FIELD.search(definition)
+    return found[1] if found else ""
 
 
 #: The measure that only ROS 1 can tell.

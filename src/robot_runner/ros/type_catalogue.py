@@ -11,7 +11,7 @@ from robot_runner.core.errors import LinkError, nearest
 from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.action_types import is_action_part, whole_action
 from robot_runner.ros.message_codec import FILLER, MessageCodec, NodeKind
-from robot_runner.ros.shapes import Field, Shape, UpTo, plain_type
+from robot_runner.ros.shapes import ROS1_KINDS, Field, Shape, UpTo, plain_type
 from robot_runner.ros.type_store import filled_store, given_defaults, service_part, stored_name
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 #: Type stores lose the defaults that definitions give. Of ROS 2's standard messages this is the only one with any.
 STANDARD_DEFAULTS = {("geometry_msgs/msg/Quaternion", "w"): 1.0}
 
-#: What ROS 1 means by these names; in ROS 2 they are an octet and a uint8.
-_ROS1_KINDS = {"byte": "int8", "char": "uint8"}
 _ROS1_STAMPS = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
 
 
@@ -174,7 +172,7 @@ class TypeCatalogue:
     def _kind(self, kind: int, detail: Any) -> str | Shape:
         if kind == NodeKind.BASIC:
             basic: str = detail[0]
-            return _ROS1_KINDS.get(basic, basic) if self._generation == 1 else basic
+            return ROS1_KINDS.get(basic, basic) if self._generation == 1 else basic
         if self._generation == 1 and detail in _ROS1_STAMPS:
             return _ROS1_STAMPS[detail]
         return self._shape(detail)

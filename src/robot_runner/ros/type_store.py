@@ -142,15 +142,25 @@ def _definitions(extra: Sequence[Path]) -> dict[str, tuple[str, str]]:
     for path in extra:
         for file in _files(path):
             package = file.parent.parent if file.parent.name in _FOLDERS else file.parent
+            name = f"{package.resolve().name}/{file.name}"
             try:
-                found[f"{package.resolve().name}/{file.name}"] = (str(file), file.read_text(encoding="utf-8"))
+                text = file.read_text(encoding="utf-8")
             except (OSError, UnicodeDecodeError) as error:
                 raise LinkError(
                     f"the type definition cannot be read: {error}",
                     where=str(file),
                     fix="Give a .msg, .srv or .action file that can be read.",
                 ) from error
+            where, known = found.setdefault(name, (str(file), text))
+            if _words(known) != _words(text):  # as in a workspace with a copy that is older than its source
+                problem = f"{name.partition('.')[0]} is defined otherwise in {where}"
+                raise LinkError(problem, where=str(file), fix="Name the folder of one of them, and not of both.")
     return found
+
+
+def _words(text: str) -> list[list[str]]:
+    """Return the words of each line that says something, without comments."""
+    return [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
 
 
 def _files(path: Path) -> Iterator[Path]:

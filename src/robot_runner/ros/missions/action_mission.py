@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from enum import StrEnum
@@ -19,7 +18,7 @@ from robot_runner.core.words import listed
 from robot_runner.ros.missions.cancelling import cancel_all_goals
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
-from robot_runner.ros.robot_system import RobotSystem
+from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.turtlebot3.motion import Wheels
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
@@ -129,13 +128,8 @@ class ActionMission(RobotSystem):
             if mapping is not None and not isinstance(mapping, Mapping):
                 fix = "Give a mapping by field: {'pose': {'pose': {'position': {'x': 1.0}}}}."
                 raise PluginError(f"{parameter} is {mapping!r}", where=self.name, fix=fix)
-        for parameter, value in (
-            ("timeout_s", timeout_s),
-            ("connect_timeout_s", connect_timeout_s),
-            ("cancel_timeout_s", cancel_timeout_s),
-        ):
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise PluginError(f"{parameter} is {value!r}", where=self.name, fix="Give a number of seconds above 0.")
+        check_numbers(self.name, timeout_s=timeout_s, connect_timeout_s=connect_timeout_s)
+        check_numbers(self.name, cancel_timeout_s=cancel_timeout_s)
         if failure not in set(_Failure):
             fix = did_you_mean(str(failure), list(_Failure)) or "Say 'fail' or 'measure'."
             raise PluginError(f"failure is {failure!r}", where=self.name, fix=fix)

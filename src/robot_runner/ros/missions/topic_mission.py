@@ -13,7 +13,7 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.robot import Advertiser
-from robot_runner.ros.robot_system import RobotSystem
+from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
@@ -84,10 +84,8 @@ class TopicMission(RobotSystem):
             if not isinstance(message, Mapping):
                 fix = "Give a mapping by the fields of the message: {'linear': {'x': 0.1}}."
                 raise PluginError(f"{parameter} is {message!r}", where=self.name, fix=fix)
-        if not isinstance(until, Condition):
-            self._check_number("until", until, least=0.0, fix="Give a condition, or a number of seconds.")
-        self._check_number("rate_hz", rate_hz, least=0.0, fix="Give messages a second, or 0 for one message.")
-        self._check_number("timeout_s", timeout_s, least=0.0, fix="Give a number of seconds.")
+        seconds = {} if isinstance(until, Condition) else {"until": until}
+        check_numbers(self.name, may_be_zero=True, rate_hz=rate_hz, timeout_s=timeout_s, **seconds)
         self.topic, self.message_type, self.publish = topic, message_type, publish
         self.until: Condition = until if isinstance(until, Condition) else _Elapsed(float(until))
         self.rate_hz, self.timeout_s = float(rate_hz), float(timeout_s)
@@ -102,10 +100,6 @@ class TopicMission(RobotSystem):
         self._control: SoleControl | None = None
         self._is_simulated = False
         self._result: tuple[float, int] | None = None
-
-    def _check_number(self, parameter: str, value: object, *, least: float, fix: str) -> None:
-        if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < math.inf:
-            raise PluginError(f"{parameter} is {value!r}", where=self.name, fix=fix)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or what the condition finds."""

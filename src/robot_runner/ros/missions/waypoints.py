@@ -14,7 +14,7 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.measuring.live_samples import LiveSamples
-from robot_runner.ros.robot_system import RobotSystem
+from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp, Wheels
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Pose, Trajectory, wrapped
 from robot_runner.ros.turtlebot3.steered_robot import Robot
@@ -116,14 +116,8 @@ class Waypoints(RobotSystem):
         self.waypoints = _checked_waypoints(waypoints, self.name)
         if relative_to not in {"odom", "start"}:
             raise PluginError(f"relative_to is {relative_to!r}", where=self.name, fix="Say 'odom' or 'start'.")
-        for parameter, value in (
-            ("speed", speed),
-            ("turn_rate", turn_rate),
-            ("tolerance_m", tolerance_m),
-            ("tolerance_rad", tolerance_rad),
-        ):
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-                raise PluginError(f"{parameter} is {value!r}", where=self.name, fix="Give a number above 0.")
+        check_numbers(self.name, speed=speed, turn_rate=turn_rate, tolerance_m=tolerance_m, tolerance_rad=tolerance_rad)
+        check_numbers(self.name, connect_timeout_s=connect_timeout_s, odometry_timeout_s=odometry_timeout_s)
         self.namespace = namespace
         self.relative_to = relative_to
         self.speed, self.turn_rate = float(speed), float(turn_rate)

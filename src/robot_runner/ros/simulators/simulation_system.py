@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, ClassVar
@@ -13,6 +12,7 @@ from robot_runner.core.links.connect import connect_robot, is_simulated, robot_n
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.plugin import System
 from robot_runner.ros.graph_links import follows_graph_clock
+from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.simulators.simulator_dialects import dialect_of
 from robot_runner.ros.simulators.unpausing import guard_pauses, guard_pauses_no_more, unpause_from_elsewhere
 from robot_runner.ros.simulators.watched_pose import WatchedPose, checked_spot
@@ -302,13 +302,9 @@ class Simulation(System):
         return self._dialect.place(self.robot, self.start)
 
     def _check_figures(self) -> None:
-        figures = {"tolerance_m": self.tolerance_m, "tolerance_rad": self.tolerance_rad, "timeout_s": self.timeout_s}
-        for name, value in figures.items():
-            if not (math.isfinite(value) and value > 0):
-                raise PluginError(f"{name} is {value!r}", where=self.name, fix="Give a finite number above 0.")
-        if not (math.isfinite(self.lowest_real_time_factor) and self.lowest_real_time_factor >= 0):
-            problem = f"lowest_real_time_factor is {self.lowest_real_time_factor!r}"
-            raise PluginError(problem, where=self.name, fix="Give a number from 0 up, such as 0.9.")
+        metres, radians = self.tolerance_m, self.tolerance_rad
+        check_numbers(self.name, tolerance_m=metres, tolerance_rad=radians, timeout_s=self.timeout_s)
+        check_numbers(self.name, may_be_zero=True, lowest_real_time_factor=self.lowest_real_time_factor)
 
 
 def _went_back(before: float, now: float) -> str:

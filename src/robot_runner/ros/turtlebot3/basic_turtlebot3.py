@@ -12,7 +12,7 @@ from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.live_samples import LiveSamples
-from robot_runner.ros.robot_system import RobotSystem
+from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Wheels
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Trajectory
@@ -91,6 +91,7 @@ class BasicTurtlebot3(RobotSystem):
         sole_control: bool = True,
     ) -> None:
         super().__init__(name=name)
+        check_numbers(self.name, connect_timeout_s=connect_timeout_s, odometry_timeout_s=odometry_timeout_s)
         self.namespace = namespace
         self.task_factor = task_factor
         self.task = task

@@ -10,6 +10,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, TextIO
 
 from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.ros.robot_system import check_numbers
 from robot_runner.ros.turtlebot3.motion import MAXIMUM_SPEED, MAXIMUM_TURN_RATE, TICK, Ramp
 
 if TYPE_CHECKING:
@@ -40,6 +41,9 @@ class Phase:
 
     kind: PhaseKind
     seconds: float
+
+
+_WHERE = "the TurtleBot3's mission"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,10 +77,8 @@ class CircularMission:
     angle: float = math.pi
 
     def __post_init__(self) -> None:
-        for parameter in ("sleep_s", "drive_s", "task_s", "rotate_s", "speed"):
-            value = getattr(self, parameter)
-            if not 0 < value < math.inf:
-                raise _refusal(parameter, value, f"Give {parameter} a number above 0.")
+        names = ("sleep_s", "drive_s", "task_s", "rotate_s", "speed")
+        check_numbers(_WHERE, **{name: getattr(self, name) for name in names})
         if self.speed > MAXIMUM_SPEED:
             raise _refusal("speed", self.speed, f"Give a speed of at most {MAXIMUM_SPEED} m/s.")
         if abs(self.turn.cruise) > MAXIMUM_TURN_RATE:
@@ -108,7 +110,7 @@ class CircularMission:
 
 
 def _refusal(parameter: str, value: float, fix: str) -> PluginError:
-    return PluginError(f"{parameter} is {value!r}", where="the TurtleBot3's mission", fix=fix)
+    return PluginError(f"{parameter} is {value!r}", where=_WHERE, fix=fix)
 
 
 #: How often a robot that stands still is asked whether it is still there, s.
