@@ -3,7 +3,7 @@ from __future__ import annotations
 import abc
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import pytest
 
@@ -377,3 +377,20 @@ def test_a_plugin_is_built_with_the_treatments_of_those_that_it_is_made_of() -> 
         bind(convoy, {"Speed": speed})
         assert [robot.mission for robot in convoy.robots] == [speed * 10, 1.0]
         assert values_of(convoy, {"Speed": speed}) == {"robots[0].speed": speed}
+
+
+class Goal(NamedTuple):
+    x: float
+    y: float
+
+
+class Mover(Profiler):
+    def __init__(self, goal: Goal) -> None:
+        super().__init__()
+        self.goal = goal
+
+
+def test_a_treatment_in_a_named_tuple_is_a_field_of_it() -> None:
+    mover = Mover(Goal(treatment("Distance"), 2.0))
+    bind(mover, {"Distance": 5.0})
+    assert (mover.goal, type(mover.goal)) == (Goal(5.0, 2.0), Goal)

@@ -81,3 +81,10 @@ def test_as_many_columns_fit_as_there_is_room_for(widths: list[int], room: int) 
     assert count == 1 or used <= room
     if count < len(widths):
         assert used + 2 + widths[count] > room or count == 1
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(9999.4, "9999"), (9999.6, "10000"), (-9999.96, "-10000"), (1e12, "1.000e+12")]
+)
+def test_a_number_that_rounds_up_to_ten_thousand_has_no_exponent(value: float, shown: str) -> None:
+    assert shown_value(value) == shown

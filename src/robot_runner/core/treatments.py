@@ -179,7 +179,8 @@ def _resolved(value: Any, combination: Mapping[str, Any]) -> Any:
         return built_with(value, combination)
     if isinstance(value, Mapping):
         return {key: _resolved(each, combination) for key, each in value.items()}
-    return type(value)(_resolved(each, combination) for each in value)
+    make = getattr(value, "_make", type(value))  # the class of a named tuple takes its fields one by one
+    return make(_resolved(each, combination) for each in value)
 
 
 def _treatment_of(bound: Treatment, combination: Mapping[str, Any]) -> Any:

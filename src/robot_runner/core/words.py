@@ -147,9 +147,19 @@ def shown_value(value: object) -> str:
         return _MISSING
     if not isinstance(value, float) or not math.isfinite(value):
         return one_line(str(value))
-    if 10_000 <= abs(value) < 1e12:  # noqa: PLR2004 - the exponent would hide what is a whole number to a reader
+    if 9_999.5 <= abs(value) < 1e12:  # noqa: PLR2004 - the exponent would hide what is a whole number to a reader
         return f"{value:.0f}"
     return f"{value:#.4g}".rstrip(".")
+
+
+def exact(number: float) -> str:
+    """Return a number with all of its digits, and without a point where it is whole.
+
+    Example:
+        >>> exact(31.0), exact(1234567.8)
+        ('31', '1234567.8')
+    """
+    return str(number).removesuffix(".0")
 
 
 def shown_treatment(treatment: object) -> str:

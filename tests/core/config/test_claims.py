@@ -97,3 +97,12 @@ def test_a_plugin_whose_claims_raise_is_a_finding(write_config: Callable[..., Pa
     head = HEAD.replace("class Silent(Profiler):", "class Silent(Profiler):\n    def claims(self, robot): return 1 / 0")
     findings = prepare(write_config("plugins = [Silent()]", head=head), {"workers": "2"}).findings
     assert any("ZeroDivisionError" in finding.problem for finding in findings)
+
+
+def test_a_single_claim_need_not_stand_in_a_list(claims: Callable[..., Any]) -> None:
+    body = """
+    class Scale(Silent):
+        def claims(self, robot): return "serial:/dev/ttyUSB0"
+    plugins = [Scale()]
+    """
+    assert claims(body) == ({"serial:/dev/ttyUSB0": ["Scale"]}, frozenset({"serial:/dev/ttyUSB0"}))

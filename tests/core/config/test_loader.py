@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.config.loader import load_config
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import ConfigError, Finding
 
 Write = Callable[..., Path]
@@ -198,3 +199,78 @@ def test_a_keyword_with_a_slip_names_the_one_that_was_meant(write_config: Write,
     )
     (finding,) = refused(write_config(head=head))
     assert finding.fix == fix
+
+
+def test_a_config_is_compiled_as_python_does_without_the_loaders_own_future_statements(write_config: Write) -> None:
+    head = "class Own:\n    speed: float\n\n\nclass RobotRunnerConfig:\n    kind = Own.__annotations__['speed']\n"
+    loaded = load_config(write_config(head=head))
+    assert loaded.config.kind is float
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "fix"),
+    [
+        ("robot", "os.environ['NO_SUCH_ROBOT']", "Set it in the environment: export NO_SUCH_ROBOT=... "),
+        ("plugins", "[1 / 0]", "Mend this line."),
+        ("attempts", "self.atempts_of_mine + self.attempts_of_min", "Did you mean 'attempts_of_mine'?"),
+    ],
+)
+def test_what_a_property_raises_in_the_place_of_a_parameter_is_a_finding_with_its_line(
+    write_config: Write, name: str, line: str, fix: str
+) -> None:
+    body = f"attempts_of_mine = 2\n@property\ndef {name}(self):\n    return {line}"
+    path = write_config(body, head="import os\nclass RobotRunnerConfig:\n    experiment_name = 'computed'\n")
+    (finding,) = refused(path)
+    assert finding.where == f"{path}:8"
+    assert finding.fix.startswith(fix)
+
+
+@pytest.mark.parametrize("word", ["no", "No", "false", " 0 "])
+def test_a_flag_of_ours_and_one_of_the_users_take_the_same_words(write_config: Write, word: str) -> None:
+    config = load_config(write_config("fast = True"), {"probe": word, "fast": word}).config
+    assert (config.probe, config.fast) == (False, False)
+    (finding,) = refused(write_config("fast = True"), fast="off")
+    assert finding.fix == "It must be True or False."
+
+
+def test_an_enumeration_of_the_users_own_is_set_by_a_name(write_config: Write) -> None:
+    path = write_config("level = Level.LOW", head=f"import enum\n{LEVEL}\nclass RobotRunnerConfig:\n    pass\n")
+    assert load_config(path, {"level": "high"}).config.level.name == "HIGH"
+    assert load_config(path, {"level": "Level.HIGH"}).config.level == 2
+    (finding,) = refused(path, level="3")
+    assert finding.fix == "It must be one of Level.LOW, Level.HIGH."
+
+
+LEVEL = "class Level(enum.IntEnum):\n    LOW = 1\n    HIGH = 2\n"
+
+
+def test_an_attribute_that_no_text_can_set_is_not_said_to_be_missing(write_config: Write) -> None:
+    (finding,) = refused(write_config("speeds = [1, 2]"), speeds="3")
+    assert finding.problem == "'speeds' is of type list, which cannot be set from outside"
+    assert finding.fix == "Set it in the config."
+
+
+@pytest.mark.parametrize("head", [b"\xef\xbb\xbf", b"# -*- coding: latin-1 -*-\n"], ids=["mark of Notepad", "declared"])
+def test_a_file_is_decoded_as_python_decodes_it(write_config: Write, head: bytes) -> None:
+    path = write_config("café = 'é'")
+    encoding = "latin-1" if b"latin" in head else "utf-8"
+    path.write_bytes(head + path.read_text(encoding="utf-8").encode(encoding))
+    assert load_config(path).config.café == "é"
+    experiment = prepare(path)
+    assert experiment.findings == ()
+
+
+def test_of_config_classes_that_derive_from_each_other_the_last_one_is_executed(tmp_path: Path) -> None:
+    path = tmp_path / "config.py"
+    text = "import robot_runner as rr\nclass Lab(rr.ExperimentConfig): pass\nclass Study(Lab): attempts = 3\n"
+    path.write_text(text)
+    assert load_config(path).source.class_name == "Study"
+    path.write_text(f"{text}class Other(Lab): pass\n")
+    assert refused(path)[0].problem == "the file has 2 config classes: Study, Other"
+
+
+def test_a_config_may_have_slots(write_config: Write) -> None:
+    assert prepare(write_config("__slots__ = ('arm',)", head=f"{PLAIN}    experiment_name = 'slots'\n")).findings == ()
+
+
+PLAIN = "from robot_runner import *\n\n\nclass RobotRunnerConfig:\n"

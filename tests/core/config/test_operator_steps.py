@@ -93,6 +93,7 @@ def test_an_answer_has_the_type_of_its_question(question: Question, text: str, v
         (Question("a"), "red\x1b[31m", "the text holds characters that cannot be printed"),
         (Question("a", float), "inf", "'inf' is not finite"),
         (Question("a", int), "9" * 5000, "no whole number"),
+        (Question("a", int), "9" * 400, "'9{400}' is not finite"),
     ],
 )
 def test_what_is_no_answer_is_refused(question: Question, text: str, problem: str) -> None:
@@ -110,3 +111,16 @@ def test_all_answers_are_judged_at_once() -> None:
         ("place", "there is no answer to this"),
     ]
     assert findings[1].fix == "Did you mean 'place'?"
+
+
+@pytest.mark.parametrize("wanted", ["(0, 0)", "[(0, 0)]", "{(0, 0)}"])
+def test_a_step_is_for_a_treatment_that_is_a_tuple_or_for_several(
+    write_config: Callable[..., Path], wanted: str
+) -> None:
+    factors = "[Factor('Place', [(0, 0), (1, 1)]), Factor('N', [1, 2])]"
+    table = f"    def create_run_table(self): return RunTableModel({factors})\n"
+    step = f"OperatorStep('carry it there', before={{'Place': {wanted}, 'N': range(1, 3)}})"
+    experiment = prepare(write_config(f"operator_steps = [{step}]", table=table)).experiment
+    assert experiment is not None
+    (step,) = experiment.parameters.operator_steps
+    assert [step.suits(run.combination) for run in experiment.model.plan()] == [True, True, False, False]

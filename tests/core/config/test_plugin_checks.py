@@ -221,3 +221,99 @@ def test_room_on_the_disk_is_asked_for_the_treatment_that_needs_most(write_confi
 def test_factors_are_named_exactly(write_config: Write, factor: str) -> None:
     findings = found(write_config, f"Meter(rate=treatment({factor}))", RATES)
     assert bool(findings) == (factor == "'rate'")
+
+
+@pytest.mark.parametrize(
+    ("measures", "problem"),
+    [
+        ("['Energy']", "measures: 'Energy' is no Measure"),
+        ("Measure('Energy')", "measures: 'Measure' object is not iterable"),
+        ("None", "measures: 'NoneType' object is not iterable"),
+        ("property(lambda self: 1 / 0)", "measures: ZeroDivisionError: division by zero"),
+        ("[Measure('Energy', 'J'), Measure('Energy', 'J')]", "there are 2 measures 'Energy'"),
+        ("[Measure(7)]", "the name is of type int"),
+        ("[Measure('Power\\nMean')]", "the name holds '\\n', which no heading can hold"),
+        ("[Measure('run_id')]", "the run table has a column of that name already"),
+        ("[Measure('Task')]", "two columns are called 'Task'"),
+        ("[Measure('Repetition')]", "two columns are called 'Repetition'"),
+    ],
+)
+def test_measures_of_a_plugin_that_cannot_be_columns_are_refused(
+    write_config: Write, measures: str, problem: str
+) -> None:
+    head = (
+        "from robot_runner import *\nfrom robot_runner.plugins import Measure, Profiler\n\n\n"
+        f"class Meter(Profiler):\n    measures = {measures}\n\n\n"
+        "class RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'x'\n    plugins = [Meter()]\n"
+    )
+    rows = table("Factor('Task', ['Video'])", more=", repetitions=2")
+    (finding,) = prepare(write_config(head=head, table=rows)).findings
+    assert finding.is_error
+    assert finding.problem == problem
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("async def make_safe(self, context): pass", "make_safe is async: its body would never be executed"),
+        (
+            "def make_safe(self, context): yield",
+            "make_safe is a generator, as it has a yield: its body would never be ",
+        ),
+        ("def make_safe(self): pass", "make_safe() cannot be called with a context"),
+        ("def make_safe(self, context, how): pass", "make_safe(context, how) cannot be called with a context"),
+        ("make_safe = None", "make_safe is None, which cannot be called"),
+        ("async def stand_by(self, context): pass", "stand_by is async: its body would never be executed"),
+    ],
+)
+def test_a_system_that_would_not_stop_its_robot_is_refused(write_config: Write, line: str, problem: str) -> None:
+    head = (
+        "from robot_runner import *\nfrom robot_runner.plugins import System\n\n\n"
+        f"class Rover(System):\n    {line}\n\n\n"
+        "class RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'x'\n    plugins = [Rover()]\n"
+    )
+    (finding,) = prepare(write_config(head=head)).findings
+    assert finding.problem.startswith(problem)
+    assert finding.where.startswith("Rover")
+    assert "make_safe" in finding.fix or "plain def" in finding.fix or "yield" in finding.fix
+
+
+@pytest.mark.parametrize(
+    ("lines", "problem"),
+    [
+        ("bytes_per_run = '1 MB'", "bytes_per_run is '1 MB', of type str"),
+        ("bytes_per_run = float('nan')", "bytes_per_run is nan, of type float"),
+        ("bytes_per_run = None", "bytes_per_run is None, of type NoneType"),
+        ("smoke_parameters = ['task_s']", "smoke_parameters is ['task_s'], of type list"),
+        (
+            "def check(self, circumstances): return ['the port is busy']",
+            "the check raised TypeError: 'the port is busy' ",
+        ),
+        (
+            "def claims(self, robot): self.asked = robot",
+            "asking plugins for their claims raised TypeError: 'NoneType' ",
+        ),
+    ],
+)
+def test_what_a_plugin_says_of_itself_in_a_wrong_type_is_a_finding(
+    write_config: Write, lines: str, problem: str
+) -> None:
+    head = (
+        "from robot_runner import *\nfrom robot_runner.plugins import Profiler\n\n\n"
+        f"class Meter(Profiler):\n    {lines}\n\n\n"
+        "class RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'x'\n    plugins = [Meter()]\n"
+    )
+    (finding,) = prepare(write_config(head=head)).findings
+    assert finding.is_error
+    assert finding.problem.startswith(problem)
+
+
+def test_an_input_file_of_a_wrong_type_is_left_out(write_config: Write) -> None:
+    head = (
+        "from robot_runner import *\nfrom robot_runner.plugins import InputFile, Profiler\n\n\nclass Meter(Profiler):\n"
+        "    def input_files(self): return ['map.yaml']\n\n\n"
+        "class RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'x'\n    plugins = [Meter()]\n"
+    )
+    experiment = prepare(write_config(head=head)).experiment
+    assert experiment is not None
+    assert experiment.inputs == ()

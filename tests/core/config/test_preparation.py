@@ -1,14 +1,19 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+from robot_runner.core.config.checks import read_parameters
+from robot_runner.core.config.loader import load_config
 from robot_runner.core.config.parameters import PARAMETERS, OperationType, Parameter
 from robot_runner.core.config.preparation import prepare
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
 
 if TYPE_CHECKING:
     from robot_runner.core.errors import Finding
@@ -47,6 +52,19 @@ def test_files_that_stand_in_for_modules_of_python_are_told(write_config: Write)
     assert [Path(each.where).name for each in told] == ["queue", "random.py"]
     assert "Python's own module 'random'" in told[1].problem
     assert "my_random.py" in told[1].fix
+
+
+@pytest.mark.parametrize(
+    "value", ["'~nobody-of-this-name/x'", "'loop/x'", repr("a/" * 2500)], ids=["nobody", "loop", "too long"]
+)
+def test_a_results_path_at_which_no_folder_can_lie_is_a_finding(write_config: Write, value: str) -> None:
+    path = write_config(f"results_output_path = {value}")
+    (path.parent / "loop").symlink_to(path.parent / "loop")
+    found = [each for each in findings_of(path) if each.is_error]
+    if sys.version_info < (3, 13) or "loop" not in value:  # later ones resolve a loop as far as they come
+        told = [each.problem for each in found if each.where.endswith("results_output_path")]
+        assert [problem[:21] for problem in told] == ["no folder can lie at "]
+        assert len(told[0]) < 200
 
 
 WRONG_VALUES = [
@@ -292,3 +310,65 @@ def test_a_text_in_the_place_of_a_value_says_what_to_write(write_config: Write, 
     (finding,) = findings_of(write_config(line))
     assert finding.fix.startswith("It must be ")
     assert finding.fix.endswith(fix)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("gates", "none"),
+        ("guards", "None"),
+        ("operator_steps", "none"),
+        ("repeat_until", "none"),
+        ("phases", ""),
+        ("claims", ""),
+    ],
+)
+def test_what_a_config_lists_can_be_left_out_from_outside(write_config: Write, name: str, text: str) -> None:
+    head = (
+        "from robot_runner import *\nclass RobotRunnerConfig(ExperimentConfig):\n    experiment_name = 'listed'\n"
+        "    gates = [Gate(temperature_below(50))]\n    guards = [Guard(battery_below(15))]\n    phases = ['dock']\n"
+        "    operator_steps = [OperatorStep('swap')]\n    claims = ['device:arm']\n"
+    )
+    loaded = load_config(write_config(head=head), {name: text})
+    parameters, findings = read_parameters(loaded)
+    assert (findings, getattr(parameters, name)) == ([], ())
+
+
+@pytest.mark.parametrize("name", ["results_output_path", "registration"])
+def test_an_empty_path_from_outside_is_no_folder_that_happens_to_be_there(write_config: Write, name: str) -> None:
+    (finding,) = findings_of(write_config(), **{name: ""})
+    assert finding.is_error
+    assert finding.fix.startswith("It must be a path, such as ")
+
+
+def test_a_property_of_the_users_own_is_not_computed_before_the_experiment(write_config: Write) -> None:
+    assert findings_of(write_config("@property\ndef port(self): raise RuntimeError('only in a run')")) == ()
+
+
+def test_every_callback_that_cannot_be_called_is_found_at_once(write_config: Write) -> None:
+    findings = findings_of(write_config("def start_run(self, a, b): pass\nasync def stop_run(self, context): pass"))
+    assert [finding.problem.partition(" ")[0] for finding in findings] == ["start_run(a,", "stop_run"]
+
+
+@pytest.mark.parametrize(
+    ("returned", "order"),
+    [
+        ("table.plan(seed=42)", "shuffled, seed 42, given"),
+        ("(table.plan(), table.randomize_runs_order(5))[0]", "shuffled, another seed"),
+        ("(table.randomize_runs_order(3), table.randomize_runs_order(5))[0]", "shuffled, seed 3, given"),
+        ("table", "shuffled, another seed"),
+    ],
+)
+def test_a_config_that_returns_a_planned_table_gets_its_order(write_config: Write, returned: str, order: str) -> None:
+    table = (
+        "    def create_run_table(self):\n        table = RunTableModel([Factor('x', range(8))], shuffle=True)\n"
+        f"        return {returned}\n"
+    )
+    experiment = prepare(write_config(table=table)).experiment
+    assert experiment is not None
+    model = experiment.model
+    seed = f"seed {model.seed}, given" if model.seed_is_given else "another seed"
+    assert f"{'shuffled' if model.shuffle else 'as written'}, {seed}" == order
+    if model.seed_is_given:
+        expected = RunTableModel([Factor("x", range(8))], shuffle=True, seed=model.seed).plan()
+        assert [run.combination["x"] for run in model.plan()] == [run.combination["x"] for run in expected]

@@ -39,7 +39,7 @@ PLANS = st.builds(
     estimand=st.sampled_from(Estimand),
     statistic=st.sampled_from(Statistic),
     blocks=st.none() | NAMES,
-    hypotheses=st.lists(HYPOTHESES, max_size=2),
+    hypotheses=st.lists(HYPOTHESES, max_size=2, unique_by=lambda each: each.statement),
     outliers=st.none() | RULES,
     doubtful=st.sampled_from(Doubtful),
 )
@@ -213,3 +213,13 @@ def test_plain_data_that_is_no_rule_is_refused_as_such():
 def test_covariates_come_back_from_plain_data():
     plan = AnalysisPlan("Energy", covariates=["Voltage", "order"])
     assert AnalysisPlan.of_mapping(plan.as_mapping()) == plan
+
+
+def test_two_hypotheses_of_one_statement_are_refused():
+    with pytest.raises(DesignError, match=r"2 hypotheses state 'Tasks differ\.'"):
+        AnalysisPlan(
+            hypotheses=[
+                Hypothesis("Tasks differ.", measure=name, factors="Task", contrast={"Video": 1, "Idle": -1})
+                for name in ("Energy", "CPU")
+            ]
+        )

@@ -88,3 +88,28 @@ def test_a_parameter_that_is_bound_to_an_inactive_factor_keeps_its_default() -> 
     assert camera.resolution == "480p"
     with pytest.raises(PluginError, match="does not apply to the run"):
         bind(Camera(sizes=(treatment("Resolution"),)), {"Resolution": INACTIVE})
+
+
+def test_a_treatment_that_is_written_like_the_inactive_one_is_refused() -> None:
+    with pytest.raises(DesignError, match="would both be written 'inactive'"):
+        Factor("Resolution", ["inactive", "720p"], when={"Sensor": "camera"})
+    assert Factor("State", ["inactive", "active"]).texts == ("inactive", "active")
+    assert Factor("Resolution", ["720p", INACTIVE], when={"Sensor": "camera"}).texts == ("720p", "inactive")
+
+
+def test_treatments_that_compare_element_by_element_may_depend_on_a_factor() -> None:
+    numpy = pytest.importorskip("numpy")
+    gains = Factor("Gains", [numpy.array([1, 2]), numpy.array([3, 4])], when={"Sensor": "camera"})
+    assert [str(row[1]) for row in rows(SENSOR, gains)] == ["[1 2]", "[3 4]", "inactive", "inactive"]
+
+
+@pytest.mark.parametrize("wanted", [(1, 1), [(1, 1)], {(1, 1)}])
+def test_a_condition_names_a_treatment_that_is_a_tuple_or_several_in_a_list_or_set(wanted: Any) -> None:
+    places = Factor("Place", [(0, 0), (1, 1)])
+    found = rows(places, Factor("Rate", [5], when={"Place": wanted}))
+    assert found == [((0, 0), INACTIVE), ((1, 1), 5)]
+
+
+def test_a_condition_that_names_no_treatment_is_refused() -> None:
+    with pytest.raises(DesignError, match="names no treatment of 'Sensor'"):
+        Factor("Rate", [5], when={"Sensor": []})

@@ -305,3 +305,28 @@ def test_a_batch_sums_up_what_the_manifest_tells() -> None:
         "repetitions": 2,
         "at": "2026-11-22T10:00:00.000Z",
     }
+
+
+@pytest.mark.parametrize(
+    ("text", "written"), [("1", "1.0"), ("0.30", "0.3"), (".4", "0.4"), ("5e-1", "0.5"), (" 0.7", "0.7")]
+)
+def test_a_treatment_may_be_asked_for_in_another_spelling_of_its_number(text: str, written: str) -> None:
+    model = RunTableModel([SPEED])
+    grown = extended(model, Additions(treatments={"Speed": [text, "0.9"]}))
+    assert sorted(str(run.combination["Speed"]) for run in grown.plan()) == sorted(["0.1", "0.2", written, "0.9"])
+    assert grown.chosen == {"Speed": (written, "0.9")}
+    assert extended(grown, Additions(repetitions=2)).chosen == grown.chosen
+
+
+def test_a_number_that_is_there_in_another_spelling_or_is_not_finite_is_no_further_treatment() -> None:
+    assert findings(RunTableModel([SPEED]), Additions(treatments={"Speed": ["1e-1", "nan", "-inf"]})) == [
+        "--treatments Speed: the factor has the treatment '1e-1' already, as 0.1 → Leave it out.",
+        "--treatments Speed: 'nan' is no finite number, as the treatments of the factor are → Give one of that type.",
+        "--treatments Speed: '-inf' is no finite number, as the treatments of the factor are → Give one of that type.",
+    ]
+
+
+def test_a_factor_of_the_config_may_get_treatments_in_another_spelling() -> None:
+    config = RunTableModel([TASK, SPEED])
+    grown = extended(RunTableModel([TASK]), Additions(factors={"Speed": NewFactor("0.1", ("1",))}), config=config)
+    assert {str(run.combination["Speed"]) for run in grown.plan()} == {"0.1", "0.2", "1.0"}

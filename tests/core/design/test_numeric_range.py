@@ -55,3 +55,16 @@ def test_without_a_design_a_range_has_its_two_ends() -> None:
     assert [factor.unit for factor in model.factors] == ["m/s", "kg"]
     with pytest.raises(DesignError, match="is given beside a range"):
         Factor("Speed", Range(0, 1), unit="m/s")
+
+
+def test_numbers_of_numpy_are_taken_as_pythons() -> None:
+    numpy = pytest.importorskip("numpy")
+    span = Range(numpy.float64(0.05), numpy.float64(0.22), step=numpy.float64(0.05))
+    assert [span.at(share / 4) for share in range(5)] == [0.05, 0.1, 0.15, 0.2, 0.2]
+    assert Factor("Speed", Range(numpy.float64(0.05), numpy.float64(0.22))).treatments == (0.05, 0.22)
+    assert {type(each) for each in (span.lower, span.upper, span.step)} == {float}
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(0, 10**400), (0, 5e-324), (-1.7e308, 1.7e308), (-(10**400), 0)])
+def test_ends_between_which_nothing_can_be_computed_are_refused(lower: float, upper: float) -> None:
+    assert said(lower, upper)

@@ -170,3 +170,10 @@ def test_rules_come_back_from_what_is_kept_and_damaged_ones_are_refused() -> Non
     for damaged in (3, {}, {"rules": 1, "least": 5}, {"rules": [{}], "least": 5}, {"rules": [], "least": "few"}):
         with pytest.raises(DesignError, match="rules of repetition are damaged"):
             rules_of_mapping(damaged)
+
+
+def test_a_rule_comes_back_from_the_manifest_to_the_last_digit() -> None:
+    for half_width in (0.1, 1234567.8, 0.123456789, 1e-9):
+        rule = Precision("Energy", half_width=half_width, at_most=30)
+        assert Precision.of_mapping(rule.as_mapping()) == rule
+    assert Precision("Energy", half_width=5, at_most=30).wanted_in_words == "5"

@@ -62,3 +62,39 @@ def test_a_warning_names_run_and_owner(broker: MeasureBroker) -> None:
     (finding,) = broker.findings
     assert finding.where == "r_1, Ina219"
     assert not finding.is_error
+
+
+class _NoRepr:
+    def __repr__(self) -> str:
+        raise RuntimeError("no text")
+
+
+@pytest.mark.parametrize(("value", "kept"), [(_NoRepr(), "a _NoRepr"), (10**5000, "a int")], ids=["repr", "digits"])
+def test_what_is_refused_and_has_no_text_is_told_by_its_type(
+    broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]], value: object, kept: str
+) -> None:
+    with pytest.raises(MeasureError):
+        broker.publish("Ina219", "Energy", value, Origin.MEASURED)
+    assert reported == [("refused", {"owner": "Ina219", "name": "Energy", "value": kept})]
+
+
+def test_an_origin_that_is_none_is_refused_before_the_value_is_taken(broker: MeasureBroker) -> None:
+    with pytest.raises(MeasureError, match="'simulated' is no origin") as caught:
+        broker.publish("Ina219", "Energy", 1.0, "simulated")  # type: ignore[arg-type]
+    assert caught.value.fix == "Did you mean 'Origin.SIMULATED'?"
+    assert broker.measures == {}
+
+
+def test_one_measure_is_doubted_by_its_name_alone(
+    broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]]
+) -> None:
+    broker.doubt("Ina219", "the cable was loose", "", "Energy")
+    assert reported[0][1]["measures"] == ["Energy"]
+
+
+def test_an_exception_may_be_the_problem_and_none_the_fix(
+    broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]]
+) -> None:
+    broker.doubt("Ina219", ValueError("a frame was torn"), None)  # type: ignore[arg-type] # as callbacks do
+    assert (broker.findings[0].problem, broker.findings[0].fix) == ("a frame was torn", "")
+    assert (reported[0][1]["problem"], reported[0][1]["fix"]) == ("a frame was torn", "")

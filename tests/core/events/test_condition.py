@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -70,3 +70,9 @@ def test_a_wait_is_over_where_what_is_left_is_less_than_the_clock_can_show(
     context = make_context(tmp_path, clock=kind(start), robot=None)
     with pytest.raises(ConditionTimeout):
         _After(1e9, []).wait(context, timeout_s=timeout_s)
+
+
+@pytest.mark.parametrize("timeout_s", [float("nan"), None, "5"])
+def test_a_time_that_is_none_is_refused_as_it_would_never_be_over(tmp_path: Path, timeout_s: Any) -> None:
+    with pytest.raises(ConditionError, match="timeout_s is "):
+        _After(30.0, []).wait(make_context(tmp_path, clock=FakeClock(), robot=None), timeout_s=timeout_s)

@@ -13,7 +13,7 @@ from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Iterator
+    from collections.abc import AsyncIterator, Callable, Iterator
 
 KINDS = {"robot": OwnerKind.SYSTEM, "meter": OwnerKind.PROFILER, "config": OwnerKind.CONFIG}
 
@@ -180,3 +180,29 @@ def test_a_process_that_a_callback_forks_does_not_go_on_as_the_experiment(error:
             os._exit(99)  # it came back: no second pytest
     assert not emission.failures
     assert os.waitstatus_to_exitcode(os.waitpid(children[0], 0)[1]) == (0 if error is None else 1)
+
+
+async def _coroutine() -> None:
+    raise AssertionError
+
+
+def _generator() -> Iterator[None]:
+    yield
+
+
+async def _async_generator() -> AsyncIterator[None]:
+    yield
+
+
+@pytest.mark.parametrize("made", [_coroutine, _generator, _async_generator])
+@pytest.mark.parametrize("event", [RobotRunnerEvents.LAUNCH_MISSION, RobotRunnerEvents.STOP_RUN])
+@pytest.mark.filterwarnings("error")
+def test_a_callback_whose_decorator_hides_that_its_body_is_never_executed_fails(
+    made: Callable[[], object], event: RobotRunnerEvents
+) -> None:
+    manager = EventManager()
+    manager.subscribe(event, lambda: made(), owner="config", kind=OwnerKind.CONFIG)  # noqa: PLW0108 - as a decorator is
+    (failure,) = manager.emit(event, lambda owner: owner).failures
+    assert isinstance(failure.error, ConfigError)
+    assert "its body was never executed" in failure.error.problem
+    assert failure.error.where.startswith(f"config, {__file__}:")

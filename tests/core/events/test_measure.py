@@ -1,14 +1,17 @@
 from __future__ import annotations
 
+import re
 from decimal import Decimal
+from enum import Enum
 from fractions import Fraction
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import MeasureError
-from robot_runner.core.events.measure import as_measure_value
+from robot_runner.core.events.measure import Measure, as_measure_value
 
 
 @given(
@@ -65,3 +68,49 @@ def test_a_decimal_is_refused_rather_than_rounded() -> None:
 def test_what_no_file_could_hold_is_refused(value: object, problem: str) -> None:
     with pytest.raises(MeasureError, match=problem):
         as_measure_value("Energy", value, where="config")
+
+
+class _Mode(str, Enum):  # noqa: UP042 - as it was written before Python 3.11, with another str()
+    FAST = "fast"
+
+
+def test_a_text_of_another_class_becomes_the_plain_text_that_it_is() -> None:
+    numpy = pytest.importorskip("numpy")
+    for value in (_Mode.FAST, numpy.str_("fast")):
+        taken = as_measure_value("Mode", value, where="config")
+        assert (taken, type(taken), str(taken)) == ("fast", str, "fast")
+
+
+@pytest.mark.parametrize(
+    ("given", "problem"),
+    [
+        ({"name": 7}, "the name is of type int"),
+        ({"name": "run_id"}, "the run table has a column of that name already"),
+        ({"name": "Mean\nPower"}, "which no heading can hold"),
+        ({"unit": None}, "unit is None"),
+        ({"description": 3}, "description is 3"),
+        ({"over": "sum"}, "over is 'sum'"),
+        ({"low": "1"}, "low is '1'"),
+        ({"high": float("nan")}, "high is nan"),
+        ({"low": True}, "low is True"),
+    ],
+)
+def test_a_measure_that_cannot_be_is_refused_where_it_is_declared(given: dict[str, Any], problem: str) -> None:
+    with pytest.raises(MeasureError, match=re.escape(problem)) as caught:
+        Measure(**{"name": "Energy", **given})
+    assert caught.value.fix
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        (25.0000001, "the value, 25.0000001 W, is above 25 W, the largest that is plausible"),
+        (0.1, "the value, 0.1 W, is below 0.5 W, the least that is plausible"),
+        (1234567.5, "the value, 1234567.5 W, is above 25 W, the largest that is plausible"),
+        (10**308, f"the value, {10**308} W, is above 25 W, the largest that is plausible"),
+        (2**1024 - 1, f"the value, {2**1024 - 1} W, is above 25 W, the largest that is plausible"),
+        (25, ""),
+    ],
+)
+def test_what_is_not_plausible_is_told_as_it_is(value: float, told: str) -> None:
+    assert Measure("MeanPower", "W", low=0.5, high=25.0).implausible(value) == told

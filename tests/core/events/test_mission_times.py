@@ -111,3 +111,37 @@ def test_readings_at_the_end_hold_up_nobody_after_a_mission_that_failed(times):
     times.end(has_failed=True)
     assert looks == ["look"]
     assert times.window() is not None
+
+
+def test_phases_of_one_name_that_overlap_are_one_so_that_nothing_is_counted_twice(times, clock, records):
+    times.begin()
+    with times.phase("navigate"):
+        clock.sleep(1.0)
+        with times.phase("dock"), times.phase("navigate"):
+            clock.sleep(2.0)
+    first, second = times.phase("navigate"), times.phase("navigate")  # as of two robots that go on together
+    first.__enter__()
+    clock.sleep(1.0)
+    second.__enter__()
+    first.__exit__(None, None, None)
+    clock.sleep(4.0)
+    second.__exit__(None, None, None)
+    times.end()
+    assert [(phase.name, phase.window) for phase in times.phases()] == [
+        ("dock", Window(101.0, 103.0)),
+        ("navigate", Window(100.0, 103.0)),
+        ("navigate", Window(103.0, 108.0)),
+    ]
+    assert [fields["name"] for kind, fields in records if kind == "phase"] == ["dock", "navigate", "navigate"]
+
+
+def test_a_phase_that_an_earlier_mission_left_open_is_none_of_the_next(times, clock):
+    times.begin()
+    left = times.phase("navigate")
+    left.__enter__()
+    clock.sleep(1.0)
+    times.begin()
+    clock.sleep(1.0)
+    with times.phase("navigate"):
+        clock.sleep(1.0)
+    assert [phase.window for phase in times.phases()] == [Window(102.0, 103.0)]

@@ -292,3 +292,15 @@ def test_the_window_ends_when_the_mission_is_stopped_whatever_comes_after() -> N
     window = times.window()
     assert window is not None
     assert window.end <= ended
+
+
+def test_a_make_safe_whose_decorator_hides_that_nothing_is_executed_is_a_failure_that_says_so(execute: Execute) -> None:
+    hidden = HEAD.replace(
+        '    def make_safe(self, context): print("arm made safe")',
+        "    def make_safe(self, context): return self._stop()\n    async def _stop(self): print('arm made safe')",
+    )
+    executed = execute(
+        BODY.format(mission="1 / 0", start="pass", stop="pass", populate="pass"), head=hidden, table=TABLE
+    )
+    problems = [failure["problem"] for failure in executed.journal("failure")]
+    assert any("make_safe returned a coroutine: its body was never executed" in problem for problem in problems)

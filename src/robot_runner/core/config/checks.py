@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import os
 import shutil
 import sys
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,7 @@ from robot_runner.core.config.parameters import (
     Parameters,
     RunProcess,
 )
-from robot_runner.core.config.plugin_checks import failed_check
+from robot_runner.core.config.plugin_checks import failed_check, instances_of
 from robot_runner.core.config.registered_config import take_registered_seed
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import as_configured
@@ -107,7 +108,8 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
     for name in sorted(names):
         if name.startswith("_") or name in parameters or name in callbacks:
             continue
-        is_method = callable(getattr(loaded.config, name, None))
+        found = inspect.getattr_static(loaded.config, name, None)  # a property may need what only a run has
+        is_method = callable(found) or isinstance(found, classmethod)
         meant = _nearly(name, callbacks if is_method else parameters)
         if meant is not None and meant not in names - _inherited(loaded.config):
             findings.append(_misspelt(loaded, name, meant, is_method=is_method))
@@ -219,7 +221,7 @@ def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugi
     findings: list[Finding] = []
     for point in entry_points("checks"):
         try:
-            findings += point.load()(where, parameters, plugins)
+            findings += instances_of(Finding, point.load()(where, parameters, plugins))
         except Exception as error:  # noqa: BLE001 - a stranger's code, as above
             findings.append(failed_check(point.where, error))
     return findings
@@ -236,8 +238,8 @@ def check_results_path(loaded: LoadedConfig, parameters: Parameters) -> list[Fin
     where = f"{loaded.where}.results_output_path"
     try:
         existing = _nearest_existing(experiment_folder(parameters, loaded).root)
-    except (OSError, RuntimeError) as error:
-        return [Finding.error(where, f"{parameters.results_output_path} cannot be resolved: {error}", "Name a folder.")]
+    except ConfigError as error:
+        return list(error.findings)
     if not existing.is_dir():
         return [Finding.error(where, f"{existing} is no folder", "Name a folder, or move this file away.")]
     if not os.access(existing, os.W_OK | os.X_OK):
@@ -255,7 +257,7 @@ def check_disk_space(
         files = experiment_folder(parameters, loaded)
         folder = _nearest_existing(files.root)
         free = shutil.disk_usage(folder).free
-    except (OSError, RuntimeError):  # found by the check of the path
+    except (ConfigError, OSError):  # found by the check of the path
         return []
     if free >= runs * each or free >= (left := _left(files, runs)) * each:  # most have room, and no journal is read
         return []
@@ -296,7 +298,9 @@ def runs_listed_in(path: Path) -> Iterator[None]:
 def _listed_in(loaded: LoadedConfig) -> Path | None:
     """Return the run table on disk that lists the runs of an experiment, if there is one."""
     parameters, _ = read_parameters(loaded)
-    own = experiment_folder(parameters, loaded).run_table if parameters is not None else None
+    own = None
+    with suppress(ConfigError):  # found by the check of the path
+        own = experiment_folder(parameters, loaded).run_table if parameters is not None else None
     return next((path for path in (own, _LISTED_IN.get()) if path is not None and path.exists()), None)
 
 
@@ -334,6 +338,8 @@ def create_model(loaded: LoadedConfig) -> tuple[RunTableModel | None, list[Findi
     except ConfigError as error:
         return None, list(error.findings)
     model = created.model if isinstance(created, RunTable) else created
+    if isinstance(created, RunTable):
+        created.model.take_order(created.order)
     if isinstance(model, RunTableModel):
         refused = _take_listed(model, table)
         take_registered_seed(loaded, model)

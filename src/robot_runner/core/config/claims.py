@@ -113,7 +113,8 @@ class Claims:
         treatments = values_of(plugin, combination) if _is_bound(plugin) else {}
         key = (plugin.name, *(f"{name}={value}" for name, value in treatments.items()))
         if key not in self._known:
-            self._known[key] = tuple(map(str, built_with(plugin, combination).claims(self._robot)))
+            claimed = built_with(plugin, combination).claims(self._robot)
+            self._known[key] = (claimed,) if isinstance(claimed, str) else tuple(map(str, claimed))  # not its letters
         return self._known[key]
 
 
@@ -150,18 +151,18 @@ def check_workers(
     where: str, parameters: Parameters, plugins: Sequence[Plugin], events: EventManager, model: RunTableModel | None
 ) -> list[Finding]:
     """Return why workers would be idle, where several are asked for."""
-    if parameters.workers == 1 or model is None:
+    if model is None:
         return []
-    place = f"{where}.workers"
-    if parameters.run_process is RunProcess.IN_PROCESS:
-        problem = "run_process is IN_PROCESS: the orchestrator executes one run at a time, and other workers are idle"
-        return [Finding.warning(place, problem, "Leave run_process out, or leave workers at 1.")]
-    count = worker_count(parameters)
+    place, count = f"{where}.workers", worker_count(parameters)
     claims = Claims(parameters, plugins, events)
     try:
+        held_claims(claims, model)
         common = claims.common(run.combination for run in islice(model.plan(), _LOOKED_AT)) if count > 1 else {}
     except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
-        return [failed_check(place, error, "asking plugins for their claims")]
+        return [failed_check(f"{where}.plugins", error, "asking plugins for their claims")]
+    if parameters.run_process is RunProcess.IN_PROCESS and parameters.workers != 1:
+        problem = "run_process is IN_PROCESS: the orchestrator executes one run at a time, and other workers are idle"
+        return [Finding.warning(place, problem, "Leave run_process out, or leave workers at 1.")]
     if not common:
         return []
     told = "; ".join(f"{claim} is claimed by {enumerated(who)}" for claim, who in common.items())

@@ -6,6 +6,7 @@ import ast
 import difflib
 import inspect
 import re
+from importlib.util import decode_source
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import PARAMETERS, ExperimentConfig
@@ -100,7 +101,7 @@ def check_dead_names(loaded: LoadedConfig) -> list[Finding]:
     if used is None:
         return []
     found = []
-    for name in sorted(_own_names(config_class) | set(vars(loaded.config))):
+    for name in sorted(_own_names(config_class) | set(getattr(loaded.config, "__dict__", ()))):
         if name.startswith("_") or name in used or name in _LIVE:
             continue
         is_method = inspect.isroutine(inspect.getattr_static(loaded.config, name, None))
@@ -135,7 +136,7 @@ def _used_names(loaded: LoadedConfig) -> set[str] | None:
 
 def _tree(path: Path) -> ast.Module:
     try:
-        return ast.parse(path.read_text(encoding="utf-8"))
+        return ast.parse(decode_source(path.read_bytes()))
     except (OSError, ValueError, SyntaxError):  # a module that is no text was imported all the same
         return ast.Module([], [])
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.asking import DECIDED
 from robot_runner.core.design.batches import EXTENDED, REPEATED, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
-from robot_runner.core.events.manager import EventManager, OwnerKind
+from robot_runner.core.errors import ConfigError
+from robot_runner.core.events.manager import EventManager, OwnerKind, methods_of, no_context, takes_a_context
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns
 from robot_runner.core.plugin import Plugin, System
 from robot_runner.core.storage.journal import read_journal
@@ -16,12 +18,13 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableLayout, TableSpelling
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.errors import Finding
     from robot_runner.core.storage.input_files import InputFile
     from robot_runner.core.storage.registration import Registration
 
@@ -81,12 +84,33 @@ class Experiment:
         return tuple(plugin for plugin in self.plugins if isinstance(plugin, System))
 
 
+#: Of a path that is too long to be one, so much is told, characters.
+_MOST_SHOWN = 80
+
+
 def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> ExperimentFolder:
-    """Return where everything of an experiment is kept; a relative results path begins where the config file is."""
+    """Return where everything of an experiment is kept; a relative results path begins where the config file is.
+
+    Raises:
+        ConfigError: no folder can lie there.
+    """
     if loaded.folder is not None:
         return loaded.folder
-    root = (loaded.source.path.parent / parameters.results_output_path.expanduser()).resolve()
-    return ExperimentFolder(root / parameters.experiment_name)
+    path = parameters.results_output_path
+    try:
+        root = (loaded.source.path.parent / path.expanduser()).resolve()
+        folder = ExperimentFolder(root / parameters.experiment_name)
+        with suppress(PermissionError):  # found elsewhere
+            folder.run_table.exists()  # of a path that is too long the system cannot tell
+    except (OSError, RuntimeError) as error:
+        told = error.strerror if isinstance(error, OSError) else str(error).rstrip(".")
+        shown = str(path) if len(str(path)) <= _MOST_SHOWN else f"{str(path)[:_MOST_SHOWN]}..."
+        raise ConfigError(
+            f"no folder can lie at {shown!r}: {told}",
+            where=f"{loaded.where}.results_output_path",
+            fix="Give the path of a folder, or of one that is to be made.",
+        ) from error
+    return folder
 
 
 def grown_model(model: RunTableModel, folder: ExperimentFolder) -> RunTableModel:
@@ -106,13 +130,36 @@ def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> Even
     """Subscribe plugins, then the config: its explicit subscriptions first, then its methods named like events.
 
     Raises:
-        ConfigError: a callback's signature does not fit.
+        ConfigError: a callback cannot be called, or what is to stop a robot; carries a finding for each.
     """
     manager = EventManager()
+    findings: list[Finding] = []
+
+    def gather(check: Callable[..., object], *arguments: Any, **keywords: Any) -> None:
+        try:
+            check(*arguments, **keywords)
+        except ConfigError as error:
+            findings.extend(error.findings)
+
     for plugin in plugins:
-        kind = OwnerKind.SYSTEM if isinstance(plugin, System) else OwnerKind.PROFILER
-        manager.subscribe_methods(plugin, owner=plugin.name, kind=kind)
-    for request in loaded.subscriptions:
-        manager.subscribe(request.event, request.callback, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
-    manager.subscribe_methods(loaded.config, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
+        is_system = isinstance(plugin, System)
+        kind = OwnerKind.SYSTEM if is_system else OwnerKind.PROFILER
+        for event, method in methods_of(plugin):
+            gather(manager.subscribe, event, method, owner=plugin.name, kind=kind)
+        for name in ("make_safe", "stand_by") if is_system else ():
+            gather(_check_called_with_context, name, getattr(plugin, name), plugin.name)
+    own = ((request.event, request.callback) for request in loaded.subscriptions)
+    for event, callback in (*own, *methods_of(loaded.config)):
+        gather(manager.subscribe, event, callback, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
+    if findings:
+        raise ConfigError.of_findings(findings)
     return manager
+
+
+def _check_called_with_context(name: str, method: Any, owner: str) -> None:
+    """Look at a method that no event calls: that it is not executed is found once a robot has to be stopped."""
+    if not callable(method):
+        fix = f"Write def {name}(self, context), or leave it out."
+        raise ConfigError(f"{name} is {method!r}, which cannot be called", where=owner, fix=fix)
+    if not takes_a_context(name, method, owner):
+        raise no_context(name, method, owner)

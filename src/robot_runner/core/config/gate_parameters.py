@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, did_you_mean
 from robot_runner.core.events.condition import Condition
 
@@ -64,8 +65,7 @@ class Gate:
         _check_condition(self.condition, "Gate")
         _check_choice(self.on_timeout, GatePolicy, "Gate(on_timeout=...)")
         timeout = self.timeout_s
-        is_number = isinstance(timeout, int | float) and not isinstance(timeout, bool)
-        if timeout is not None and not (is_number and 0 < timeout < math.inf):
+        if timeout is not None and not (is_number(timeout) and timeout > 0):
             fix = "Give timeout_s a number of seconds above 0, or None for as long as it takes."
             raise ConditionError(f"timeout_s is {timeout!r}", where=f"Gate({self.condition})", fix=fix)
 

@@ -11,10 +11,12 @@ import threading
 import traceback
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.parameter_kinds import FLAG, Kind, choice
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
@@ -33,8 +35,7 @@ if TYPE_CHECKING:
 
 # Static parameters set from the command line: `--set robot=simulated`.
 
-_SIMPLE_TYPES = (bool, int, float, str, Path)
-_BOOLEANS = {"true": True, "false": False, "yes": True, "no": False, "1": True, "0": False}
+_SIMPLE_TYPES = (bool, int, float, str, Path, Enum)
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, str]:
@@ -91,26 +92,27 @@ def own_parameters(config_class: type) -> dict[str, Any]:
 
 def _read(config_class: type, name: str, text: str) -> Any:
     own = own_parameters(config_class)
-    where = f"--set {name}={shown_settings({name: text})[name]}"
-    if name in PARAMETERS:
-        parameter = PARAMETERS[name]
-        read, expected = parameter.kind.from_text, parameter.kind.expected
-    elif name in own:
-        kind = type(own[name])
-        read, expected = _reader(kind), f"a value of type {kind.__name__}"
-    else:
-        raise ConfigError(
-            f"there is no static parameter {name!r}", where=where, fix=did_you_mean(name, [*PARAMETERS, *own])
-        )
+    shown = shown_settings({name: text})[name]
+    where = f"--set {name}={shown}"
+    kind = PARAMETERS[name].kind if name in PARAMETERS else _kind_of(type(own[name])) if name in own else None
+    if kind is None:
+        if hasattr(config_class, name) and not name.startswith("_"):
+            problem = (
+                f"{name!r} is of type {type(getattr(config_class, name)).__name__}, which cannot be set from outside"
+            )
+            raise ConfigError(problem, where=where, fix="Set it in the config.")
+        fix = did_you_mean(name, [*PARAMETERS, *own])
+        raise ConfigError(f"there is no static parameter {name!r}", where=where, fix=fix)
     try:
-        return read(text)
+        return kind.from_text(text)
     except (ValueError, KeyError) as error:
-        shown = shown_settings({name: text})[name]
-        raise ConfigError(f"{shown!r} cannot be read", where=where, fix=f"It must be {expected}.") from error
+        raise ConfigError(f"{shown!r} cannot be read", where=where, fix=f"It must be {kind.expected}.") from error
 
 
-def _reader(kind: type) -> Any:
-    return (lambda text: _BOOLEANS[text.casefold()]) if kind is bool else kind
+def _kind_of(own: type) -> Kind:
+    if issubclass(own, Enum):
+        return choice(own)
+    return FLAG if own is bool else Kind(f"a value of type {own.__name__}", lambda _: True, own)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +175,9 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
         for name, value in values.items():
             if name in getattr(config, "__dict__", {}):
                 setattr(config, name, value)
+        for name in (*PARAMETERS, "plugins"):
+            if isinstance(inspect.getattr_static(config, name, None), property):
+                getattr(config, name)  # so that what it raises is told with its line
         local_modules = local_modules_among(source.path, set(sys.modules) - before)
         threads = threads_since(threads_before)
     return LoadedConfig(
@@ -274,7 +279,8 @@ def execute_source(source: ConfigSource) -> ModuleType:
         )
     module = importlib.util.module_from_spec(spec)
     sys.modules[CONFIG_MODULE] = module
-    exec(compile(source.text, str(source.path), "exec"), module.__dict__)  # noqa: S102 - a config file is code
+    code = compile(source.text, str(source.path), "exec", dont_inherit=True)  # not the future statements of this module
+    exec(code, module.__dict__)  # noqa: S102 - a config file is code
     return module
 
 

@@ -6,8 +6,9 @@ import logging
 from functools import partial
 from typing import TYPE_CHECKING
 
-from robot_runner.core.config.plugin_checks import with_each_treatment
+from robot_runner.core.config.plugin_checks import instances_of, with_each_treatment
 from robot_runner.core.links.connect import robot_input_files
+from robot_runner.core.storage.input_files import InputFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.plugin import Plugin
-    from robot_runner.core.storage.input_files import InputFile
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ def named_inputs(
     ]
     for where, ask in asked:
         try:
-            found |= dict.fromkeys(ask())
+            found |= dict.fromkeys(instances_of(InputFile, ask()))
         except Exception as error:  # noqa: BLE001 - a stranger's code; an experiment is worth more than a copy
             _log.warning("%s: which files it reads is not known: %s", where, error)
     return tuple(found)

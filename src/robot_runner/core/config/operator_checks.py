@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.operator_steps import ANSWER_TYPES, OperatorStep, Question, as_treatments
+from robot_runner.core.config.operator_steps import ANSWER_TYPES, OperatorStep, Question
 from robot_runner.core.design.columns import name_findings
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.words import counted, enumerated, listed
 
@@ -88,7 +88,7 @@ def _mapping_findings(at: str, before: Mapping[Any, Any], factors: Mapping[str, 
         if name not in factors:
             yield Finding.error(at, f"before: there is no factor {name!r}", did_you_mean(str(name), factors))
             continue
-        for each in as_treatments(wanted):
+        for each in factors[name].named(wanted):
             if factors[name].position_of(each) is None:
                 problem = f"before: {each!r} is no treatment of {name!r}"
                 yield Finding.error(at, problem, factors[name].suggestion(each))
@@ -142,7 +142,7 @@ def _limit_findings(at: str, question: Question) -> Iterator[Finding]:
     if question.kind not in {int, float} or question.choices:
         what = "choices" if question.choices else f"answers of type {question.kind.__name__}"
         yield Finding.error(at, f"low and high are limits of numbers, and there are {what}", "Leave them out.")
-    elif not all(isinstance(limit, int | float) and math.isfinite(limit) for limit in limits):
+    elif not all(map(is_number, limits)):
         yield Finding.error(at, f"low is {low!r}, and high is {high!r}", "Give finite numbers.")
     elif low is not None and high is not None and low > high:
         yield Finding.error(at, f"no answer is taken: low is {low}, and high is {high}", "Give low the smaller number.")

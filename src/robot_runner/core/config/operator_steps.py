@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from robot_runner.core.design.factor import treatments_are_equal
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
 from robot_runner.core.events.measure import Measure, MeasureValue, as_measure_value
 
@@ -112,7 +112,7 @@ class Question:
             number = self.kind(said)
         except ValueError:
             raise self._refusal(f"{said!r} is no {_TYPE_NAMES[self.kind]}") from None
-        if not math.isfinite(number):
+        if not is_number(number):
             raise self._refusal(f"{said!r} is not finite")
         return number
 
@@ -206,14 +206,14 @@ class OperatorStep:
         if not isinstance(self.before, Mapping):
             return bool(self.before(combination))
         return all(
-            any(treatments_are_equal(combination[factor], each) for each in as_treatments(wanted))
+            any(treatments_are_equal(combination[factor], each) for each in _treatments_among(wanted))
             for factor, wanted in self.before.items()
         )
 
 
-def as_treatments(wanted: Any) -> Sequence[Any]:
-    """Return the treatments that one entry of `before` names: one, or a list of them."""
-    return wanted if isinstance(wanted, list | tuple | set | frozenset) else (wanted,)  # type: ignore[return-value]
+def _treatments_among(wanted: Any) -> Sequence[Any]:
+    """Return what one entry of `before` may name, as `Factor.named` decides: one treatment, or several."""
+    return (wanted, *wanted) if isinstance(wanted, list | tuple | range | set | frozenset) else (wanted,)
 
 
 def operator_measures(steps: Sequence[OperatorStep]) -> tuple[Measure, ...]:

@@ -12,6 +12,7 @@ from robot_runner.core.config.authors import Author, authors_from_text, is_licen
 from robot_runner.core.config.notify import Notify
 from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.precision import Precision
 from robot_runner.core.events.window import is_phase_name
 from robot_runner.core.links.declared_host import are_hosts, named_hosts
@@ -29,7 +30,7 @@ class Kind:
     Attributes:
         expected: completes the sentence "it must be ...".
         accepts: says whether a value is well formed.
-        from_text: reads a value of the command line; raises ValueError.
+        from_text: reads a value of the command line; raises ValueError or KeyError.
         normalise: makes what `Parameters` holds of a value that is accepted.
         type_name: what the documentation calls the type, where the annotation says less.
         is_secret: whether a malformed value may hold a password, and is not shown.
@@ -66,10 +67,6 @@ def _is_integer(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _is_seconds(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < float("inf")
-
-
 def _is_any(value: Any) -> bool:
     return value is any or (isinstance(value, str) and value.casefold() == "any")
 
@@ -86,31 +83,36 @@ def _not_from_text(text: str) -> NoReturn:
     raise ValueError(f"{text!r} cannot be set from outside")
 
 
+def _none_from_text(text: str) -> tuple[()]:
+    """Return what stands for no elements of a list that no text can write."""
+    return () if text.strip().casefold() == "none" else _not_from_text(text)
+
+
+def _names_from_text(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
 def whole(least: int, what: str) -> Kind:
     """Return the kind of whole numbers from `least` on; `what` says of what, as in " of milliseconds"."""
     return Kind(f"a whole number{what}, {least} or more", lambda value: _is_integer(value) and value >= least, int)
 
 
-def _flag_from_text(text: str) -> bool | str:
-    """Return what a text says; one that says neither is returned as it is, and found to be malformed."""
-    return {"true": True, "false": False}.get(text.strip().casefold(), text)
-
-
 def choice(choices: type[Enum]) -> Kind:
-    """Return the kind of the members of an enumeration; the command line names them by their values."""
+    """Return the kind of the members of an enumeration; the command line gives their names."""
+    by_name = {each.name.casefold(): each for each in choices}
     return Kind(
-        f"one of {', '.join(f'{choices.__name__}.{choice.name}' for choice in choices)}",
+        f"one of {', '.join(f'{choices.__name__}.{each.name}' for each in choices)}",
         lambda value: isinstance(value, choices),
-        lambda text: choices(text.casefold().rpartition(".")[2]),
+        lambda text: by_name[text.strip().casefold().rpartition(".")[2]],
     )
 
 
 def instances(of: type, expected: str) -> Kind:
     """Return the kind of lists of objects of a class; `expected` says what such a list is."""
     return Kind(
-        expected,
+        f"{expected} in the config file; from outside, none",
         lambda value: isinstance(value, list | tuple) and all(isinstance(each, of) for each in value),
-        _not_from_text,
+        _none_from_text,
         tuple,
     )
 
@@ -123,7 +125,7 @@ NAME = Kind(
 PATH = Kind(
     "a path, such as Path('~/results')",
     lambda value: isinstance(value, str | Path) and "\0" not in str(value) and str(value) != "",
-    Path,
+    lambda text: Path(text) if text else text,  # of which Path would make the folder that happens to be there
     Path,
 )
 LINK = Kind(
@@ -139,13 +141,14 @@ ROS_GENERATION = Kind(
     "", lambda value: _is_integer(value) and value in {1, 2}, lambda text: int(text) if text.isdigit() else text
 ).or_any("1, 2, any or None")
 ROS_DISTRIBUTION = Kind("", _is_text).or_any('the name of a ROS distribution, such as "noetic", any or None')
-SECONDS = Kind("a positive number of seconds", _is_seconds, float)
-FLAG = Kind("True or False", lambda value: isinstance(value, bool), _flag_from_text)
+SECONDS = Kind("a positive number of seconds", lambda value: is_number(value) and value > 0, float)
+_FLAGS = {"true": True, "false": False, "yes": True, "no": False, "1": True, "0": False}
+FLAG = Kind("True or False", lambda value: isinstance(value, bool), lambda text: _FLAGS[text.strip().casefold()])
 PLAN = Kind("an AnalysisPlan(...) in the config file", lambda value: isinstance(value, AnalysisPlan), _not_from_text)
 REPEAT_UNTIL = Kind(
     "Precision(...), or a list of them, in the config file; from outside, none",
     lambda value: all(isinstance(each, Precision) for each in (value if isinstance(value, list | tuple) else [value])),
-    lambda text: () if text.casefold() == "none" else _not_from_text(text),
+    _none_from_text,
     lambda value: tuple(value) if isinstance(value, list | tuple) else (value,),
 )
 AUTHORS = Kind(
@@ -171,7 +174,7 @@ TEXT = Kind("a text", _is_text)
 CLAIMS = Kind(
     'a list of texts such as "serial:/dev/ttyUSB0"; from outside, separated by commas',
     lambda value: isinstance(value, list | tuple) and all(map(_is_text, value)),
-    lambda text: [name.strip() for name in text.split(",") if name.strip()],
+    _names_from_text,
     tuple,
 )
 _MOST_WORKERS = 10_000  # each is made ready before the first run: a slip would fill the memory
@@ -180,14 +183,11 @@ WORKERS = Kind(
     lambda value: value == "auto" or (_is_integer(value) and 1 <= value <= _MOST_WORKERS),
     lambda text: int(text) if text.strip().isdecimal() else text.strip().casefold(),
 )
-OPERATOR_STEPS = replace(
-    instances(OperatorStep, "a list of OperatorStep(...) in the config file; from outside, none"),
-    from_text=lambda text: () if text.casefold() == "none" else _not_from_text(text),
-)
+OPERATOR_STEPS = instances(OperatorStep, "a list of OperatorStep(...)")
 NOTIFY = Kind("Notify(...) in the config file", lambda value: isinstance(value, Notify), _not_from_text, is_secret=True)
 PHASES = Kind(
-    "a list of the names of phases: letters, digits, '_' and '-'",
+    "a list of the names of phases: letters, digits, '_' and '-'; from outside, separated by commas",
     lambda value: isinstance(value, list | tuple) and all(map(is_phase_name, value)),
-    lambda text: [name.strip() for name in text.split(",")],
+    _names_from_text,
     lambda value: tuple(dict.fromkeys(value)),
 )

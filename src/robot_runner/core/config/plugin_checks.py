@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.config.loader import place_in
 from robot_runner.core.design.factor import treatment_text
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
+from robot_runner.core.events.measure import Measure
 from robot_runner.core.plugin import Circumstances, Plugin
 from robot_runner.core.treatments import Treatment, bind, built_with, factors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator
 
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
+
+T = TypeVar("T")
 
 
 def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[tuple[Plugin, ...], list[Finding]]:
@@ -91,6 +96,19 @@ def with_each_treatment(plugin: Plugin, model: RunTableModel | None) -> Iterator
     yield from (built_with(plugin, combination) for combination in _distinct(planned, factors_of(plugin).values()))
 
 
+def instances_of(kind: type[T], returned: Iterable[T]) -> list[T]:
+    """Return what a stranger's code has returned as a list.
+
+    Raises:
+        TypeError: something among it is of another kind.
+    """
+    found = list(returned)
+    for each in found:
+        if not isinstance(each, kind):
+            raise TypeError(f"{each!r} is no {kind.__name__}")
+    return found
+
+
 def failed_check(where: str, error: Exception, what: str = "the check") -> Finding:
     """Return the finding that takes the place of what a check, or whatever else it was, would have returned."""
     if isinstance(error, RobotRunnerError):
@@ -101,7 +119,7 @@ def failed_check(where: str, error: Exception, what: str = "the check") -> Findi
 
 def _asked(plugin: Plugin, circumstances: Circumstances) -> list[Finding]:
     try:
-        return list(plugin.check(circumstances))
+        return instances_of(Finding, plugin.check(circumstances))
     except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         return [failed_check(plugin.name, error)]
 
@@ -161,8 +179,9 @@ def _is_built(plugin: Plugin, model: RunTableModel | None, findings: list[Findin
     """Build a plugin for the first run, where it has bound parameters; returns whether it can be used."""
     factors = factors_of(plugin)
     if not factors:
-        findings += _misled(plugin)
-        return True
+        malformed = _malformed(plugin)
+        findings += [*_misled(plugin), *malformed]
+        return not malformed
     if model is None:
         return False
     unknown = list(_unknown_factors(plugin, [factor.name for factor in model.factors]))
@@ -262,7 +281,28 @@ def _unbuilt(plugin: Plugin, combination: Mapping[str, Any], built: list[Plugin]
     except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         problem = f"the plugin cannot be built: {type(error).__name__}: {error}"
         return [Finding.error(where, problem, "Change this treatment, or what is bound to its factor.")]
-    return []
+    return _malformed(built[-1])
+
+
+def _malformed(plugin: Plugin) -> list[Finding]:
+    """Return what a plugin says of itself in a way that nobody could read."""
+    where = type(plugin).__name__
+    try:
+        measures = instances_of(Measure, plugin.measures)
+    except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+        problem = f"measures: {error if isinstance(error, TypeError) else f'{type(error).__name__}: {error}'}"
+        return [Finding.error(where, problem, 'Give a list, such as [Measure("Energy", "J")].')]
+    counts = Counter(each.name for each in measures)
+    twice = (f"there are {count} measures {name!r}" for name, count in counts.items() if count > 1)
+    found = [Finding.error(where, problem, "Rename or remove one.") for problem in twice]
+    for name, is_sound, fix in (
+        ("bytes_per_run", is_number(plugin.bytes_per_run), "Give a number of bytes."),
+        ("smoke_parameters", isinstance(plugin.smoke_parameters, Mapping), "Give values by the parameters' names."),
+    ):
+        if not is_sound:
+            value = getattr(plugin, name)
+            found.append(Finding.error(where, f"{name} is {value!r}, of type {type(value).__name__}", fix))
+    return found
 
 
 def _varying(plugin: Plugin, built: Sequence[Plugin]) -> Iterator[Finding]:

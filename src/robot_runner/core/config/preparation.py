@@ -47,6 +47,7 @@ from robot_runner.core.events.measure import (
     with_phases,
 )
 from robot_runner.core.links.connect import found_robot, is_simulated, link_findings, looks_for_robot, meant_robot
+from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -162,7 +163,8 @@ def prepare(
         findings += check_workers(loaded.where, parameters, plugins, events, model)
     if is_for_here:
         findings += _check_machine(loaded, parameters, plugins, complete, events if looks_at_graph else None)
-    ordered = tuple(sorted(findings, key=lambda finding: not finding.is_error))
+    # What a check has found that another one came upon is told once.
+    ordered = tuple(sorted(dict.fromkeys(findings), key=lambda finding: not finding.is_error))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
     return Preparation(_experiment(loaded, parameters, plugins, events, model, columns), ordered)
@@ -176,7 +178,7 @@ def _grown(
         return model
     try:
         return grown_model(model, experiment_folder(parameters, loaded))
-    except (DesignError, StorageError) as error:
+    except (ConfigError, DesignError, StorageError) as error:
         findings += error.findings
     except (OSError, RuntimeError):  # found by the check of the path
         return model
@@ -313,7 +315,13 @@ def _columns(
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
     findings += column_findings
     columns = columns.with_all_of(OPERATOR_OWNER).with_all_of(ROBOTS_OWNER)
-    return columns.with_quality() if parameters is not None and parameters.quality_columns else columns
+    if parameters is not None and parameters.quality_columns:
+        columns = columns.with_quality()
+    try:
+        _ = model and TableLayout.of_model(model, columns.names)
+    except DesignError as error:
+        findings += error.findings
+    return columns
 
 
 def _experiment(

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
+from importlib.util import decode_source
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ConfigError, nearest
@@ -75,15 +76,17 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return decode_source(path.read_bytes())
     except FileNotFoundError as error:
         raise ConfigError("there is no such file", where=str(path), fix=_other_file(path)) from error
     except IsADirectoryError as error:
         raise ConfigError(
             "the path names a folder, and no config file", where=str(path), fix="Name the config file in it."
         ) from error
-    except UnicodeDecodeError as error:
-        raise ConfigError("the file is not text in UTF-8", where=str(path), fix="Name a Python file.") from error
+    except (UnicodeDecodeError, SyntaxError) as error:
+        raise ConfigError(
+            "the file is not text in UTF-8, nor as it declares", where=str(path), fix="Name a Python file."
+        ) from error
     except OSError as error:
         raise ConfigError(
             f"the file cannot be read: {error.strerror}", where=str(path), fix="Mend its permissions."
@@ -103,12 +106,18 @@ def _config_class(path: Path, tree: ast.Module) -> str:
     names = [node.name for node in classes]
     if CONFIG_CLASS in names:
         return CONFIG_CLASS
-    derived = [node.name for node in classes if any(_name_of(base) == _CONFIG_BASE for base in node.bases)]
-    if len(derived) == 1:
-        return derived[0]
-    if derived:
+    bases = {node.name: set(map(_name_of, node.bases)) for node in classes}
+    derived = {_CONFIG_BASE}
+    for name in names:
+        derived |= {name} if bases[name] & derived else set()
+    last = [
+        name for name in names if name in derived and not any(name in bases[each] for each in derived & bases.keys())
+    ]
+    if len(last) == 1:
+        return last[0]
+    if last:
         raise ConfigError(
-            f"the file has {len(derived)} config classes: {', '.join(derived)}",
+            f"the file has {len(last)} config classes: {', '.join(last)}",
             where=str(path),
             fix=f"Name the one that is to be executed {CONFIG_CLASS}.",
         )

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.config.plugin_checks import failed_check
+from robot_runner.core.config.plugin_checks import failed_check, instances_of
 from robot_runner.core.entry_points import entry_points
-from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.manifest import read_manifest
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.design.factor import Factor
-    from robot_runner.core.errors import Finding
     from robot_runner.core.storage.layout import ExperimentFolder
 
 
@@ -65,7 +64,7 @@ def maker_findings(factors: Sequence[Factor], folder: ExperimentFolder) -> list[
     findings: list[Finding] = []
     for point in entry_points("preparations"):
         try:
-            findings += point.load().findings(factors, known.get(point.name, {}))
+            findings += instances_of(Finding, point.load().findings(factors, known.get(point.name, {})))
         except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
             findings.append(failed_check(point.where, error))
     return findings

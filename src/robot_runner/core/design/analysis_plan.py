@@ -280,6 +280,10 @@ def _hypotheses_findings(hypotheses: object) -> Iterator[Finding]:
         if not isinstance(each, Hypothesis):
             fix = "Write Hypothesis(statement, measure=..., factors=...)."
             yield Finding.error("analysis", f"{each!r} is no hypothesis", fix)
+    stated = [each.statement for each in hypotheses if isinstance(each, Hypothesis)]
+    for statement in dict.fromkeys(each for each in stated if stated.count(each) > 1):
+        fix = "Say in each what it is about: by its statement the report tells one from the other."
+        yield Finding.error("analysis", f"{stated.count(statement)} hypotheses state {statement!r}", fix)
 
 
 def _covariate_findings(covariates: Sequence[str], primary: Sequence[str], estimand: Estimand) -> Iterator[Finding]:

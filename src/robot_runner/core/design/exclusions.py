@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import and_, or_
+from operator import or_
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.factor import Combination, Factor
@@ -21,8 +21,8 @@ Exclusion = Mapping[Any, Any] | Callable[[Combination], bool]
 
 _WHERE = "exclude_combinations"
 
-#: For each combination of a design, in order, whether something holds for it.
-_Flags = list[bool]
+#: Whether an exclusion matches a combination; raises DesignError where a predicate raises.
+_Matches = Callable[[Combination], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,16 +39,7 @@ class Exclusions:
     kept: list[Combination]
     errors: tuple[Finding, ...] = ()
     warnings: tuple[Finding, ...] = ()
-    cause: Exception | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Matching:
-    """For each combination, whether one exclusion matches; or what is wrong with that exclusion."""
-
-    flags: _Flags
-    errors: tuple[Finding, ...] = ()
-    cause: Exception | None = None
+    cause: BaseException | None = None
 
 
 class Allowed:
@@ -73,7 +64,7 @@ class Allowed:
             DesignError: one names what there is not; `findings` lists everything that was found.
         """
         findings: list[Finding] = []
-        forbidden: list[Mapping[str, frozenset[int]]] = []
+        forbidden: list[Mapping[str, frozenset[int]]] = list(impossible_treatments(factors))
         predicates: list[tuple[str, Callable[[Combination], object]]] = []
         for place, exclusion in enumerate(_checked(exclusions, findings)):
             where = f"{_WHERE}[{place}]"
@@ -87,9 +78,10 @@ class Allowed:
                 findings.append(_no_exclusion(where, exclusion))
         if findings:
             raise DesignError.of_findings(findings)
-        self.forbidden = (*impossible_treatments(factors), *forbidden)
+        self.forbidden = tuple(forbidden)
         self.predicates = tuple(predicates)
-        self._forbidden = identified(factors, self.forbidden)
+        self._matches = [_naming(factors, each) for each in forbidden]
+        self._matches += [_predicating(where, predicate) for where, predicate in predicates]
 
     def __call__(self, combination: Combination) -> bool:
         """Return whether no exclusion matches.
@@ -97,16 +89,7 @@ class Allowed:
         Raises:
             DesignError: a predicate raised.
         """
-        for each in self._forbidden:
-            if all(id(combination[name]) in treatments for name, treatments in each):
-                return False
-        for where, predicate in self.predicates:
-            matching = _matching_predicate(where, [combination], predicate)
-            if matching.errors:
-                raise DesignError.of_findings(matching.errors) from matching.cause
-            if matching.flags[0]:
-                return False
-        return True
+        return not any(matches(combination) for matches in self._matches)
 
 
 def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combination], exclusions: object) -> Exclusions:
@@ -117,13 +100,14 @@ def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combinati
     cause = None
     for place, exclusion in enumerate(_checked(exclusions, errors)):
         where = f"{_WHERE}[{place}]"
-        matching = _matching(where, factors, combinations, exclusion)
-        if matching.errors:
-            errors += matching.errors
-            cause = cause or matching.cause
+        try:
+            flags = list(map(_matching(where, factors, exclusion), combinations))
+        except DesignError as error:
+            errors += error.findings
+            cause = cause or error.__cause__
             continue
-        warnings += _idle(where, matching.flags, left_out)
-        left_out = list(map(or_, left_out, matching.flags))
+        warnings += _idle(where, flags, left_out)
+        left_out = list(map(or_, left_out, flags))
     if all(left_out):
         errors.append(Finding.error(_WHERE, "every combination is excluded", "Exclude fewer."))
     kept = [combination for combination, is_out in zip(combinations, left_out, strict=True) if not is_out]
@@ -143,27 +127,38 @@ def _no_exclusion(where: str, exclusion: object) -> Finding:
     return Finding.error(where, problem, "Give a mapping from factors to treatments, or a function of a combination.")
 
 
-def _matching(
-    where: str, factors: Sequence[Factor], combinations: Sequence[Combination], exclusion: object
-) -> _Matching:
+def _matching(where: str, factors: Sequence[Factor], exclusion: object) -> _Matches:
     if isinstance(exclusion, Mapping):
-        return _matching_treatments(where, factors, combinations, exclusion)
+        named, errors = _named(where, factors, exclusion)
+        if errors:
+            raise DesignError.of_findings(errors)
+        return _naming(factors, named)
     if callable(exclusion):
-        return _matching_predicate(where, combinations, exclusion)
-    return _Matching([], (_no_exclusion(where, exclusion),))
+        return _predicating(where, exclusion)
+    raise DesignError.of_findings([_no_exclusion(where, exclusion)])
 
 
-def _matching_treatments(
-    where: str, factors: Sequence[Factor], combinations: Sequence[Combination], exclusion: Mapping[Any, Any]
-) -> _Matching:
-    named, errors = _named(where, factors, exclusion)
-    flags = [True] * len(combinations)
-    by_name = {factor.name: factor for factor in factors}
-    for name, places in named.items():
-        # By identity, as combinations hold the factor's own objects: True equals 1, and some objects have no equality.
-        chosen = {id(by_name[name].treatments[place]) for place in places}
-        flags = list(map(and_, flags, [id(combination[name]) in chosen for combination in combinations]))
-    return _Matching(flags, tuple(errors))
+def _naming(factors: Sequence[Factor], named: Mapping[str, frozenset[int]]) -> _Matches:
+    # By identity, as combinations hold the factor's own objects: True equals 1, and some objects have no equality.
+    (chosen,) = identified(factors, [named])
+
+    def matches(combination: Combination) -> bool:
+        for name, treatments in chosen:  # noqa: SIM110 - a generator takes twice as long, and there may be millions
+            if id(combination[name]) not in treatments:
+                return False
+        return True
+
+    return matches
+
+
+def _predicating(where: str, predicate: Callable[[Combination], object]) -> _Matches:
+    def matches(combination: Combination) -> bool:
+        try:
+            return bool(predicate(combination))
+        except Exception as error:
+            raise DesignError.of_findings([_predicate_failed(where, combination, error)]) from error
+
+    return matches
 
 
 def _named(
@@ -182,7 +177,7 @@ def _named(
             errors.append(Finding.error(where, f"there is no factor {name!r}", did_you_mean(str(name), by_name)))
             continue
         factor = by_name[name]
-        places = [(value, factor.position_of(value)) for value in _values(factor, wanted)]
+        places = [(value, factor.position_of(value)) for value in factor.named(wanted)]
         errors += [
             Finding.error(where, f"{value!r} is no treatment of factor {name!r}", factor.suggestion(value))
             for value, place in places
@@ -192,28 +187,6 @@ def _named(
     return named, errors
 
 
-def _values(factor: Factor, wanted: Any) -> Sequence[Any]:
-    if factor.position_of(wanted) is not None:
-        return (wanted,)  # a treatment may itself be a tuple
-    if isinstance(wanted, list | tuple | range):
-        return wanted
-    if isinstance(wanted, set | frozenset):
-        return sorted(wanted, key=repr)
-    return (wanted,)
-
-
-def _matching_predicate(
-    where: str, combinations: Sequence[Combination], predicate: Callable[[Combination], object]
-) -> _Matching:
-    flags = []
-    for combination in combinations:
-        try:
-            flags.append(bool(predicate(combination)))
-        except Exception as error:  # noqa: BLE001 - a user's predicate may raise anything
-            return _Matching([], (_predicate_failed(where, combination, error),), error)
-    return _Matching(flags)
-
-
 def _predicate_failed(where: str, combination: Combination, error: Exception) -> Finding:
     name = error.args[0] if isinstance(error, KeyError) and error.args else None
     is_unknown_factor = isinstance(name, str) and name not in combination
@@ -221,7 +194,7 @@ def _predicate_failed(where: str, combination: Combination, error: Exception) ->
     return Finding.error(where, problem, did_you_mean(str(name), combination) if is_unknown_factor else "Mend it.")
 
 
-def _idle(where: str, flags: _Flags, left_out: _Flags) -> Iterator[Finding]:
+def _idle(where: str, flags: Sequence[bool], left_out: Sequence[bool]) -> Iterator[Finding]:
     if not any(flags):
         yield Finding.warning(where, "the exclusion matches no combination", "Remove it, or mend what it names.")
     elif not any(matches and not is_out for matches, is_out in zip(flags, left_out, strict=True)):

@@ -162,23 +162,19 @@ class Factor:
     ) -> None:
         where = f"factor {name!r}"
         span = treatments if isinstance(treatments, Range) else None
-        listed, findings = _listed(where, (span.lower, span.upper) if span else treatments)
-        findings = [*name_findings(name, kind="factor"), *findings, *treatment_findings(where, listed)]
-        findings += _unit_findings(where, unit, span)
+        listed, unlisted = _listed(where, (span.lower, span.upper) if span else treatments)
         conditions, wrong = _conditions(where, when)
-        findings += wrong
-        if conditions and INACTIVE not in listed:
+        if conditions and not any(each is INACTIVE for each in listed):
             listed = (*listed, INACTIVE)
+        findings = [*name_findings(name, kind="factor"), *unlisted, *treatment_findings(where, listed)]
+        findings += [*_unit_findings(where, unit, span), *wrong]
         if findings:
             raise DesignError.of_findings(findings)
         texts = tuple(map(treatment_text, listed))
-        object.__setattr__(self, "name", name)
-        object.__setattr__(self, "treatments", listed)
-        object.__setattr__(self, "texts", texts)
-        object.__setattr__(self, "range", span)
-        object.__setattr__(self, "unit", span.unit if span else unit)
-        object.__setattr__(self, "when", conditions)
-        object.__setattr__(self, "_positions", {text: place for place, text in enumerate(texts)})
+        positions = {text: place for place, text in enumerate(texts)}
+        given = (name, listed, texts, span, span.unit if span else unit, conditions, positions)
+        for attribute, value in zip(self.__slots__, given, strict=True):
+            object.__setattr__(self, attribute, value)
 
     def with_treatments(self, treatments: Iterable[Any]) -> Factor:
         """Return the factor with other treatments, and with its range, unit and condition."""
@@ -225,6 +221,15 @@ class Factor:
         candidates = same_type or equal
         return candidates[0] if len(candidates) == 1 else None
 
+    def named(self, wanted: Any) -> Sequence[Any]:
+        """Return what a condition or an exclusion names: one treatment, which may itself be a tuple, or several."""
+        if self.position_of(wanted) is None:
+            if isinstance(wanted, list | tuple | range):
+                return wanted
+            if isinstance(wanted, set | frozenset):
+                return sorted(wanted, key=repr)
+        return (wanted,)
+
     def position_of_text(self, text: str) -> int | None:
         """Return the place of the treatment that is written exactly so, or None."""
         return self._positions.get(text)
@@ -258,7 +263,11 @@ def _conditions(where: str, when: object) -> tuple[dict[str, tuple[Any, ...]], l
         name = key.name if isinstance(key, Factor) else key
         if not isinstance(name, str):
             return {}, [Finding.error(where, f"when={when!r} names {key!r}, which is no factor", fix)]
+        if isinstance(wanted, set | frozenset):  # in an order that is the same in each process
+            wanted = sorted(wanted, key=repr)  # noqa: PLW2901
         named[name] = tuple(wanted) if isinstance(wanted, list | tuple | range) else (wanted,)
+        if not named[name]:
+            return {}, [Finding.error(where, f"when={when!r} names no treatment of {name!r}", fix)]
     return named, []
 
 

@@ -25,6 +25,8 @@ class _Factor(Protocol):
 
     def position_of(self, value: Any) -> int | None: ...
 
+    def named(self, wanted: Any) -> Sequence[Any]: ...
+
     def suggestion(self, value: Any) -> str: ...
 
 
@@ -39,7 +41,7 @@ def condition_findings(factors: Sequence[_Factor]) -> Iterator[Finding]:
                 known = [each for each in by_name if each != factor.name]
                 yield Finding.error(where, f"there is no other factor {name!r}", did_you_mean(name, known))
                 continue
-            for value in wanted:
+            for value in other.named(wanted):
                 if other.position_of(value) is None:
                     yield Finding.error(where, f"{value!r} is no treatment of {name!r}", other.suggestion(value))
         seen, open_names = set[str](), list(factor.when)
@@ -58,10 +60,12 @@ def impossible_treatments(factors: Sequence[_Factor]) -> Iterator[dict[str, froz
     for factor in factors:
         if not factor.when:
             continue
-        inactive = frozenset({factor.treatments.index(INACTIVE)})
+        inactive = frozenset(place for place, each in enumerate(factor.treatments) if each is INACTIVE)
         active = frozenset(range(len(factor.treatments))) - inactive
         applies = {
-            name: frozenset(place for place in map(by_name[name].position_of, wanted) if place is not None)
+            name: frozenset(
+                place for place in map(by_name[name].position_of, by_name[name].named(wanted)) if place is not None
+            )
             for name, wanted in factor.when.items()
         }
         yield {**applies, factor.name: inactive}

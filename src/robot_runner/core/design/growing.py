@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.asking import decides_order
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design_findings import MAX_RUNS
-from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.factor import Factor, treatment_text
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 
@@ -146,12 +147,12 @@ class _Growing:
 
     def grown(self) -> GrownDesign:
         """Return the design; there are no findings."""
-        chosen = {name: tuple(texts) for name, texts in self._added.treatments.items()}
+        chosen = {name: self._written(name, texts) for name, texts in self._added.treatments.items()}
         for name, new in self._added.factors.items():
             if name not in self._own:
                 chosen[name] = (new.default, *new.treatments)
             elif new.treatments:
-                chosen[name] = new.treatments
+                chosen[name] = self._written(name, new.treatments)
         all_chosen = {name: (*self._begun.chosen.get(name, ()), *chosen.get(name, ())) for name in self._names}
         factors = tuple(self._factor(name, chosen.get(name, ())) for name in self._names)
         defaults = {name: _own_treatment(factors, name, self._added.factors[name].default) for name in self._new}
@@ -174,6 +175,11 @@ class _Growing:
         if isinstance(self._config, ListedRunTableModel):
             return max(Counter(map(_texts, self._config.plan())).values())
         return self._config.repetitions
+
+    def _written(self, name: str, texts: Sequence[str]) -> tuple[str, ...]:
+        """Return how treatments that were asked for are written in the run table: `1` as 1.0 among floats."""
+        like = self._own.get(name) or self._there[name]
+        return tuple(dict.fromkeys(treatment_text(typed(like, text)) for text in texts))
 
     def _factor(self, name: str, chosen: Sequence[str]) -> Factor:
         """Return a factor with what it has, what the config has beyond that, and what was chosen."""
@@ -254,13 +260,16 @@ class _Growing:
 
 
 def _text_findings(where: str, text: str, there: Factor, like: Factor) -> Iterator[Finding]:
-    if there.position_of_text(text) is not None:
-        yield Finding.error(where, f"the factor has the treatment {text!r} already", "Leave it out.")
-        return
-    try:
-        typed(like, text)
-    except DesignError as error:
-        yield Finding.error(where, error.problem, error.fix)
+    written = text
+    if there.position_of_text(text) is None:
+        try:
+            written = treatment_text(typed(like, text))
+        except DesignError as error:
+            yield Finding.error(where, error.problem, error.fix)
+            return
+    if there.position_of_text(written) is not None:
+        shown = "" if written == text else f", as {written}"
+        yield Finding.error(where, f"the factor has the treatment {text!r} already{shown}", "Leave it out.")
 
 
 _WORDS = MappingProxyType({"True": True, "False": False})
@@ -281,14 +290,17 @@ def typed(factor: Factor, text: str) -> Any:
         return factor.treatments[place]
     kinds = {type(treatment) for treatment in factor.treatments}
     kind = kinds.pop() if len(kinds) == 1 else float if kinds == {int, float} else object
-    try:
-        if kind is bool:
-            return _WORDS[text]
-        if kind in {int, float, str}:
-            return kind(text)
-    except (KeyError, ValueError):
-        problem = f"{text!r} is no {kind.__name__}, as the treatments of the factor are"
-        raise DesignError(problem, where=f"factor {factor.name!r}", fix="Give one of that type.") from None
+    if kind in {bool, int, float, str}:
+        try:
+            made: Any = _WORDS[text] if kind is bool else kind(text)
+        except (KeyError, ValueError):
+            what = kind.__name__
+        else:
+            if kind is not float or math.isfinite(made):
+                return made
+            what = "finite number"  # a config may have others; of a slip, no robot is to be told
+        problem = f"{text!r} is no {what}, as the treatments of the factor are"
+        raise DesignError(problem, where=f"factor {factor.name!r}", fix="Give one of that type.")
     problem = f"{text!r} is a text, and the treatments of the factor are objects of several types or of the config's"
     fix = "Add it to the factor in the config, and call `extend` without it."
     raise DesignError(problem, where=f"factor {factor.name!r}", fix=fix)

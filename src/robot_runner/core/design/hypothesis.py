@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import DesignError, Finding
 
 if TYPE_CHECKING:
@@ -98,11 +98,6 @@ def names_findings(where: str, what: str, names: tuple[Any, ...]) -> Iterator[Fi
             yield Finding.error(where, problem, "Give names, such as 'Energy'.")
 
 
-def is_number(value: object) -> bool:
-    """Say whether a value is a finite number, and no boolean."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def _text_findings(hypothesis: Hypothesis) -> Iterator[Finding]:
     for name in ("statement", "measure"):
         value = getattr(hypothesis, name)
@@ -111,7 +106,7 @@ def _text_findings(hypothesis: Hypothesis) -> Iterator[Finding]:
 
 
 def _contrast_findings(where: str, factors: tuple[Any, ...], contrast: object, within: object) -> Iterator[Finding]:
-    if within is not None and not (is_number(within) and within > 0):  # type: ignore[operator]
+    if within is not None and not (is_number(within) and within > 0):
         yield Finding.error(where, f"within is {within!r}", "Give a bound above 0, in the measure's unit.")
     if (contrast is not None or within is not None) and len(factors) > 1:
         yield Finding.error(where, "a contrast or a bound is of one factor, and several are named", "Name one factor.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import TYPE_CHECKING
@@ -11,10 +12,13 @@ from robot_runner.core.errors import DesignError, Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from typing import TypeGuard
 
 
 #: Without a step of its own a range has about a thousand: finer than a robot can be set, and short in the table.
 _STEPS = 1000
+#: A thousandth of less is hardly a number.
+_NARROWEST = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +51,9 @@ class Range:
         findings = list(self._findings())
         if findings:
             raise DesignError.of_findings(findings)
+        for name in ("lower", "upper", "step"):
+            if isinstance(value := getattr(self, name), float):
+                object.__setattr__(self, name, float(value))  # one of numpy's is written in another way
 
     @property
     def is_whole(self) -> bool:
@@ -88,7 +95,7 @@ class Range:
 
     def _findings(self) -> Iterator[Finding]:
         numbers = {"lower": self.lower, "upper": self.upper} | ({} if self.step is None else {"step": self.step})
-        wrong = [name for name, value in numbers.items() if not _is_number(value)]
+        wrong = [name for name, value in numbers.items() if not is_number(value)]
         for name in wrong:
             problem = f"{name} is {numbers[name]!r}, of type {type(numbers[name]).__name__}"
             yield Finding.error("Range", problem, "Give a finite number.")
@@ -99,13 +106,17 @@ class Range:
         if self.lower >= self.upper:
             problem = f"the lower end {self.lower} is not below the upper end {self.upper}"
             yield Finding.error("Range", problem, "Give the lower end first.")
+        elif not _NARROWEST < self.upper - self.lower <= sys.float_info.max:
+            problem = f"nothing can be set between {self.lower} and {self.upper}"
+            yield Finding.error("Range", problem, "Give the values in another unit.")
         elif self.step is not None and not 0 < self.step <= self.upper - self.lower:
             problem = f"the step {self.step} does not fit between {self.lower} and {self.upper}"
             yield Finding.error("Range", problem, "Give a step above 0 that is no wider than the range.")
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def is_number(value: object) -> TypeGuard[float]:
+    """Return whether a value is a finite number, and no boolean; whole numbers beyond all floats are none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _digits(value: float) -> int:

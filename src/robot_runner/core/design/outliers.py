@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.hypothesis import is_number
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import DesignError, Finding
+from robot_runner.core.words import exact
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -79,13 +80,13 @@ class Outliers:
         parts = []
         if self.interquartile_ranges is not None:
             of = "interquartile ranges beyond the quartiles of its combination"
-            parts.append(f"more than {self.interquartile_ranges:g} {of}")
+            parts.append(f"more than {exact(self.interquartile_ranges)} {of}")
         if self.median_deviations is not None:
             of = "median absolute deviations from the median of its combination"
-            parts.append(f"more than {self.median_deviations:g} {of}")
+            parts.append(f"more than {exact(self.median_deviations)} {of}")
         low, high = self.bounds.get(measure, (None, None))
         ends = ((word, end) for word, end in (("below", low), ("above", high)) if end is not None)
-        return ", or ".join([*parts, *(f"{word} {end:g} {unit}".rstrip() for word, end in ends)])
+        return ", or ".join([*parts, *(f"{word} {exact(end)} {unit}".rstrip() for word, end in ends)])
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the rule as plain data; what it does not have is left out."""
@@ -103,7 +104,7 @@ def _float(value: float | None) -> float | None:
 
 def _spread_findings(ranges: object, deviations: object) -> Iterator[Finding]:
     for name, value in (("interquartile_ranges", ranges), ("median_deviations", deviations)):
-        if value is not None and not (is_number(value) and value > 0):  # type: ignore[operator]
+        if value is not None and not (is_number(value) and value > 0):
             yield Finding.error(_WHERE, f"{name} is {value!r}", "Give a number above 0, such as 3.")
     if ranges is not None and deviations is not None:
         yield Finding.error(_WHERE, "there are two rules of spread", "Give interquartile_ranges or median_deviations.")

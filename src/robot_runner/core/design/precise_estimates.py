@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.batches import REPEATED, missing_runs
 from robot_runner.core.design.growing import GrownDesign
+from robot_runner.core.design.numeric_range import is_number as is_number  # noqa: PLC0414 - for `analysis` as well
 from robot_runner.core.design.precision import PreciseOf, most_repetitions
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.words import counted
@@ -171,11 +172,6 @@ def judge(rule: Precision, looks: tuple[int, int], repetitions: int, runs: Itera
             break
         in_a_row += 1
     return replace(found, in_a_row=in_a_row)
-
-
-def is_number(value: object) -> bool:
-    """Return whether a value of a run is a finite number."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _means(rule: Precision, level: float, observed: Sequence[Observed]) -> Iterator[Known]:

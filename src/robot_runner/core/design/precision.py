@@ -9,6 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
+from robot_runner.core.words import exact
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -93,7 +94,7 @@ class Precision:
     def wanted_in_words(self) -> str:
         """Half the width that is wanted, with its unit."""
         unit = _PERCENT if self.is_relative else self.unit
-        return f"{self.half_width:g} {unit}".strip()
+        return f"{exact(self.half_width)} {unit}".strip()
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the rule as plain data, for the manifest."""

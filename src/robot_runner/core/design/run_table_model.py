@@ -283,6 +283,10 @@ class RunTableModel:
         self._listed_runs = tuple(runs)
         self._planned = None
 
+    def take_order(self, order: RunOrder) -> None:
+        """Take the order of a table that was planned from this model, as where a config returns `plan(seed=42)`."""
+        self._order = order
+
     def take_seed(self, seed: int, *, is_registered: bool = False) -> None:
         """Take the seed of an experiment that is executed again, in place of the one that is given or was drawn.
 
@@ -306,7 +310,9 @@ class RunTableModel:
         """
         if self._too_large is not None and self._listed_runs is None:
             raise DesignError.of_findings([self._too_large])
-        order = self._order if seed is None or self.seed_is_given else replace(self._order, seed=seed)
+        order = self._order
+        if seed is not None and not self.seed_is_given:
+            order = replace(order, seed=seed, seed_is_given=True)
         if self._planned is None or self._planned.order != order:
             with garbage_collection_paused():
                 runs = self._listed_runs or self._arranged(order)

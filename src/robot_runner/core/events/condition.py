@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -134,7 +135,11 @@ class Condition(ABC):
 
         Raises:
             ConditionTimeout: it did not hold in time; what was seen last is told.
+            ConditionError: the time is no number.
         """
+        if not isinstance(timeout_s, int | float) or math.isnan(timeout_s):
+            fix = "Give wait a number of seconds."
+            raise ConditionError(f"timeout_s is {timeout_s!r}", where=str(self), fix=fix)
         clock = self.clock(context)
         started, told = clock.now(), 0.0
         with ExitStack() as opened:

@@ -8,10 +8,11 @@ import sys
 import traceback
 from collections import defaultdict
 from collections.abc import Callable
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import Enum, IntEnum
+from types import AsyncGeneratorType, CoroutineType, GeneratorType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.errors import ConfigError, did_you_mean
@@ -119,11 +120,16 @@ class Subscriber:
     takes_context: bool
 
     def call(self, context: object) -> Any:
-        """Call the callback, with the context if it takes one; a config may not set parameters of plugins meanwhile."""
-        if self.kind is not OwnerKind.CONFIG:
-            return self.callback(context) if self.takes_context else self.callback()
-        with parameters_guarded(getattr(context, "combination", ())):
-            return self.callback(context) if self.takes_context else self.callback()
+        """Call the callback, with the context if it takes one; a config may not set parameters of plugins meanwhile.
+
+        Raises:
+            ConfigError: calling it has executed nothing, which a decorator may hide from `checked_subscriber`.
+        """
+        is_config = self.kind is OwnerKind.CONFIG
+        with parameters_guarded(getattr(context, "combination", ())) if is_config else nullcontext():
+            returned = self.callback(context) if self.takes_context else self.callback()
+        check_executed(returned, self.event.callback_name, self.callback, self.owner)
+        return returned
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,18 +214,8 @@ def checked_subscriber(event: object, callback: object, *, owner: str, kind: Own
             where=owner,
             fix=f"Give a method such as self.{event.callback_name}.",
         )
-    if _is_async(callback) or inspect.isgeneratorfunction(callback):
-        what, fix = (
-            ("async", "Write a plain def, and await in it by asyncio.run(...).")
-            if _is_async(callback)
-            else ("a generator, as it has a yield", "Leave yield out, or have the callback loop over what yields.")
-        )
-        raise ConfigError(
-            f"{event.callback_name} is {what}: its body would never be executed",
-            where=f"{owner}, {place_of(callback)}",
-            fix=fix,
-        )
-    return Subscriber(event, owner, kind, callback, takes_context=_takes_context(event, callback, owner))
+    takes_context = takes_a_context(event.callback_name, callback, owner)
+    return Subscriber(event, owner, kind, callback, takes_context)
 
 
 def _is_async(callback: Callback) -> bool:
@@ -227,7 +223,20 @@ def _is_async(callback: Callback) -> bool:
     return inspect.iscoroutinefunction(callback) or inspect.isasyncgenfunction(callback)
 
 
-def _takes_context(event: RobotRunnerEvents, callback: Callback, owner: str) -> bool:
+def takes_a_context(name: str, callback: Callback, owner: str) -> bool:
+    """Return whether a callback of this name takes a context, and not nothing.
+
+    Raises:
+        ConfigError: it takes neither, or calling it would execute nothing.
+    """
+    if _is_async(callback) or inspect.isgeneratorfunction(callback):
+        what, fix = (
+            ("async", "Write a plain def, and await in it by asyncio.run(...).")
+            if _is_async(callback)
+            else ("a generator, as it has a yield", "Leave yield out, or have the callback loop over what yields.")
+        )
+        problem = f"{name} is {what}: its body would never be executed"
+        raise ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=fix)
     try:
         signature = inspect.signature(callback)
     except (TypeError, ValueError):  # written in C, without a signature: the context is what an event gives
@@ -238,11 +247,26 @@ def _takes_context(event: RobotRunnerEvents, callback: Callback, owner: str) -> 
         except TypeError:
             continue
         return bool(arguments)
-    raise ConfigError(
-        f"{event.callback_name}{signature} cannot be called with a context",
-        where=f"{owner}, {place_of(callback)}",
-        fix=f"Write def {event.callback_name}(self, context).",
-    )
+    raise no_context(name, callback, owner)
+
+
+def check_executed(returned: object, name: str, callback: Callback, owner: str) -> None:
+    """See that calling a callback has executed it, which a decorator may hide from `takes_a_context`.
+
+    Raises:
+        ConfigError: it is async, or a generator.
+    """
+    if isinstance(returned, CoroutineType | GeneratorType | AsyncGeneratorType):
+        getattr(returned, "close", lambda: None)()  # nobody awaits it, of which Python would warn
+        problem = f"{name} returned a {type(returned).__name__}: its body was never executed"
+        fix = "Write a plain def: have what is async executed by asyncio.run(...), and leave yield out."
+        raise ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=fix)
+
+
+def no_context(name: str, callback: Callback, owner: str) -> ConfigError:
+    """Return the error that a callback cannot be called with a context."""
+    problem = f"{name}{inspect.signature(callback)} cannot be called with a context"
+    return ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=f"Write def {name}(self, context).")
 
 
 def place_of(callback: Callback) -> str:

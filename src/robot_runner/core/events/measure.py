@@ -9,10 +9,12 @@ from functools import cached_property
 from numbers import Integral, Real
 from typing import TYPE_CHECKING
 
+from robot_runner.core.design.columns import name_findings
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
+from robot_runner.core.words import exact
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.design.columns import NamedColumn
 
@@ -56,7 +58,7 @@ class Measure:
         high: the largest plausible value; one above it is kept, and doubtful.
 
     Raises:
-        MeasureError: `low` lies above `high`.
+        MeasureError: one of them cannot be; `findings` lists everything that was found.
 
     Example:
         >>> Measure("Energy", "J", "Energy drawn from the battery over the measured window.")
@@ -71,9 +73,25 @@ class Measure:
     high: float | None = field(default=None, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        if self.low is not None and self.high is not None and not self.low <= self.high:
+        findings = list(self._findings())
+        if findings:
+            raise MeasureError.of_findings(findings)
+
+    def _findings(self) -> Iterator[Finding]:
+        where = f"measure {self.name!r}"
+        yield from name_findings(self.name, kind="measure")
+        for name, value in (("unit", self.unit), ("description", self.description)):
+            if not isinstance(value, str):
+                yield Finding.error(where, f"{name} is {value!r}", "Give a text.")
+        if self.over is not None and not isinstance(self.over, Over):
+            yield Finding.error(where, f"over is {self.over!r}", did_you_mean(str(self.over), map(str, Over)))
+        limits = {name: value for name, value in (("low", self.low), ("high", self.high)) if value is not None}
+        wrong = [name for name, value in limits.items() if not _is_limit(value)]
+        for name in wrong:
+            yield Finding.error(where, f"{name} is {limits[name]!r}", "Give a number, or leave it out.")
+        if not wrong and self.low is not None and self.high is not None and self.low > self.high:
             problem = f"no value can be plausible: low is {self.low!r}, and high is {self.high!r}"
-            raise MeasureError(problem, where=f"measure {self.name!r}", fix="Give low the smaller number.")
+            yield Finding.error(where, problem, "Give low the smaller number.")
 
     def implausible(self, value: MeasureValue) -> str:
         """Return why a value is not plausible; nothing where it is, or is no number.
@@ -91,7 +109,7 @@ class Measure:
         return ""
 
     def _told(self, value: float) -> str:
-        return f"{value:g} {self.unit}".rstrip()
+        return f"{exact(value)} {self.unit}".rstrip()  # not rounded to what would be plausible
 
     def in_phase(self, phase: str) -> Measure:
         """Return the same measure for one phase of the mission.
@@ -101,6 +119,10 @@ class Measure:
             'Energy.navigate'
         """
         return replace(self, name=f"{self.name}.{phase}", description=f"In phase {phase}: {self.description}")
+
+
+def _is_limit(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and not math.isnan(value)
 
 
 def with_phases(measures: Sequence[Measure], phases: Sequence[str]) -> tuple[Measure, ...]:
@@ -167,52 +189,41 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
     Raises:
         MeasureError: it is not a number, a bool, a string or None, or it is not finite.
     """
-    if value is None or isinstance(value, bool):
-        return value
-    if isinstance(value, str):
-        return _writable(name, value, where)
     item = getattr(value, "item", None)  # a numpy scalar, without importing numpy
     plain = item() if callable(item) and getattr(value, "shape", None) == () else value
-    if isinstance(plain, bool):
+    if plain is None or isinstance(plain, bool):
         return plain
     if isinstance(plain, str):
-        return _writable(name, plain, where)
-    if isinstance(plain, Integral):
-        return _bounded(name, int(plain), where)
-    if isinstance(plain, Real):
-        return _finite(name, float(plain), where)
-    raise MeasureError(
-        f"measure {name!r} got {value!r}, which is of type {type(value).__name__}",
-        where=where,
-        fix="Give a number, a bool, a string, or None for a missing value.",
-    )
+        text = str.__str__(plain)  # a text of a class of its own may call itself otherwise
+        try:
+            text.encode()
+        except UnicodeEncodeError as error:
+            odd = text[error.start : error.end]
+            problem, fix = f"text that holds {odd!r}, which UTF-8 cannot hold", "Leave it out."
+        else:
+            return text
+    elif isinstance(plain, Integral):
+        number = int(plain)
+        if number.bit_length() <= _MOST_BITS:
+            return number
+        problem = f"a whole number of {number.bit_length()} bits"
+        fix = f"Give one of {_MOST_BITS} bits at most, or a float."
+    elif isinstance(plain, Real):
+        if math.isfinite(real := float(plain)):
+            return real
+        problem, fix = f"{real}, which is not a finite number", "Give None where there is no value."
+    else:
+        problem = f"{shown(value)}, which is of type {type(value).__name__}"
+        fix = "Give a number, a bool, a string, or None for a missing value."
+    raise MeasureError(f"measure {name!r} got {problem}", where=where, fix=fix)
 
 
-def _finite(name: str, number: float, where: str) -> float:
-    if math.isfinite(number):
-        return number
-    raise MeasureError(
-        f"measure {name!r} got {number}, which is not a finite number",
-        where=where,
-        fix="Give None where there is no value.",
-    )
-
-
-def _writable(name: str, text: str, where: str) -> str:
+def shown(value: object) -> str:
+    """Return a value that is refused as Python writes it, or its type where it has no text."""
     try:
-        text.encode()
-    except UnicodeEncodeError as error:
-        odd = text[error.start : error.end]
-        problem = f"measure {name!r} got text that holds {odd!r}, which UTF-8 cannot hold"
-        raise MeasureError(problem, where=where, fix="Leave it out.") from error
-    return text
-
-
-def _bounded(name: str, number: int, where: str) -> int:
-    if number.bit_length() <= _MOST_BITS:
-        return number
-    problem = f"measure {name!r} got a whole number of {number.bit_length()} bits"
-    raise MeasureError(problem, where=where, fix=f"Give one of {_MOST_BITS} bits at most, or a float.")
+        return repr(value)
+    except Exception:  # noqa: BLE001 - a user's __repr__ may raise anything, and a number may have too many digits
+        return f"a {type(value).__name__}"
 
 
 # Which measures the run table has a column for, and who may publish what.

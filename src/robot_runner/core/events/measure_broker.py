@@ -7,8 +7,8 @@ from collections.abc import Callable
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import Finding, MeasureError
-from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, as_measure_value
+from robot_runner.core.errors import Finding, MeasureError, did_you_mean
+from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, as_measure_value, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -67,11 +67,14 @@ class MeasureBroker:
             MeasureError: the name was not declared, the type is wrong, or the number is not finite. The value
                 that was refused is reported all the same, so that it is kept with the run.
         """
+        if not isinstance(origin, Origin):
+            fix = did_you_mean(str(origin), map(str, Origin))
+            raise MeasureError(f"{origin!r} is no origin", where=f"{owner}, run {self._run_id}", fix=fix)
         try:
             column = self._columns.column_for(owner, name)
             plain = as_measure_value(column.name, value, where=f"{owner}, run {self._run_id}")
         except MeasureError:
-            self._report("refused", {"owner": owner, "name": str(name), "value": repr(value)})
+            self._report("refused", {"owner": owner, "name": str(name), "value": shown(value)})
             raise
         published = PublishedMeasure(column.name, plain, owner, column.measure.unit, origin)
         with self._lock:
@@ -95,7 +98,8 @@ class MeasureBroker:
         Raises:
             MeasureError: the owner declared no such measure.
         """
-        columns = [self._columns.column_for(owner, name).name for name in measures]
+        named = (measures,) if isinstance(measures, str) else measures  # not its letters
+        columns = [self._columns.column_for(owner, name).name for name in named]
         doubted = columns or [column.name for column in self._columns.declared if column.owner == owner]
         self._record_finding(owner, problem, fix, {"measures": doubted})
 
@@ -104,6 +108,7 @@ class MeasureBroker:
         self._record_finding(owner, problem, fix, {"measures": [column.name for column in self._columns.declared]})
 
     def _record_finding(self, owner: str, problem: str, fix: str, more: dict[str, Any]) -> None:
+        problem, fix = str(problem), str(fix or "")  # an exception that a callback passes on is a text in the journal
         with self._lock:
             self._findings.append(Finding.warning(f"{self._run_id}, {owner}", problem, fix))
             self._report("finding", {"owner": owner, "problem": problem, "fix": fix, **more})

@@ -122,9 +122,10 @@ class MissionTimes:
         self._ended: _Moment | None = None
         self._narrowed: list[_Moment | None] = [None, None]
         self._phases: list[tuple[str, _Moment, _Moment]] = []
+        self._open: dict[str, list[_Moment]] = {}
         self._at_edges: list[Callable[[], None]] = []
         self._is_stopped = False
-        self._stopping = threading.Lock()  # any thread may stop the mission
+        self._lock = threading.Lock()  # any thread may stop the mission, or have a phase
 
     def at_edges(self, look: Callable[[], None]) -> None:
         """Have `look` called just before the mission begins, and just after it has ended.
@@ -138,7 +139,7 @@ class MissionTimes:
         for look in self._at_edges:
             look()
         self._begun, self._ended, self._is_stopped = self._now(), None, False
-        self._narrowed, self._phases = [None, None], []
+        self._narrowed, self._phases, self._open = [None, None], [], {}
 
     def end(self, *, has_failed: bool = False) -> None:
         """End the mission, and with it the window; a second call does nothing.
@@ -164,7 +165,7 @@ class MissionTimes:
         """
         if self._begun is None:
             self._check_going_on("stop_mission")
-        with self._stopping:
+        with self._lock:
             if self._ended is not None or self._is_stopped:
                 return False
             self._is_stopped = True
@@ -189,7 +190,7 @@ class MissionTimes:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Take the block for a phase of the mission, also when it raises.
+        """Take the block for a phase of the mission, also when it raises; what overlaps is one phase.
 
         Raises:
             PluginError: no phase can have this name, or no mission is going on.
@@ -198,13 +199,19 @@ class MissionTimes:
             fix = "Use letters, digits, '_' and '-' (64 at most)."
             raise PluginError(f"a phase cannot be named {name!r}", where="phase", fix=fix)
         self._check_going_on(f"phase {name!r}")
-        begun = self._now()
+        phases, beginnings = self._phases, self._open.setdefault(name, [])
+        with self._lock:
+            beginnings.append(self._now())
         try:
             yield
         finally:
-            ended = self._now()
-            self._phases.append((name, begun, ended))
-            self._report("phase", {"name": name, "start": begun.run, "end": ended.run})
+            with self._lock:
+                ended, begun = self._now(), beginnings[0]
+                beginnings.pop()  # the first one stays until all have ended
+                is_over = not beginnings
+            if is_over:
+                phases.append((name, begun, ended))
+                self._report("phase", {"name": name, "start": begun.run, "end": ended.run})
 
     def window(self, clock: TimeSource | None = None) -> Window | None:
         """Return the measured window; None while the mission has not ended.

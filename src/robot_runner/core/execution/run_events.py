@@ -10,7 +10,13 @@ from robot_runner.core.design.watched_combination import WatchedCombination
 from robot_runner.core.errors import MeasureError, did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.early_end import EndingInPlace, MissionStopped, RunInterrupted
-from robot_runner.core.events.manager import CLOSED_BY, CallbackFailure, Emission, RobotRunnerEvents
+from robot_runner.core.events.manager import (
+    CLOSED_BY,
+    CallbackFailure,
+    Emission,
+    RobotRunnerEvents,
+    check_executed,
+)
 from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
@@ -29,6 +35,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.early_end import Ending
     from robot_runner.core.execution.systems_state import SystemsState
     from robot_runner.core.execution.task import Report, RunTask
+    from robot_runner.core.plugin import System
 
 
 def execute_run(
@@ -197,7 +204,7 @@ class _Run:
     def _make_safe(self) -> None:
         for system in reversed(self._experiment.systems):
             with self._recorded("make_safe", system.name):
-                system.make_safe(self._context_for(system.name))
+                made_safe(system, self._context_for(system.name))
                 self._made_safe.add(system.name)
 
     def _populate(self) -> None:
@@ -247,6 +254,16 @@ class _Run:
             yield
         except BaseException as error:  # noqa: BLE001 - also sys.exit, and a request to stop
             self._ending.record(event, owner, error)
+
+
+def made_safe(system: System, context: RobotRunnerContext) -> None:
+    """Have a system stop its robot.
+
+    Raises:
+        ConfigError: calling it has executed nothing.
+    """
+    make_safe: Callable[[RobotRunnerContext], object] = system.make_safe
+    check_executed(make_safe(context), "make_safe", make_safe, system.name)
 
 
 def publish_returned(context: RobotRunnerContext, returned: object) -> None:

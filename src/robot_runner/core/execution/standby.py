@@ -24,7 +24,7 @@ from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
-from robot_runner.core.execution.run_events import run_contexts
+from robot_runner.core.execution.run_events import made_safe, run_contexts
 from robot_runner.core.execution.systems_state import Care, SystemsState
 from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
 from robot_runner.core.links.robot import Advertiser
@@ -167,7 +167,7 @@ class Standby:
         with ExitStack() as each_of_them:  # the last one first, as the run does it
             each_of_them.callback(connection.stop_again, commanded)
             for system in self._systems:
-                each_of_them.callback(system.make_safe, connection.contexts(system.name))
+                each_of_them.callback(made_safe, system, connection.contexts(system.name))
             for topic, message_type in commanded:  # also for who has no `make_safe`, such as a config
                 each_of_them.callback(connection.stop, topic, message_type)
 
