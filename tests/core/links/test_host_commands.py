@@ -107,6 +107,67 @@ def test_a_command_is_ended_at_its_deadline_with_all_that_it_started(
     assert host.run("echo again").output == "again\n"
 
 
+def test_words_of_a_command_may_be_numbers_and_paths(host: HostCommands) -> None:
+    assert host.run(["printf", "%s|", 5, 0.5, Path("/a b")]).output == "5|0.5|/a b|"  # type: ignore[list-item]
+
+
+def test_what_no_command_can_be_is_refused_with_a_fix(host: HostCommands, tmp_path: Path) -> None:
+    for refused in (
+        lambda: host.run("echo a\0b"),
+        lambda: host.run(["echo", "a\0b"]),
+        lambda: host.copy_to(__file__, f"{tmp_path}/a\0b"),
+    ):
+        with pytest.raises(LinkError, match="NUL") as raised:
+            refused()
+        assert raised.value.where == "robot"
+    for timeout in (float("nan"), "5", True, None):
+        for tried in (host.run, host.fetch):
+            with pytest.raises(LinkError, match=f"timeout_s is {timeout!r}"):
+                tried("/nothing", timeout_s=timeout)  # type: ignore[operator]
+    with pytest.raises(LinkError, match="Shorten the command"):
+        host.run("echo " + "x" * 200_000)
+
+
+def test_output_that_is_not_kept_whole_is_a_warning(host: HostCommands, context: RobotRunnerContext) -> None:
+    assert host.run("head -c 16000000 /dev/zero | tr '\\0' a").output == "a" * 16_000_000
+    assert not warned(context)
+    assert host.run("head -c 16000001 /dev/zero | tr '\\0' a").output == "a" * 16_000_000
+    assert "wrote more than 16 MB, of which the rest is not kept" in warned(context)
+
+
+def test_what_cannot_be_a_path_there_is_not_fetched_and_the_rest_is(
+    host: HostCommands, context: RobotRunnerContext, tmp_path: Path
+) -> None:
+    (tmp_path / "there").write_text("kept")
+    came = host.fetch("relative.csv", "/a\0b", tmp_path / "there")  # type: ignore[arg-type]
+    assert [each.read_text() for each in came] == ["kept"]
+    assert warned(context).splitlines() == [
+        "host robot: 'relative.csv' was not fetched: it is no whole path there",
+        "host robot: '/a\\x00b' was not fetched: it is no whole path there",
+    ]
+
+
+def test_odd_files_are_fetched_or_told_and_none_keeps_the_others_from_coming(
+    host: HostCommands, context: RobotRunnerContext, tmp_path: Path
+) -> None:
+    there = tmp_path / "there"
+    there.mkdir()
+    (there / "a link").symlink_to("/etc/passwd")
+    os.link(there / "a link", there / "another name of it", follow_symlinks=False)
+    (there / "b").write_text("twice")
+    os.link(there / "b", there / "b again")
+    (there / ("漢" * 85)).write_text("the longest name")
+    (there / "zz").write_text("the last")
+    came = host.fetch(str(there))
+    assert {each.name: each.read_text() for each in came} == {
+        "b": "twice",
+        "b again": "twice",
+        "漢" * 85: "the longest name",
+        "zz": "the last",
+    }
+    assert warned(context).count("is a link to /etc/passwd, which is not followed") == 2
+
+
 def test_files_and_folders_are_copied_whole(host: HostCommands, tmp_path: Path) -> None:
     there = tmp_path / "there dir"
     (tmp_path / "map.yaml").write_text("resolution: 0.05\n")
@@ -166,7 +227,11 @@ def test_no_more_is_fetched_than_may_be(
     host = DeclaredHosts({"robot": declare(largest_fetch_mb=0.5)}).open("robot", context)
     files = host.fetch(*(f"{tmp_path}/{name}" for name in ("small", "large", "last")))
     assert [path.name for path in files] == ["small", "last"]
-    assert f"{tmp_path}/large was not fetched whole: it is more than 0.5 MB" in warned(context)
+    assert f"{tmp_path}/large was not fetched whole: no more than 0.5 MB come of a run" in warned(context)
+    again = DeclaredHosts({"robot": declare(largest_fetch_mb=0.5)}).open("robot", context)
+    (tmp_path / "more").write_bytes(b"x" * 450_000)
+    assert again.fetch(f"{tmp_path}/more") == []
+    assert f"{tmp_path}/more was not fetched whole: no more than 0.5 MB come of a run" in warned(context)
 
 
 def test_what_has_not_come_in_time_is_told_and_what_came_is_whole(
@@ -304,6 +369,12 @@ def masters_of(config: Path) -> list[str]:
     [
         ({"address": "a b"}, "'a b' is no host"),
         ({"address": "pi@robot", "fetch": ["nav.log"]}, "fetch names 'nav.log'"),
+        ({"address": "pi@robot", "fetch": 5}, "fetch names 5"),
+        ({"address": "pi@robot", "fetch": None}, "fetch names None"),
+        ({"address": "pi@robot", "ssh_config": 5}, "ssh_config is 5"),
+        ({"address": "pi@robot", "ready": "up"}, "ready is 'up'"),
+        ({"address": "pi@robot", "reboot": Reboot.ONCE, "reboot_command": None}, "reboot_command is None"),
+        ({"address": "pi@robot", "reboot": Reboot.ONCE, "reboot_command": ""}, "reboot_command is ''"),
         ({"address": "pi@robot", "back_within_s": 0}, "back_within_s is 0"),
         ({"address": "local", "reboot": Reboot.PER_RUN}, "reboot is Reboot.PER_RUN for this machine"),
         ({"address": "pi@robot", "reboot": "per_run"}, "reboot is 'per_run'"),
@@ -318,3 +389,11 @@ def test_names_with_addresses_are_hosts() -> None:
     assert are_hosts({"robot": "ssh://pi@robot:2222", "base": "local", "server": Host(address="x")})
     for odd in (["robot"], {"a b": "x"}, {"robot": 1}, {"robot": "-oProxyCommand=x"}, "robot"):
         assert not are_hosts(odd)
+
+
+def test_paths_of_a_host_may_be_paths() -> None:
+    assert Host(address="pi@robot", fetch=Path("/var/nav.log")).fetch == ("/var/nav.log",)
+    assert Host(address="pi@robot", fetch=[Path("/a"), "~/b"]).fetch == ("/a", "~/b")
+    assert Host(address="pi@robot", ssh_config="~nobody-of-this-name/config").ssh_config == Path(
+        "~nobody-of-this-name/config"
+    )

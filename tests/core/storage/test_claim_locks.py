@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
+import resource
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from robot_runner.core.errors import ExecutionError
-from robot_runner.core.storage.claim_locks import HeldClaims
+from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.storage.claim_locks import HeldClaims, claim_holders, state_folder
 
 HOLDING = """
 import sys, time
@@ -68,3 +71,46 @@ def test_a_link_in_the_place_of_a_claim_is_not_followed(tmp_path: Path) -> None:
     with HeldClaims(["serial:a"], "one", tmp_path) as held:
         assert held.findings
     assert not (tmp_path / "elsewhere").exists()
+
+
+def test_a_claim_is_held_where_there_is_no_room_to_say_who_holds_it(tmp_path: Path) -> None:
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, unlimited[1]))  # as on a full disk
+    try:
+        with HeldClaims(["serial:a"], "one", tmp_path) as held:
+            script = (
+                "from robot_runner.core.storage.claim_locks import claim_holders; print(claim_holders(['serial:a']))"
+            )
+            asked = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    assert held.findings == []
+    assert "another one" in asked.stdout
+
+
+def test_where_the_file_system_has_no_locks_it_is_said_and_nothing_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "lockf", refuse)
+    with HeldClaims(["serial:a"], "one", tmp_path) as held:
+        assert "nobody is kept out who claims serial:a" in held.findings[0].problem
+        assert "No locks available" in held.findings[0].problem
+    assert claim_holders(["serial:a"]) == {}
+
+
+def test_a_user_without_a_home_folder_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setenv("HOME", "")
+    monkeypatch.setattr(Path, "expanduser", _without_home)
+    with pytest.raises(StorageError, match="XDG_STATE_HOME"):
+        state_folder("queue")
+    with HeldClaims(["serial:a"], "one", tmp_path) as held:
+        assert "no home folder" in held.findings[0].problem
+    assert claim_holders(["serial:a"]) == {}
+
+
+def _without_home(path: Path) -> Path:
+    raise RuntimeError(f"Could not determine home directory of {path}.")

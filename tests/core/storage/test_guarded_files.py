@@ -6,8 +6,10 @@ import json
 import os
 import socket
 import stat
+import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -214,7 +216,7 @@ def test_replacing_is_whole_or_not_at_all(tmp_path: Path) -> None:
 
 def test_a_link_planted_where_a_file_is_written_beside_is_not_followed(tmp_path: Path) -> None:
     (root := tmp_path / "experiment").mkdir()
-    (root / f".table.csv.{os.getpid()}.tmp").symlink_to(tmp_path / "victim")
+    (root / f".table.csv.{threading.get_native_id()}.tmp").symlink_to(tmp_path / "victim")
     replace(root / "table.csv", "new", root)
     assert not (tmp_path / "victim").exists()
     assert [each.name for each in root.iterdir()] == ["table.csv"]
@@ -312,3 +314,18 @@ def test_what_the_system_refuses_is_said_with_a_fix(tmp_path: Path) -> None:
     (path := tmp_path / "manifest.json").write_text("{}", encoding="utf-8")
     path.chmod(0)
     assert "Permission denied" in refusal(read_json, path, tmp_path).problem
+
+
+def test_threads_that_replace_one_file_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+    path = tmp_path / ".control"
+    together = threading.Barrier(4)
+
+    def write(letter: str) -> None:
+        together.wait()
+        for _ in range(50):
+            replace(path, letter * 1000)
+            assert path.read_text() in {each * 1000 for each in "abcd"}
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(write, "abcd"))
+    assert [each.name for each in tmp_path.iterdir()] == [".control"]

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import resource
+import shutil
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from robot_runner.core.errors import StorageError
 from robot_runner.core.events.measure import as_measure_value
 from robot_runner.core.storage import guarded_files
+from robot_runner.core.storage import journal as journal_file
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 
 if TYPE_CHECKING:
@@ -118,7 +121,15 @@ _LINE = b'{"kind":"other","at":"2026-01-31T12:00:00.250Z"}\n'
 
 @pytest.mark.parametrize("kinds", [None, {"other"}])
 @pytest.mark.parametrize(
-    "damage", [b'{"kind":"even\n', b"lost\n", b'{"kind":"event","a":1}\r\n', b'{"kind":"event"}{"kind":"event"\n']
+    "damage",
+    [
+        b'{"kind":"even\n',
+        b"lost\n",
+        b'{"kind":"event","a":1}\r\n',
+        b'{"kind":"event"}{"kind":"event"\n',
+        b'{"kind":"event"}{"kind":"finding"}\n',
+        b'{"kind":"event","at":"2026-01-{"kind":"attempt_finished","at":"2026-01-31T12:00:00Z","run":"r_1"}\n',
+    ],
 )
 def test_a_damaged_line_is_refused_after_those_before_it_whatever_kind_is_asked_for(
     tmp_path: Path, damage: bytes, kinds: set[str] | None
@@ -130,3 +141,89 @@ def test_a_damaged_line_is_refused_after_those_before_it_whatever_kind_is_asked_
     with pytest.raises(StorageError) as refused:
         next(read)
     assert refused.value.findings[0].where == f"{path}:4"
+
+
+@pytest.mark.parametrize("room", [0, 1, 40])
+def test_a_record_for_which_the_disk_has_no_room_is_refused_and_leaves_nothing(tmp_path: Path, room: int) -> None:
+    path = tmp_path / "journal.jsonl"
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with Journal(path) as journal:
+        journal.append("first")
+        whole = path.read_bytes()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + room, unlimited[1]))
+        try:
+            with pytest.raises(StorageError, match="cannot be written"):
+                journal.append("lost", text="x" * 100)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+        assert path.read_bytes() == whole
+        journal.append("second")
+    assert [record["kind"] for record in read_journal(path)] == ["first", "second"]
+
+
+def test_a_record_that_holds_a_mapping_with_a_kind_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    with Journal(path) as journal:
+        journal.append("waiting", questions=[{"kind": "choice", "name": "battery"}])
+        journal.append("other", known={"kind": "race"})
+    assert [record["kind"] for record in read_journal(path)] == ["waiting", "other"]
+    assert [record["kind"] for record in read_journal(path, kinds={"other"})] == ["other"]
+
+
+@pytest.mark.parametrize("somebody_wrote", [None, "theirs"])
+def test_a_journal_that_is_removed_or_replaced_while_it_is_open_is_put_back_whole(
+    tmp_path: Path, somebody_wrote: str | None
+) -> None:
+    path = tmp_path / "journal.jsonl"
+
+    def remove() -> None:
+        path.unlink()
+        if somebody_wrote:
+            path.write_text(somebody_wrote)
+
+    with Journal(path) as journal:
+        journal.append("first")
+        remove()
+        journal.append("second", flush=True)
+        assert [record["kind"] for record in read_journal(path)] == ["first", "second"]
+        journal.append("third", flush=True)
+        remove()
+    assert [record["kind"] for record in read_journal(path)] == ["first", "second", "third"]
+    kept = [each.read_text() for each in tmp_path.iterdir() if each != path]
+    assert kept == ([somebody_wrote] if somebody_wrote else [])
+
+
+def test_a_journal_whose_folder_is_removed_while_it_is_open_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "experiment" / "journal.jsonl"
+    path.parent.mkdir()
+    journal = Journal(path)
+    shutil.rmtree(path.parent)
+    with pytest.raises(StorageError, match="cannot be written"):
+        journal.close()
+    journal.close()
+
+
+def test_a_journal_that_is_moved_while_it_is_open_goes_on_where_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    with Journal(path) as journal:
+        moved = path.rename(tmp_path / "moved.jsonl")
+        journal.append("first", flush=True)
+    assert [record["kind"] for record in read_journal(moved)] == ["first"]
+    assert not path.exists()
+
+
+def test_what_is_too_long_to_be_read_again_is_shortened_and_a_plan_that_is_too_long_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(journal_file, "LINE_LIMIT", 50_000)
+    path = tmp_path / "journal.jsonl"
+    with Journal(path) as journal:
+        journal.append("finding", owner="config", problem="x" * 50_000, fix="")
+        whole = path.read_bytes()
+        with pytest.raises(StorageError, match=r"a record 'extended' of 60,.* bytes could not be read again"):
+            journal.append("extended", runs=["r"] * 15_000)
+        assert path.read_bytes() == whole
+        journal.append("finding", owner="config", problem="y" * 40_000, fix="")
+    long, short = (record["problem"] for record in read_journal(path))
+    assert long == "x" * 10_000 + "… (40,000 more characters)"
+    assert short == "y" * 40_000

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import errno
+import hashlib
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -131,3 +134,17 @@ def test_the_home_folder_of_nobody_is_a_missing_file(study: Path) -> None:
         assert input_file(Path("~nobody-at-all/lab.toml")) == Path("~nobody-at-all/lab.toml")
     (finding,) = missing_inputs(kept)
     assert "it is not here" in finding.problem
+
+
+def test_a_file_whose_name_is_no_text_is_kept_and_summed_as_sha256sum_does(study: Path) -> None:
+    folder = study / "models"
+    (odd := folder / os.fsdecode(b"rover \xff.xml")).write_text("odd")
+    kept = _keep(study, InputFile(folder))
+    assert (kept / "models" / odd.name).read_text() == "odd"
+    names = sorted(folder.iterdir())
+    command = ["sha256sum", *(f"models/{each.name}" for each in names)]
+    lines = subprocess.run(command, cwd=study, check=True, capture_output=True).stdout
+    assert [each["sha256"] for each in read_index(kept)] == [hashlib.sha256(lines).hexdigest()]
+    assert list(input_changes([InputFile(folder)], kept)) == []
+    odd.write_text("odder")
+    assert list(input_changes([InputFile(folder)], kept))

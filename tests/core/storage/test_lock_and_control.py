@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import fcntl
 import os
+import resource
 from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.storage.lock import (
     Command,
     ExperimentLock,
@@ -51,6 +53,41 @@ def test_a_lock_that_is_held_keeps_others_out_and_tells_who_holds_it(tmp_path: P
     assert holder_of(path) is None
 
 
+def test_the_holder_may_ask_who_holds_a_lock_and_take_it_again_and_still_keeps_others_out(tmp_path: Path) -> None:
+    """Closing any descriptor of a file lets go of the locks that a process has on it."""
+    path = tmp_path / "experiment" / ".lock"
+    path.parent.mkdir()
+    with ExperimentLock(path):
+        moved = path.parent.rename(tmp_path / "moved") / ".lock"
+        (tmp_path / "link").symlink_to(moved.parent)
+        for name in (moved, tmp_path / "link" / ".lock"):
+            assert getattr(holder_of(name), "pid", None) == os.getpid()
+            assert f"executed by process {os.getpid()}" in refusal(name)
+            assert f"executed by process {os.getpid()}" in in_another_process(lambda: refusal(moved))
+    assert holder_of(moved) is None
+    assert refusal(moved) == "taken"
+
+
+def test_a_lock_that_cannot_be_signed_is_refused_and_free(tmp_path: Path) -> None:
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, unlimited[1]))  # as on a full disk
+    try:
+        with pytest.raises(StorageError, match="cannot be written"), ExperimentLock(tmp_path / ".lock"):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    assert in_another_process(lambda: refusal(tmp_path / ".lock")) == "taken"
+
+
+def test_a_holder_that_did_not_sign_is_another_process(tmp_path: Path) -> None:
+    path = tmp_path / ".lock"
+    with ExperimentLock(path):
+        path.write_text("")
+        with path.open("r+") as file:
+            fcntl.lockf(file, fcntl.LOCK_EX)  # closing the file above has let go of it
+            assert "is being executed by another process" in in_another_process(lambda: refusal(path))
+
+
 def test_nobody_holds_a_lock_that_is_not_there(tmp_path: Path) -> None:
     assert holder_of(tmp_path / ".lock") is None
 
@@ -64,8 +101,6 @@ def test_a_lock_that_a_dead_process_signed_is_free(tmp_path: Path) -> None:
 
 
 def test_a_lock_in_a_folder_that_is_not_there_is_an_error(tmp_path: Path) -> None:
-    from robot_runner.core.errors import StorageError
-
     with pytest.raises(StorageError), ExperimentLock(tmp_path / "missing" / ".lock"):
         pass
 

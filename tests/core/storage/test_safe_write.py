@@ -149,3 +149,10 @@ def test_a_name_that_is_too_long_is_told_as_what_it_is(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="too long") as refused:
         name.read_text()
     assert "the file cannot be read: File name too long" in str(storage_error(name, "read", refused.value))
+
+
+def test_a_loop_of_links_in_the_place_of_a_file_is_an_error_with_a_fix(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    with pytest.raises(StorageError, match="symbolic link") as refused:
+        write_beside_and_rename(tmp_path / "loop", lambda file: file.write("x"))
+    assert refused.value.fix

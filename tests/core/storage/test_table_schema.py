@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -51,6 +52,14 @@ def test_a_description_comes_back_as_it_was(tmp_path: Path) -> None:
     bare = ColumnDescription(name="run_id", role=ColumnRole.PROGRESS, type="string")
     write_schema(tmp_path / "schema.json", [bare, ENERGY])
     assert read_schema(tmp_path / "schema.json") == (bare, ENERGY)
+
+
+def test_a_finding_that_holds_a_picture_leaves_a_schema_that_can_be_read(tmp_path: Path) -> None:
+    long = replace(ENERGY, findings=("x" * 9_000_000,), doubts={"r_1": ("y" * 9_000_000,)})
+    write_schema(tmp_path / "schema.json", [long])
+    [read] = read_schema(tmp_path / "schema.json")
+    assert read.findings == ("x" * 10_000 + "… (8,990,000 more characters)",)
+    assert read.doubts == {"r_1": ("y" * 10_000 + "… (8,990,000 more characters)",)}
 
 
 def test_the_file_is_a_table_schema_with_our_own_keys_beside(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tarfile
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 #: What an archive may have beyond the bytes of its files: headers, and the blocks that it is filled up with.
 TAR_MARGIN = 10_000_000
 _MODE = 0o644
+_FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
 @dataclass(slots=True)
@@ -61,49 +63,55 @@ def unpack(archive: IO[bytes], folder: Path, most: int) -> Unpacked:
         most: how many bytes may come.
     """
     unpacked = Unpacked()
+    seen: dict[str, tarfile.TarInfo] = {}
     # An archive ends anywhere where its program was ended.
     with suppress(tarfile.TarError, EOFError), tarfile.open(fileobj=archive, mode="r:") as tar:
         for member in tar:
-            if unpacked.size + member.size > most:
+            # What has a second name stands in the archive under its first one.
+            held = seen[member.name] = seen.get(member.linkname, member) if member.islnk() else member
+            if unpacked.size + held.size > most:
                 unpacked.is_too_much = True
                 break
-            _unpack_member(tar, member, folder, unpacked)
+            if not member.isdir() and not _unpack_member(tar, member.name, held, folder, unpacked):
+                break
     return unpacked
 
 
-def _unpack_member(tar: tarfile.TarFile, member: tarfile.TarInfo, folder: Path, unpacked: Unpacked) -> None:
-    parts = [part for part in PurePosixPath(member.name).parts if part not in {"/", "."}]
+def _unpack_member(tar: tarfile.TarFile, name: str, held: tarfile.TarInfo, folder: Path, unpacked: Unpacked) -> bool:
+    """Put a file into the folder, or tell why not; return whether there is any use in going on."""
+    parts = [part for part in PurePosixPath(name).parts if part not in {"/", "."}]
     shown = one_line("/" + "/".join(parts))
-    if member.isdir():
-        return
     if ".." in parts or not parts or any("\0" in part for part in parts):
         unpacked.problems.append(f"{shown} is no path that a file here can have")
-    elif member.issym():
-        unpacked.problems.append(f"{shown} is a link to {one_line(member.linkname)}, which is not followed")
-    elif not (member.isfile() or member.islnk()):
+    elif held.issym():
+        unpacked.problems.append(f"{shown} is a link to {one_line(held.linkname)}, which is not followed")
+    elif not held.isfile() or (source := tar.extractfile(held)) is None:
         unpacked.problems.append(f"{shown} is no file")
     else:
-        source = tar.extractfile(member)  # of a second name for a file: what stands in the archive under the first
-        if source is not None:
-            target = folder.joinpath(*parts)
-            _write(source, target, folder, member.size)
-            unpacked.files.append(target)
-            unpacked.size += target.stat().st_size
+        target = folder.joinpath(*parts)
+        try:
+            _write(source, target, folder, held.size)
+        except OSError as error:
+            unpacked.problems.append(f"{shown} cannot be written here: {error.strerror}")
+            return error.errno not in _FULL
+        unpacked.files.append(target)
+        unpacked.size += held.size
+    return True
 
 
 def _write(source: IO[bytes], target: Path, folder: Path, size: int) -> None:
     """Write beside and rename, so that a file is whole or not there; a link that stands on the way is replaced."""
     for above in _between(folder, target.parent):
-        if above.is_symlink() or (above.exists() and not above.is_dir()):
+        if above.is_symlink():
             above.unlink()
         above.mkdir(exist_ok=True)
-    beside = target.with_name(f".{target.name[:200]}.part")
+    beside = target.with_name(f".{os.getpid()}.part")  # whichever name the file has, this one is not too long
     beside.unlink(missing_ok=True)
     try:
         descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, _MODE)
         with os.fdopen(descriptor, "wb") as file:
             shutil.copyfileobj(source, file)
-            if size and file.tell() < size:
+            if file.tell() < size:
                 raise EOFError(f"{target} is cut off")
         beside.replace(target)
     finally:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import ConfigError, Finding, LinkError
+from robot_runner.core.events.condition import Condition
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from robot_runner.core.events.condition import Condition
 
 
 #: The name of this machine as a host.
@@ -23,6 +23,15 @@ LOCAL = "localhost"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 _LOCAL = frozenset({LOCAL, "local"})
 _MEGABYTE = 1_000_000
+
+
+#: What a path has to be that is fetched.
+FETCHABLE = "Begin the path with '/' or, for the home folder there, '~/'."
+
+
+def is_fetchable(pattern: object) -> bool:
+    """Return whether files of a host can be named so."""
+    return isinstance(pattern, str) and pattern.startswith(("/", "~/")) and "\0" not in pattern
 
 
 class Reboot(Enum):
@@ -69,8 +78,11 @@ class Host:
 
     def __post_init__(self) -> None:
         set_to = object.__setattr__
-        set_to(self, "fetch", (self.fetch,) if isinstance(self.fetch, str) else tuple(self.fetch))
-        set_to(self, "ssh_config", None if self.ssh_config is None else Path(self.ssh_config).expanduser())
+        is_one = isinstance(self.fetch, str) or not isinstance(self.fetch, Iterable)
+        several = (self.fetch,) if is_one else self.fetch
+        set_to(self, "fetch", tuple(str(each) if isinstance(each, Path) else each for each in several))
+        if isinstance(self.ssh_config, str | Path):
+            set_to(self, "ssh_config", Path(os.path.expanduser(self.ssh_config)))  # noqa: PTH111  # as of an unknown user
         findings = list(self._findings())
         if findings:
             raise ConfigError.of_findings(findings)
@@ -93,17 +105,25 @@ class Host:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < float("inf"):
                 yield Finding.error(where, f"{name} is {value!r}", f"Give {name} a number above 0.")
+        if not isinstance(self.ssh_config, Path | None):
+            yield Finding.error(where, f"ssh_config is {self.ssh_config!r}", "Name a file.")
+        if not isinstance(self.ready, Condition | None):
+            yield Finding.error(where, f"ready is {self.ready!r}", "Give a condition, as a Gate takes one.")
         for pattern in self.fetch:
-            if not isinstance(pattern, str) or not pattern.startswith(("/", "~/")) or "\0" in pattern:
-                yield Finding.error(
-                    where, f"fetch names {pattern!r}", "Begin the path with '/' or, for the home folder there, '~/'."
-                )
+            if not is_fetchable(pattern):
+                yield Finding.error(where, f"fetch names {pattern!r}", FETCHABLE)
+        yield from self._reboot_findings(where)
+
+    def _reboot_findings(self, where: str) -> Iterator[Finding]:
         if not isinstance(self.reboot, Reboot):
             kinds = ", ".join(f"Reboot.{each.name}" for each in Reboot)
             yield Finding.error(where, f"reboot is {self.reboot!r}", f"Give one of {kinds}.")
         elif self.reboot is not Reboot.NEVER and self.is_local:
             fix = "Leave reboot out: this machine executes the experiment."
             yield Finding.error(where, f"reboot is Reboot.{self.reboot.name} for this machine", fix)
+        elif self.reboot is not Reboot.NEVER and not (self.reboot_command and isinstance(self.reboot_command, str)):
+            fix = "Give the command that starts it anew there."
+            yield Finding.error(where, f"reboot_command is {self.reboot_command!r}", fix)
 
 
 def are_hosts(value: Any) -> bool:

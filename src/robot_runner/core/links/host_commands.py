@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import time
 from dataclasses import dataclass
@@ -12,7 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 from robot_runner.core.errors import CommandError, LinkError, did_you_mean
 from robot_runner.core.events.host_access import CommandResult
 from robot_runner.core.links.archived_files import TAR_MARGIN, Unpacked, pack, unpack
-from robot_runner.core.links.host_program import Program, last_lines, shell_path, shortened
+from robot_runner.core.links.declared_host import FETCHABLE, is_fetchable
+from robot_runner.core.links.host_program import MOST_KEPT, Program, last_lines, shell_path, shortened
 from robot_runner.core.links.ssh_command import KeptConnection
 from robot_runner.core.secret_names import without_environment_secrets
 from robot_runner.core.storage.guarded_files import make_folder, open_to_append
@@ -90,22 +92,37 @@ def open_shell(host: Host) -> Shell:
     return _LocalShell() if host.is_local else KeptConnection(host.address, host.ssh_config)
 
 
+@dataclass(slots=True)
+class _OpenedHost:
+    """What all who use a host in a run share: its shell, and how many bytes may still be fetched."""
+
+    shell: Shell
+    room: int
+
+    def close(self) -> None:
+        self.shell.close()
+
+
 class HostCommands:
     """A host in a run; see `HostAccess`."""
 
-    def __init__(self, name: str, host: Host, shell: Shell, context: RobotRunnerContext) -> None:
-        self.shell = shell
+    def __init__(self, name: str, host: Host, opened: _OpenedHost, context: RobotRunnerContext) -> None:
+        self.shell = opened.shell
+        self._opened = opened
         self._name = name
         self._host = host
         self._context = context
 
     def run(self, command: str | Sequence[str], *, timeout_s: float = 60.0, check: bool = True) -> CommandResult:
         """Execute a command to its end; see `HostAccess.run`."""
-        text = command if isinstance(command, str) else shlex.join(command)
+        text = command if isinstance(command, str) else shlex.join(map(str, command))
         program = Program(self._line(timeout_s, _SUPERVISE, text), has_lifeline=True)
         ended = program.follow(timeout_s)
         result = CommandResult(text, ended.exit_status, ended.output, ended.errors, ended.seconds)
         self._keep(result, is_in_time=ended.is_in_time)
+        if ended.is_cut:
+            problem = f"{shortened(text)!r} wrote more than {MOST_KEPT // 1_000_000} MB, of which the rest is not kept"
+            self._warn(problem, "Have it write to a file there, and fetch that.")
         if not ended.is_in_time:
             raise self._failed(result, f"did not end within {timeout_s:g} s")
         self._refuse_lost(ended, f"while {shortened(text)!r} was executed")
@@ -140,20 +157,22 @@ class HostCommands:
 
     def fetch(self, *patterns: str, timeout_s: float = 60.0) -> list[Path]:
         """Fetch files into the run's folder; see `HostAccess.fetch`."""
-        deadline, left = time.monotonic() + timeout_s, self._host.most_bytes
+        deadline = time.monotonic() + self._checked(timeout_s)
         came: list[Path] = []
-        for pattern in patterns:
+        for pattern in map(str, patterns):
+            if not is_fetchable(pattern):
+                self._warn(f"{pattern!r} was not fetched: it is no whole path there", FETCHABLE)
+                continue
             seconds = deadline - time.monotonic()
             if seconds <= 0:
                 self._warn(f"{pattern} was not fetched: {timeout_s:g} s were over", "Allow it more time.")
                 continue
-            found = self._fetched(pattern, seconds, left)
-            left -= found.size
-            came += found.files
+            came += self._fetched(pattern, seconds).files
         return came
 
-    def _fetched(self, pattern: str, seconds: float, most: int) -> Unpacked:
+    def _fetched(self, pattern: str, seconds: float) -> Unpacked:
         folder = self._folder
+        most = self._opened.room
         script = _ARCHIVE.format(pattern=shell_path(pattern, is_pattern=True), nothing=_NOTHING)
         with TemporaryFile(dir=folder.parent) as archive:
             ended = Program(self._line(seconds, script), target=archive, most=most + TAR_MARGIN).follow(seconds)
@@ -163,11 +182,12 @@ class HostCommands:
                 return Unpacked()
             archive.seek(0)
             unpacked = unpack(archive, folder, most)
+        self._opened.room -= unpacked.size
         for problem in unpacked.problems:
             self._warn(f"of {pattern}, {problem}", "Fetch it by hand if it is needed.")
         if ended.is_too_much or unpacked.is_too_much:
-            limit = f"{self._host.largest_fetch_mb:g} MB"
-            self._warn(f"{pattern} was not fetched whole: it is more than {limit}", "Raise largest_fetch_mb.")
+            why = f"no more than {self._host.largest_fetch_mb:g} MB come of a run"
+            self._warn(f"{pattern} was not fetched whole: {why}", "Raise largest_fetch_mb.")
         elif not ended.is_in_time:
             self._warn(f"{pattern} was not fetched whole within {seconds:.3g} s", "Allow it more time.")
         elif ended.exit_status:
@@ -181,9 +201,17 @@ class HostCommands:
         return folder
 
     def _line(self, seconds: float, program: str, *arguments: str) -> list[str]:
+        if any("\0" in word for word in (program, *arguments)):
+            problem = "no word of a command or path can hold a NUL character"
+            raise LinkError(problem, where=self._name, fix="Leave it out.")
         # To the login shell, whichever that is, this is `sh` with quoted words.
         remote = shlex.join(["sh", "-c", program, "robot-runner", *arguments])
-        return self.shell.command(remote, within_s=seconds)
+        return self.shell.command(remote, within_s=self._checked(seconds))
+
+    def _checked(self, timeout_s: float) -> float:
+        if isinstance(timeout_s, bool) or not isinstance(timeout_s, int | float) or math.isnan(timeout_s):
+            raise LinkError(f"timeout_s is {timeout_s!r}", where=self._name, fix="Give it a number of seconds.")
+        return timeout_s
 
     def _warn(self, problem: str, fix: str) -> None:
         self._context.warn(f"host {self._name}: {problem}", fix=fix)
@@ -234,5 +262,5 @@ class DeclaredHosts:
         if host is None:
             fix = did_you_mean(name, self.hosts) or f"Name it in the config: hosts = {{{name!r}: 'pi@robot'}}."
             raise LinkError(f"there is no host {name!r}", where="hosts", fix=fix)
-        shell = context.resources.open(f"shell on {name}", lambda: open_shell(host))
-        return HostCommands(name, host, shell, context)
+        opened = context.resources.open(f"host {name}", lambda: _OpenedHost(open_shell(host), host.most_bytes))
+        return HostCommands(name, host, opened, context)

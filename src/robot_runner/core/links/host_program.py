@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import selectors
 import signal
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 #: As much is kept in memory of what a program writes, each to its output and its errors.
-_KEPT = 16_000_000
+MOST_KEPT = 16_000_000
 _CHUNK = 65536
 #: How often the size of what goes to a file is looked at, and whether the program has ended, s.
 _LOOK = 0.1
@@ -63,6 +64,7 @@ class Ended:
     Attributes:
         is_in_time: whether it ended by itself before its deadline.
         is_too_much: whether it was ended as it wrote more than it may.
+        is_cut: whether it wrote more than is kept in memory: `output` and `errors` have the beginning.
     """
 
     exit_status: int
@@ -71,6 +73,7 @@ class Ended:
     seconds: float
     is_in_time: bool = True
     is_too_much: bool = False
+    is_cut: bool = False
 
 
 class Program:
@@ -93,12 +96,13 @@ class Program:
         *,
         source: IO[bytes] | None = None,
         target: IO[bytes] | None = None,
-        most: int = _KEPT,
+        most: int = MOST_KEPT,
         has_lifeline: bool = False,
     ) -> None:
         self._target = target
         self._most = most
         self._kept: dict[int, bytearray] = {}
+        self._is_cut = False
         self._started = time.monotonic()
         try:
             self._process = subprocess.Popen(  # noqa: S603 - an argument list
@@ -109,9 +113,9 @@ class Program:
                 start_new_session=True,
             )
         except OSError as error:
-            raise LinkError(
-                f"{line[0]} cannot be started: {error}", where="host", fix="Install it, or mend the PATH."
-            ) from error
+            is_long = error.errno == errno.E2BIG
+            fix = "Shorten the command: copy a script there." if is_long else "Install it, or mend the PATH."
+            raise LinkError(f"{line[0]} cannot be started: {error.strerror}", where="host", fix=fix) from error
 
     def follow(self, timeout_s: float) -> Ended:
         """Take what it writes until it ends, and end it where it takes too long or writes too much."""
@@ -138,6 +142,7 @@ class Program:
             time.monotonic() - self._started,
             is_in_time,
             is_too_much,
+            self._is_cut,
         )
 
     def _take_until(self, deadline: float, selector: selectors.BaseSelector, most: int | None = 0) -> bool:
@@ -164,7 +169,8 @@ class Program:
             selector.unregister(stream)  # type: ignore[arg-type] # what was registered
             return
         kept = self._kept[descriptor]
-        kept += data[: max(0, _KEPT - len(kept))]
+        self._is_cut |= len(kept) + len(data) > MOST_KEPT
+        kept += data[: MOST_KEPT - len(kept)]
 
     def _is_too_much(self) -> bool:
         return self._target is not None and os.fstat(self._target.fileno()).st_size > self._most

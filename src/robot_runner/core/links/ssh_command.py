@@ -123,18 +123,13 @@ def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[F
         return [Finding.error(where, f"{host} is reached by ssh, which is not installed", _INSTALL)]
     if config is not None and not config.is_file():
         return [Finding.error(where, f"there is no ssh config {config}", "Name a file that is there.")]
-    answer = _tried(command)
+    try:
+        answer = failure(execute(command, timeout=_CHECK_SECONDS))
+    except subprocess.TimeoutExpired:
+        answer = f"ssh timed out after {_CHECK_SECONDS:g} s"
     if answer is None:
         return []
     return [Finding.error(where, f"{host} cannot be reached: {gist(answer)}", remedy(host, answer))]
-
-
-def _tried(command: list[str]) -> str | None:
-    """Execute a command and return what ssh answered if it failed, or None if it did not."""
-    try:
-        return failure(execute(command, timeout=_CHECK_SECONDS))
-    except subprocess.TimeoutExpired:
-        return f"ssh timed out after {_CHECK_SECONDS:g} s"
 
 
 def execute(command: list[str], *, timeout: float) -> subprocess.CompletedProcess[bytes]:

@@ -6,39 +6,46 @@ The system lets go of the lock when the process dies, however it dies; the file 
 
 from __future__ import annotations
 
-import errno
 import fcntl
-import json
 import os
 import socket
 import time
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 from urllib.parse import quote
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
-from robot_runner.core.storage.declared_shapes import faults_of
 from robot_runner.core.storage.file_shapes import ClaimFile
 from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.journal import utc_now
+from robot_runner.core.storage.lock_files import sign, signature_of, try_lock
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
 
-#: Nobody signs with more.
-_MOST_BYTES = 4096
 #: How often a file is tried that nobody holds and somebody merely looks at, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
-_SIGNED = tuple(ClaimFile.__annotations__)
+_HAVE_IT_WAIT = (
+    "Have this one wait: `robot-runner queue add`, or `run --wait`; or end the other with Ctrl-C in its terminal."
+)
+_NAME_A_FOLDER = "Set XDG_STATE_HOME to a folder of your own."
 
 
 def state_folder(name: str) -> Path:
-    """Return the folder for what this user's experiments on this machine know of each other."""
+    """Return the folder for what this user's experiments on this machine know of each other.
+
+    Raises:
+        StorageError: the user has no home folder, as in some containers.
+    """
     home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-    return Path(home).expanduser() / "robot-runner" / name / (quote(socket.gethostname(), safe="") or "host")
+    try:
+        return Path(home).expanduser() / "robot-runner" / name / (quote(socket.gethostname(), safe="") or "host")
+    except RuntimeError as error:
+        raise StorageError("the user has no home folder", where=home, fix=_NAME_A_FOLDER) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +66,8 @@ def claim_holders(claims: Collection[str]) -> dict[str, ClaimHolder]:
     """Return which of these claims are held at this moment, and by whom; nothing is changed by asking."""
     found: dict[str, ClaimHolder] = {}
     for claim in sorted(claims):
-        path = _path_of(claim)
-        with suppress(StorageError):
+        with suppress(StorageError, OSError):
+            path = _path_of(claim)
             descriptor = open_descriptor(path, path.parent, os.O_RDONLY)
             try:
                 if not _locked(descriptor, fcntl.LOCK_SH):
@@ -81,7 +88,7 @@ class HeldClaims:
             raises. None where the experiment is refused then.
 
     Attributes:
-        findings: that claims could not be held, as their files cannot be written; others are not kept out then.
+        findings: that claims could not be held, as their files cannot be locked; others are not kept out then.
 
     Raises:
         ExecutionError: on entering: another experiment holds some of them; each is named, with who holds it.
@@ -121,28 +128,23 @@ class HeldClaims:
 
     def _hold(self, claim: str, opened: ExitStack) -> Iterator[Finding]:
         """Lock the file of a claim; yield who has it where somebody has."""
-        path = _path_of(claim)
         try:
+            path = _path_of(claim)
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             descriptor = open_descriptor(path, path.parent, mode=0o600)
-        except (OSError, StorageError) as error:
-            reason = error.problem if isinstance(error, StorageError) else error.strerror
-            problem = f"nobody is kept out who claims {claim} as well, as {path} cannot be written: {reason}"
-            self.findings.append(Finding.warning("claims", problem, "Set XDG_STATE_HOME to a folder of your own."))
-            return
-        try:
+            opened.callback(os.close, descriptor)
             is_mine = _locked(descriptor, fcntl.LOCK_EX)
-        except OSError:  # the file system has no locks
-            os.close(descriptor)
+        except (OSError, StorageError) as error:
+            refusal = error if isinstance(error, StorageError) else storage_error(path, "locked", error)
+            problem = f"nobody is kept out who claims {claim} as well: {refusal.problem} ({refusal.where})"
+            self.findings.append(Finding.warning("claims", problem, _NAME_A_FOLDER))
             return
         if not is_mine:
-            yield _refusal(claim, _holder(descriptor))
-            os.close(descriptor)
+            holder = _holder(descriptor)
+            yield Finding.error("claims", f"{claim} is in use by {holder.in_words()}", _HAVE_IT_WAIT)
             return
-        opened.callback(os.close, descriptor)
-        os.ftruncate(descriptor, 0)
-        signature = {**asdict(self._signature), "since": utc_now()}
-        os.pwrite(descriptor, json.dumps(signature).encode(), 0)
+        with suppress(OSError):  # on a full disk nobody learns who holds it, and others are kept out all the same
+            sign(descriptor, replace(self._signature, since=utc_now()))
 
 
 def _path_of(claim: str) -> Path:
@@ -155,32 +157,13 @@ def _locked(descriptor: int, kind: int) -> bool:
     Who merely looks has a shared lock for a moment; that refuses nobody.
     """
     for _ in range(_TRIES):
-        if _tried(descriptor, kind):
+        if try_lock(descriptor, kind):
             return True
-        if kind == fcntl.LOCK_SH or not _tried(descriptor, fcntl.LOCK_SH):
+        if kind == fcntl.LOCK_SH or not try_lock(descriptor, fcntl.LOCK_SH):
             return False
         time.sleep(_BETWEEN)
     return False
 
 
-def _tried(descriptor: int, kind: int) -> bool:
-    try:
-        fcntl.lockf(descriptor, kind | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno in {errno.EACCES, errno.EAGAIN}:
-            return False
-        raise
-    return True
-
-
 def _holder(descriptor: int) -> ClaimHolder:
-    try:
-        said = json.loads(os.pread(descriptor, _MOST_BYTES, 0))
-    except (ValueError, RecursionError):  # locked and not yet signed
-        said = None
-    return ClaimHolder() if faults_of(said, ClaimFile) else ClaimHolder(**{name: said[name] for name in _SIGNED})
-
-
-def _refusal(claim: str, holder: ClaimHolder) -> Finding:
-    fix = "Have this one wait: `robot-runner queue add`, or `run --wait`; or end the other with Ctrl-C in its terminal."
-    return Finding.error("claims", f"{claim} is in use by {holder.in_words()}", fix)
+    return ClaimHolder(**(signature_of(descriptor, ClaimFile) or {}))

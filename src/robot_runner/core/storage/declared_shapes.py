@@ -9,7 +9,7 @@ Keys that a shape does not have are let pass, as a later version may write them.
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
 from functools import cache
 from types import NoneType, UnionType
@@ -35,6 +35,7 @@ Scalar = bool | int | float | str | None
 #: Nobody reads more than this.
 _MOST_FAULTS = 20
 _SHOWN = 60
+_LONGEST_TEXT = 10_000
 #: Ours have less than ten levels; beyond some hundred, Python's own functions fail on them.
 _DEEPEST = 64
 _LARGEST_COUNT = 2**63
@@ -73,6 +74,22 @@ def parsed_json(text: str) -> Any:
     """
     value = _decode(text)
     return _encodable(value) if "\\ud" in text or "\\uD" in text else value
+
+
+def with_short_texts(value: Any) -> Any:
+    """Return JSON in which no text is longer than anybody reads, so that the file can be read again.
+
+    Example:
+        >>> with_short_texts({"problem": "x" * 20_000})["problem"][-30:]
+        'xx… (10,000 more characters)'
+    """
+    if isinstance(value, dict):
+        return {name: with_short_texts(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return list(map(with_short_texts, value))
+    if isinstance(value, str) and len(value) > _LONGEST_TEXT:
+        return f"{value[:_LONGEST_TEXT]}… ({len(value) - _LONGEST_TEXT:,} more characters)"
+    return value
 
 
 def _encodable(value: Any) -> Any:
@@ -153,7 +170,8 @@ def _compiled(shape: Any) -> _Shape:
 
 def _fields_of(shape: Any) -> _Look:
     hints = get_type_hints(shape, include_extras=True)
-    fields = {name: _compiled(_without_marks(hint)) for name, hint in hints.items()}
+    unmarked = {name: get_args(hint)[0] if get_origin(hint) is NotRequired else hint for name, hint in hints.items()}
+    fields = {name: _compiled(hint) for name, hint in unmarked.items()}
     required = shape.__required_keys__
 
     def look(value: dict[str, Any], place: str, faults: list[str]) -> None:
@@ -165,10 +183,6 @@ def _fields_of(shape: Any) -> _Look:
                 faults.append(f"{head}{name} is missing")
 
     return look
-
-
-def _without_marks(hint: Any) -> Any:
-    return get_args(hint)[0] if get_origin(hint) is NotRequired else hint
 
 
 def _values_of(inner: _Shape) -> _Look:
@@ -212,19 +226,24 @@ def _value_in_reach(value: int, place: str, faults: list[str]) -> None:
         faults.append(f"{place} is a number of {value.bit_length():,} bits")
 
 
-def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
-    """Look at what has no declared shape, level by level: it may be nested, within reason."""
+def levels_of(value: Any) -> Iterator[list[Any]]:
+    """Yield what the mappings and lists of each level hold, the outermost first; without recursion, whatever it is."""
     level = [value]
-    for _ in range(_DEEPEST):
-        held = [each for each in level if isinstance(each, dict | list)]
-        if not held:
-            return
+    while held := [each for each in level if isinstance(each, dict | list)]:
         level = [each for one in held for each in (one.values() if isinstance(one, dict) else one)]
+        yield level
+
+
+def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
+    """Look at what has no declared shape: it may be nested, within reason."""
+    for depth, level in enumerate(levels_of(value)):
+        if depth == _DEEPEST:
+            if len(faults) < _MOST_FAULTS:
+                faults.append(f"{place or 'it'} is nested deeper than {_DEEPEST} levels")
+            return
         for each in level:
             if type(each) is int:
                 _count_in_reach(each, place, faults)
-    if len(faults) < _MOST_FAULTS:
-        faults.append(f"{place or 'it'} is nested deeper than {_DEEPEST} levels")
 
 
 _NESTED: dict[type, _Look | None] = {dict: _not_too_deep, list: _not_too_deep}

@@ -102,12 +102,13 @@ def without_login(url: str) -> str:
 def uncommitted_changes(folder: Path | str) -> bytes:
     """Return the changes since the commit that is checked out, as `git apply` takes them; nothing where git is silent.
 
-    No program is executed that the repository names for showing differences.
+    No program is executed that the repository names for showing differences, and no habit of the user counts.
     """
-    words = ("diff", "HEAD", "--binary", "--no-color", "--no-ext-diff", "--no-textconv")
+    words = ("diff", "HEAD", "--binary", "--no-color", "--no-ext-diff", "--no-textconv", "--unified=3")
+    prefixes = ("--src-prefix=a/", "--dst-prefix=b/")
     try:
         root = git("rev-parse", "--show-toplevel", folder=folder).stdout.decode(errors="surrogateescape").strip()
-        return git(*words, folder=root or folder).stdout
+        return git(*words, *prefixes, folder=root or folder).stdout
     except (OSError, subprocess.TimeoutExpired):
         return b""
 

@@ -18,12 +18,13 @@ import errno
 import io
 import os
 import stat
+import threading
 from contextlib import contextmanager, suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.declared_shapes import parsed_json
+from robot_runner.core.storage.declared_shapes import levels_of, parsed_json, shape_findings
 from robot_runner.core.storage.guarded_paths import (
     ONLY_FILES,
     MissingFileError,
@@ -59,6 +60,7 @@ __all__ = [
     "open_to_write",
     "read_blocks",
     "read_bytes",
+    "read_declared",
     "read_json",
     "read_text",
     "remove",
@@ -172,8 +174,28 @@ def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, 
         raise _damaged(path, f"its JSON is nested deeper than {depth} levels") from error
     except ValueError as error:
         raise _damaged(path, f"the file is not valid JSON: {error}") from error
-    if _is_deeper(value, depth):
+    if any(level == depth for level, _ in enumerate(levels_of(value))):
         raise _damaged(path, f"its JSON is nested deeper than {depth} levels")
+    return value
+
+
+def read_declared(path: Path, what: str, shape: Any, *, newest: int, fix: str, limit: int = JSON_LIMIT) -> Any:
+    """Return what a JSON file holds, `what` in words, that has a declared shape and a format, at most the `newest`.
+
+    Raises:
+        MissingFileError: there is none.
+        StorageError: it cannot be read, its format is newer, or it is not as the shape says: each fault is named.
+    """
+    try:
+        value = read_json(path, limit=limit)
+    except DamagedFileError as error:
+        raise StorageError(f"the {what} cannot be read: {error.problem}", where=error.where, fix=fix) from error
+    found = value.get("format") if isinstance(value, dict) else None
+    if isinstance(found, int) and found > newest:
+        problem = f"the {what} has format {found}, newer than {newest}, which this version knows"
+        raise StorageError(problem, where=str(path), fix="Update robot-runner.")
+    if findings := shape_findings(str(path), what, value, shape, fix):
+        raise StorageError.of_findings(findings)
     return value
 
 
@@ -272,8 +294,8 @@ def open_to_write(path: Path, root: Path | None = None, *, mode: int = 0) -> Ite
 def _beside(path: Path, folder: int, name: str, mode: int) -> Iterator[BinaryIO]:
     _look_at(path, folder, name)
     # In the same folder: renaming across file systems is neither possible nor atomic.
-    beside = f".{name}.{os.getpid()}.tmp"
-    _unlink(beside, folder)  # left by a process of this number that was killed, or planted: O_EXCL follows no link
+    beside = f".{name}.{threading.get_native_id()}.tmp"  # no two threads of the machine have one number
+    _unlink(beside, folder)  # left by a thread of this number that was killed, or planted: O_EXCL follows no link
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _FILE
     try:
         opener = partial(os.open, mode=mode, dir_fd=folder)
@@ -368,14 +390,3 @@ def _damaged(path: Path, problem: str) -> DamagedFileError:
 def _in_words(size: float) -> str:
     power = min(max(len(str(int(size))) - 1, 0) // 3, len(_UNITS) - 1)
     return f"{size / 1000**power:.{1 if power else 0}f} {_UNITS[power]}"
-
-
-def _is_deeper(value: object, depth: int) -> bool:
-    """Return whether a value has more levels of lists and mappings, looked at level by level."""
-    level = [value]
-    for _ in range(depth + 1):
-        held = [each for each in level if isinstance(each, (list, dict))]
-        if not held:
-            return False
-        level = [each for one in held for each in (one.values() if isinstance(one, dict) else one)]
-    return any(isinstance(each, (list, dict)) for each in level) or bool(held)

@@ -85,14 +85,11 @@ def read_index(folder: Path) -> list[KeptInput]:
     index: _Index = read_json(path)
     faults = faults_of(index, _Index)
     if not faults:
-        faults = [f"{each['kept']!r} is no place below it" for each in index["inputs"] if not _is_below(each["kept"])]
+        places = [Path(each["kept"]) for each in index["inputs"] if each["kept"] is not None]
+        faults = [f"{str(each)!r} is no place below it" for each in places if each.is_absolute() or ".." in each.parts]
     if faults:
         raise StorageError(f"the index of input files is damaged: {faults[0]}", where=str(path), fix="Get it again.")
     return index["inputs"]
-
-
-def _is_below(kept: str | None) -> bool:
-    return kept is None or not (Path(kept).is_absolute() or ".." in Path(kept).parts)
 
 
 def shown_input(each: KeptInput) -> str:
@@ -243,7 +240,7 @@ def _digest(path: Path, members: Sequence[Path]) -> str:
     if list(members) == [path]:
         return _file_digest(path)
     lines = (f"{_file_digest(each)}  {os.path.relpath(each, path.parent)}\n" for each in members)
-    return hashlib.sha256("".join(lines).encode()).hexdigest()
+    return hashlib.sha256("".join(lines).encode("utf-8", "surrogateescape")).hexdigest()  # a name may be any bytes
 
 
 def _file_digest(path: Path) -> str:

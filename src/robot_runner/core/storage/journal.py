@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from contextlib import suppress
 from functools import lru_cache
@@ -13,12 +14,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import sentences_without_secrets
-from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json, with_short_texts
 from robot_runner.core.storage.guarded_files import (
     LINE_LIMIT,
     MissingFileError,
     open_descriptor,
     open_to_read,
+    open_to_write,
     read_blocks,
 )
 from robot_runner.core.storage.record_shapes import RECORDS, Record
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 #: `Journal.append` writes the kind first, so that a line's kind is known without parsing it.
 _BEGINNING = '{"kind":"'
 _RECORD, _END = _BEGINNING.encode(), b"}\n"
+_FLAGS = os.O_RDWR | os.O_CREAT | os.O_APPEND
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
 
@@ -44,6 +47,10 @@ def utc_now() -> str:
     return f"{_up_to_second(second)}.{nanosecond // 1_000_000:03d}Z"
 
 
+def _line_of(record: dict[str, Any]) -> bytes:
+    return f"{_encode(record)}\n".encode("utf-8", "backslashreplace")
+
+
 @lru_cache(maxsize=1)
 def _up_to_second(second: int) -> str:
     return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(second))
@@ -52,12 +59,13 @@ def _up_to_second(second: int) -> str:
 class Journal:
     """The journal, opened for appending by the one process that executes the experiment.
 
-    A torn last line (power failed while it was written) is cut off when the journal is opened.
+    A torn last line (power failed while it was written) is cut off when the journal is opened. Where the file is
+    removed or replaced while it is open, as by `git stash`, it is put back with all that it held.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._descriptor = open_descriptor(path, flags=os.O_RDWR | os.O_CREAT | os.O_APPEND)
+        self._descriptor = open_descriptor(path, flags=_FLAGS)
         try:
             self._cut_torn_line()
         except OSError as error:
@@ -75,32 +83,62 @@ class Journal:
     def append(self, kind: str, *, flush: bool = False, at: str | None = None, **fields: Any) -> None:
         """Append one record; with `flush` it is on the disk, not only with the system, when this returns.
 
+        Of a record that is longer than readers take, texts are shortened, as an exception may tell of a picture.
+
         Raises:
-            StorageError: it cannot be written (a full disk, say); what stood before is intact.
+            StorageError: it cannot be written (a full disk, say), or is too long; what stood before is intact.
         """
         record = {"kind": kind, "at": at or utc_now(), **sentences_without_secrets(fields)}
+        line = _line_of(record)
+        if len(line) > LINE_LIMIT and len(line := _line_of(with_short_texts(record))) > LINE_LIMIT:
+            problem = f"a record {kind!r} of {len(line):,} bytes could not be read again"
+            raise StorageError(problem, where=str(self._path), fix="Plan fewer runs at a time.")
         try:
-            self._write(f"{_encode(record)}\n".encode("utf-8", "backslashreplace"))
+            self._write(line)
             if flush:
-                os.fsync(self._descriptor)
+                self._flush()
         except OSError as error:
             raise storage_error(self._path, "written", error) from error
 
     def close(self) -> None:
-        """Flush to disk and close; closing twice does nothing."""
+        """Flush to disk and close; closing twice does nothing.
+
+        Raises:
+            StorageError: it cannot be flushed.
+        """
         if self._descriptor < 0:
             return
         try:
-            os.fsync(self._descriptor)
+            self._flush()
+        except OSError as error:
+            raise storage_error(self._path, "written", error) from error
         finally:
             os.close(self._descriptor)
             self._descriptor = -1
 
+    def _flush(self) -> None:
+        os.fsync(self._descriptor)
+        if os.fstat(self._descriptor).st_nlink == 0:
+            self._put_back()
+
+    def _put_back(self) -> None:
+        with suppress(FileNotFoundError):
+            self._path.replace(self._path.with_name(f"{self._path.name}.replaced"))  # somebody's: it is kept
+        with os.fdopen(os.dup(self._descriptor), "rb") as removed, open_to_write(self._path) as file:
+            removed.seek(0)
+            shutil.copyfileobj(removed, file)
+        old, self._descriptor = self._descriptor, open_descriptor(self._path, flags=_FLAGS)
+        os.close(old)
+
     def _write(self, line: bytes) -> None:
-        written = os.write(self._descriptor, line)
-        if written < len(line):  # the disk is full: take the torn line back, so that the next one is whole
-            os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - written)
-            os.write(self._descriptor, line)
+        written = 0
+        try:
+            while written < len(line):  # a disk that is nearly full takes a part, and refuses the rest
+                written += os.write(self._descriptor, line[written:])
+        except OSError:
+            if written:  # take the torn line back, so that the next one is whole
+                os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - written)
+            raise
 
     def _cut_torn_line(self) -> None:
         size = os.fstat(self._descriptor).st_size
@@ -149,10 +187,10 @@ def journal_lines(path: Path, *, kinds: Collection[str] | None = None) -> Iterat
 
 
 def _is_whole(block: bytes) -> bool:
-    """Return whether each line of a block begins and ends as a record; counted in C, as a journal has millions."""
+    """Return whether each line of a block begins and ends as one record; counted in C, as a journal has millions."""
     lines = block.count(b"\n")
     begun = block.startswith(_RECORD) + block.count(b"\n" + _RECORD)
-    return lines == begun == block.count(_END) and block.endswith(_END)
+    return lines == begun == block.count(_END) == block.count(_RECORD) and block.endswith(_END)
 
 
 def _lines_of_kinds(block: bytes, beginnings: Collection[bytes]) -> Iterator[bytes]:
@@ -176,7 +214,10 @@ def _lines_with_damage(path: Path, block: bytes, beginnings: tuple[bytes, ...] |
         if not (line.startswith(_RECORD) and line.endswith(_END)):
             if line.endswith(b"\n"):
                 raise _corrupt(path, line)
-        elif beginnings is None or line.startswith(beginnings):
+            continue
+        if line.count(_RECORD) > 1:  # the beginning of one and the end of another, or a record that holds a `kind`
+            parsed_record(path, line)
+        if beginnings is None or line.startswith(beginnings):
             yield line
 
 

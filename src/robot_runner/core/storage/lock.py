@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Self
 
@@ -14,7 +14,8 @@ from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.file_shapes import HolderFile, RequestFile
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, remove, replace
 from robot_runner.core.storage.journal import utc_now
-from robot_runner.core.storage.lock_files import is_held_exclusively, lock_exclusively
+from robot_runner.core.storage.lock_files import is_at, is_held_exclusively, lock_exclusively, sign, signature_of
+from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -46,51 +47,61 @@ class ExperimentLock:
         self._descriptor = -1
 
     def __enter__(self) -> Self:
+        if own := _own_holder(self._path):
+            raise _refusal(self._path, own)
         descriptor = lock_exclusively(self._path)
         if descriptor is None:
-            raise _refusal(self._path, holder_of(self._path) or Holder(0, "unknown", ""))
+            raise _refusal(self._path, holder_of(self._path) or _UNKNOWN)
         self._descriptor = descriptor
-        self._sign()
+        holder = Holder(os.getpid(), socket.gethostname(), utc_now())
+        try:
+            sign(descriptor, holder)
+        except OSError as error:
+            os.close(descriptor)
+            raise storage_error(self._path, "written", error) from error
+        _HELD[descriptor] = holder
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        del _HELD[self._descriptor]
         os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)  # the file stays: removing it would race with the next holder
 
-    def _sign(self) -> None:
-        os.ftruncate(self._descriptor, 0)
-        holder = Holder(os.getpid(), socket.gethostname(), utc_now())
-        os.pwrite(self._descriptor, json.dumps(asdict(holder)).encode(), 0)
+
+_UNKNOWN = Holder(0, "unknown", "")
+#: The locks that this process holds, by their descriptors; a process that is forked from it holds none of them.
+_HELD: dict[int, Holder] = {}
 
 
-_SIGNED = tuple(HolderFile.__annotations__)
+def _own_holder(path: Path) -> Holder | None:
+    """Return this process where it holds the lock: it must not open the file, as closing it would let go of that."""
+    own = (held for held, holder in _HELD.items() if holder.pid == os.getpid() and is_at(held, path))
+    return next(map(_HELD.__getitem__, own), None)
 
 
 def holder_of(path: Path) -> Holder | None:
     """Return who holds the lock at this moment, or None; nothing is changed by asking."""
+    if own := _own_holder(path):
+        return own
     try:
         descriptor = open_descriptor(path, flags=os.O_RDONLY)
     except StorageError:
         return None
     try:
-        return _read(descriptor) if is_held_exclusively(descriptor, path) else None
+        if not is_held_exclusively(descriptor, path):
+            return None
+        signed = signature_of(descriptor, HolderFile)
+        return Holder(**signed) if signed else _UNKNOWN
     finally:
         os.close(descriptor)
 
 
-def _read(descriptor: int) -> Holder:
-    try:
-        said = json.loads(os.pread(descriptor, 4096, 0))
-    except (ValueError, RecursionError):  # locked and not yet signed
-        said = None
-    return Holder(0, "unknown", "") if faults_of(said, HolderFile) else Holder(**{name: said[name] for name in _SIGNED})
-
-
 def _refusal(path: Path, holder: Holder) -> ExecutionError:
+    who = f"process {holder.pid} on {holder.host} since {holder.since}" if holder.pid else "another process"
     return ExecutionError(
-        f"the experiment is being executed by process {holder.pid} on {holder.host} since {holder.since}",
+        f"the experiment is being executed by {who}",
         where=str(path.parent),
         fix="Wait until it ends, or stop it with Ctrl-C in its terminal.",
     )

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import json
 import os
 import stat
 import time
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.declared_shapes import faults_of
 from robot_runner.core.storage.guarded_files import open_descriptor
 from robot_runner.core.storage.guarded_paths import rights_of
 
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+#: Nobody signs with more.
+_MOST_BYTES = 4096
 _OWNER, _GROUP = 0o600, 0o060
 #: How often a lock is tried that somebody else replaces at the same moment, and how long to wait between, s.
 _TRIES, _BETWEEN = 50, 0.01
@@ -71,7 +76,7 @@ def lock_exclusively(path: Path) -> int | None:
             return None
         if taken != descriptor:
             os.close(descriptor)
-        if taken is not None and _is_at(taken, path):
+        if taken is not None and is_at(taken, path):
             return taken
         if taken is not None:
             os.close(taken)
@@ -92,8 +97,8 @@ def _put_in_place(path: Path, old: int) -> int | None:
     """
     new = path.with_name(f"{path.name}.new")
     descriptor = open_to_lock(new, path.parent)
-    if _try(descriptor, fcntl.LOCK_EX, new) and _is_at(descriptor, new):
-        if _is_at(old, path):
+    if _try(descriptor, fcntl.LOCK_EX, new) and is_at(descriptor, new):
+        if is_at(old, path):
             new.replace(path)
             return _narrowed(descriptor, path)
         new.unlink()  # another process was faster
@@ -111,22 +116,54 @@ def _strangers_may_write(descriptor: int, path: Path) -> bool:
     return bool(os.fstat(descriptor).st_mode & 0o022 & ~_wanted(path.parent))
 
 
-def _try(descriptor: int, kind: int, path: Path) -> bool:
+def try_lock(descriptor: int, kind: int) -> bool:
+    """Lock a file, `fcntl.LOCK_EX` or `fcntl.LOCK_SH`; return whether no other process kept us from it.
+
+    Raises:
+        OSError: its file system offers no locks.
+    """
     try:
         fcntl.lockf(descriptor, kind | fcntl.LOCK_NB)
     except OSError as error:
         if error.errno in {errno.EACCES, errno.EAGAIN}:
             return False
+        raise
+    return True
+
+
+def sign(descriptor: int, signature: Any) -> None:
+    """Write into a file that is locked who holds it, a dataclass.
+
+    Raises:
+        OSError: the disk is full.
+    """
+    os.ftruncate(descriptor, 0)
+    os.pwrite(descriptor, json.dumps(asdict(signature)).encode(), 0)
+
+
+def signature_of(descriptor: int, shape: Any) -> dict[str, Any] | None:
+    """Return who holds a locked file, in the keys of a TypedDict; None where that was not, or not yet, signed."""
+    try:
+        said = json.loads(os.pread(descriptor, _MOST_BYTES, 0))
+    except (ValueError, RecursionError):
+        said = None
+    return None if faults_of(said, shape) else {name: said[name] for name in shape.__annotations__}
+
+
+def _try(descriptor: int, kind: int, path: Path) -> bool:
+    try:
+        return try_lock(descriptor, kind)
+    except OSError as error:
         os.close(descriptor)
         raise StorageError(
             f"the folder's file system offers no locks: {error.strerror}",
             where=str(path),
             fix="Keep the results on a local disk (results_output_path).",
         ) from error
-    return True
 
 
-def _is_at(descriptor: int, path: Path) -> bool:
+def is_at(descriptor: int, path: Path) -> bool:
+    """Return whether an open file is the one that stands at `path`."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.lstat())
     except FileNotFoundError:

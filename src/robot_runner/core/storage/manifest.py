@@ -15,9 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import without_environment_secrets
-from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.file_shapes import Manifest
-from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
+from robot_runner.core.storage.guarded_files import (
+    DamagedFileError,
+    MissingFileError,
+    read_declared,
+    read_json,
+    replace,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -98,23 +103,11 @@ def read_manifest(path: Path) -> dict[str, Any]:
             manifest is.
     """
     try:
-        manifest = read_json(path)
+        manifest: dict[str, Any] = read_declared(path, "manifest", Manifest, newest=FORMAT, fix=_RESTORE)
     except MissingFileError as error:
         raise StorageError(
             "there is no experiment here", where=str(path.parent), fix="Name the folder that holds manifest.json."
         ) from error
-    except DamagedFileError as error:
-        raise StorageError(f"the manifest cannot be read: {error.problem}", where=error.where, fix=error.fix) from error
-    if not isinstance(manifest, dict) or not isinstance(manifest.get("format"), int):
-        raise StorageError("the file is no manifest of an experiment", where=str(path), fix=_RESTORE)
-    if manifest["format"] > FORMAT:
-        raise StorageError(
-            f"the manifest has format {manifest['format']}, newer than {FORMAT}, which this version knows",
-            where=str(path),
-            fix="Update robot-runner.",
-        )
-    if findings := shape_findings(str(path), "manifest of an experiment", manifest, Manifest, _RESTORE):
-        raise StorageError.of_findings(findings)
     return manifest
 
 

@@ -47,18 +47,16 @@ def mask_log(path: Path, root: Path) -> None:
         StorageError: it cannot be read or written.
     """
     forms = [form.encode("utf-8", "surrogateescape") for each in secrets_of_environment() for form in forms_of(each)]
-    if not forms or not _holds(path, root, forms):
+    if not forms:
         return
+    with open_to_read(path, root) as file:
+        if not any(form in block for block in _lines(file) for form in forms):
+            return
     with open_to_read(path, root) as source, open_to_write(path, root) as target:
         for block in _lines(source):
             for form in forms:
                 block = block.replace(form, REDACTED.encode())  # noqa: PLW2901 - one after the other
             target.write(block)
-
-
-def _holds(path: Path, root: Path, forms: list[bytes]) -> bool:
-    with open_to_read(path, root) as file:
-        return any(form in block for block in _lines(file) for form in forms)
 
 
 def _lines(file: BinaryIO) -> Iterator[bytes]:

@@ -83,9 +83,7 @@ class _Clock(_OfRun):
     uncertainty: NotRequired[float | None]
 
 
-class _Gate(_Dated):
-    run: str
-    attempt: int
+class _Gate(_OfRun):
     state: str
     condition: str
     seen: str | None

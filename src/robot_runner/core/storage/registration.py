@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.precision import rule_in_words, rules_of_mapping
 from robot_runner.core.errors import DesignError, StorageError
-from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.file_shapes import RegistrationFile
-from robot_runner.core.storage.guarded_files import DamagedFileError, MissingFileError, read_json, replace
+from robot_runner.core.storage.guarded_files import MissingFileError, read_declared, replace
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -93,21 +92,13 @@ def read_registration(path: Path) -> Registration:
     Raises:
         StorageError: there is no such file, it cannot be read, or it is no registration that this version knows.
     """
-    where = str(path)
     try:
-        content = read_json(path, limit=_LARGEST)
+        content = read_declared(path, "registration", RegistrationFile, newest=FORMAT, fix=_FIX, limit=_LARGEST)
     except MissingFileError as error:
         fix = "Register the study: robot-runner preregister CONFIG"
-        raise StorageError("there is no registration", where=where, fix=fix) from error
-    except DamagedFileError as error:
-        raise StorageError(f"the registration cannot be read: {error.problem}", where=where, fix=_FIX) from error
-    if isinstance(content, dict) and isinstance(content.get("format"), int) and content["format"] > FORMAT:
-        problem = f"the registration has format {content['format']}, newer than {FORMAT}, which this version knows"
-        raise StorageError(problem, where=where, fix="Update robot-runner.")
-    if findings := shape_findings(where, "registration", content, RegistrationFile, _FIX):
-        raise StorageError.of_findings(findings)
+        raise StorageError("there is no registration", where=str(path), fix=fix) from error
     if not _is_comparable(content):
-        raise StorageError("this is no registration: parts of it are not as it has them", where=where, fix=_FIX)
+        raise StorageError("this is no registration: parts of it are not as it has them", where=str(path), fix=_FIX)
     return Registration(path, content, checksum_of(content) == content[_SUM])
 
 
@@ -183,7 +174,8 @@ def _plan_differences(registered: Mapping[str, Any] | None, now: Mapping[str, An
     before, after = _full(registered), _full(now)
     if before is None or after is None:
         if (before is None) is not (after is None):
-            yield f"the analysis plan is {'gone' if after is None else 'there'}, and {_one(before)} was registered"
+            is_now, was = ("there", "none") if before is None else ("gone", "one")
+            yield f"the analysis plan is {is_now}, and {was} was registered"
         return
     for name in [*before, *(name for name in after if name not in before)]:
         if name != "hypotheses" and after.get(name) != before.get(name):
@@ -207,10 +199,6 @@ def _full(plan: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
         return json.loads(json.dumps(AnalysisPlan.of_mapping(plan).as_mapping()))  # type: ignore[no-any-return]
     except DesignError:  # of another version: it is compared as it stands
         return plan
-
-
-def _one(plan: object) -> str:
-    return "none" if plan is None else "one"
 
 
 def _measure_differences(registered: list[Any], now: list[Any]) -> Iterator[str]:

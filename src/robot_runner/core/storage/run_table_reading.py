@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice, repeat
 from operator import is_
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, RUN_ID, STATUS, WARM_UP, numbered_run_id
 from robot_runner.core.design.factor import Combination, factor_places
@@ -33,6 +33,7 @@ from robot_runner.core.storage.table_decoders import (
 )
 
 if TYPE_CHECKING:
+    from _csv import Reader as CsvReader
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
     from typing import TextIO
@@ -153,16 +154,6 @@ def read_run_table(path: Path, layout: TableLayout, planned: Sequence[PlannedRun
         return _Reading(layout, findings, planned, decimal_comma=delimiter == ";").read(file, delimiter)
 
 
-class _Lines(Protocol):
-    """What `csv.reader` returns; its type has no name."""
-
-    line_num: int
-
-    def __iter__(self) -> Iterator[list[str]]: ...
-
-    def __next__(self) -> list[str]: ...
-
-
 class _Reading:
     """One file being read: a decoder for each column that the layout can have."""
 
@@ -229,7 +220,9 @@ class _Reading:
 
     def _rows(self, headings: Headings, chunk: RowChunk, *, first: int) -> Iterable[RunRow]:
         """Return the rows of a chunk; `first` is the number of its first run."""
-        self._add_extras(headings.extras)
+        self._extras = headings.extras
+        for name in headings.extras:
+            self._decoders.setdefault(name, TextDecoder(name, self._findings, is_stamp=False))
         cells = list(zip(*chunk.rows, strict=True))
         count = len(chunk.rows)
         # In the order of the file, as its findings are.
@@ -289,7 +282,7 @@ class _Reading:
                     row[factor.name] = text
         return [row or None for row in texts]
 
-    def _chunks(self, lines: _Lines) -> Iterator[tuple[Headings, RowChunk]]:
+    def _chunks(self, lines: CsvReader) -> Iterator[tuple[Headings, RowChunk]]:
         headings: Headings | None = None
         while True:
             first_line = lines.line_num + 1
@@ -304,7 +297,7 @@ class _Reading:
             if is_broken or not rows:
                 return
 
-    def _take(self, lines: _Lines, rows: list[list[str]], first_line: int, *, most: int) -> bool:
+    def _take(self, lines: CsvReader, rows: list[list[str]], first_line: int, *, most: int) -> bool:
         """Take some rows; return whether the file breaks off in a row that is no CSV."""
         try:
             rows.extend(islice(lines, most))  # what comes before an error is kept
@@ -330,11 +323,6 @@ class _Reading:
                 fix = "Give it a cell under each heading; an empty one where there is no value."
                 self._findings.error(problem, fix, line=chunk.lines[place])
         return chunk.only(fitting)
-
-    def _add_extras(self, names: Sequence[str]) -> None:
-        self._extras = tuple(names)
-        for name in names:
-            self._decoders.setdefault(name, TextDecoder(name, self._findings, is_stamp=False))
 
 
 def _are_as_planned(

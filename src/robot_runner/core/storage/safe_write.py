@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import io
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.guarded_files import open_to_write
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
     from typing import TextIO
 
 
@@ -31,7 +32,8 @@ def write_beside_and_rename(path: Path, write: Callable[[TextIO], object], root:
     Raises:
         StorageError: it cannot be written.
     """
-    target, mode = (path, 0) if root else (path.resolve(), _RIGHTS)
+    # Not by `resolve`, which fails on a loop of links before it can be named.
+    target, mode = (path, 0) if root else (Path(os.path.realpath(path)), _RIGHTS)
     with open_to_write(target, root, mode=mode) as file:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         write(text)

@@ -355,12 +355,10 @@ class TextDecoder:
         """Return text, and say which is no time stamp where all are to be."""
         if not any(cells):
             return [None] * len(cells)
-        for place, cell in enumerate(cells) if self._has_odd(cells) else ():
+        has_odd = self._is_stamp and not are_stamps(list(filter(None, cells)))
+        for place, cell in enumerate(cells) if has_odd else ():
             if cell and not are_stamps([cell]):
                 fix = "Write it as in 2026-01-31T12:00:00.250Z."
                 problem = f"{cell!r} is no time stamp"
                 self._findings.warning(problem, fix, line=chunk.lines[place], column=self._name)
         return cells if all(cells) else [cell or None for cell in cells]
-
-    def _has_odd(self, cells: Sequence[str]) -> bool:
-        return self._is_stamp and not are_stamps([cell for cell in cells if cell])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.cells import RunStatus, are_stamps
-from robot_runner.core.storage.declared_shapes import shape_findings
+from robot_runner.core.storage.declared_shapes import shape_findings, with_short_texts
 from robot_runner.core.storage.file_shapes import Schema
 from robot_runner.core.storage.guarded_files import DamagedFileError, read_json
 from robot_runner.core.storage.guarded_files import replace as replace_file
@@ -50,7 +50,8 @@ def write_schema(path: Path, fields: Sequence[ColumnDescription]) -> None:
         "missingValues": [""],
         "primaryKey": [next((field.heading or RUN_ID for field in fields if field.name == RUN_ID), RUN_ID)],
     }
-    text = json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
+    # What a callback warns of may hold a picture.
+    text = json.dumps(with_short_texts(schema), indent=2, ensure_ascii=False) + "\n"
     replace_file(path, text)
 
 
@@ -159,7 +160,10 @@ def describe_columns(
         *(_factor(column, rows) for column in rows.layout.factors),
         *(_repetition(name, has_warm_ups=WARM_UP in rows.layout.marks) for name in rows.layout.repetition),
         *(MARKS[name] for name in rows.layout.marks),
-        *(_measure(name, recorded[name]) for name in rows.layout.measures),
+        *(
+            ColumnDescription(name=name, role=ColumnRole.MEASURE, type=type_of_values(recorded[name]), title=name)
+            for name in rows.layout.measures
+        ),
         *(
             ColumnDescription(name=name, role=ColumnRole.EXTRA, type="string", title=name)
             for name in rows.layout.extras
@@ -231,10 +235,6 @@ def _repetition(name: str, *, has_warm_ups: bool) -> ColumnDescription:
         if has_warm_ups
         else "Which repetition of its combination the run is, from 1.",
     )
-
-
-def _measure(name: str, values: Iterable[Any]) -> ColumnDescription:
-    return ColumnDescription(name=name, role=ColumnRole.MEASURE, type=type_of_values(values), title=name)
 
 
 def _merged(column: ColumnDescription, known: ColumnDescription | None) -> ColumnDescription:

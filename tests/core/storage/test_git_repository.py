@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import subprocess
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.core.storage.git_repository import git, uncommitted_changes
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    folder = tmp_path / "repository"
+    (folder / "sub").mkdir(parents=True)
+    (folder / "sub" / "file").write_text("".join(f"{line}\n" for line in range(20)))
+    who = ("-c", "user.name=a", "-c", "user.email=a@b.example")
+    for words in (("init", "--quiet"), ("add", "."), (*who, "commit", "--quiet", "--message=first")):
+        assert git(*words, folder=folder).returncode == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    "habit",
+    ["diff.noprefix=true", "diff.mnemonicPrefix=true", "diff.context=0", "diff.relative=true", "color.ui=always"],
+)
+def test_uncommitted_changes_can_be_applied_whatever_the_user_likes_to_see(
+    repository: Path, tmp_path: Path, habit: str
+) -> None:
+    git("config", "--global", *habit.split("="), folder=tmp_path)
+    changed = repository / "sub" / "file"
+    changed.write_text(changed.read_text().replace("7\n", "seven\n"))
+    kept = uncommitted_changes(repository / "sub")
+    assert git("clone", "--quiet", str(repository), str(tmp_path / "again"), folder=tmp_path).returncode == 0
+    command = ["git", "-c", "diff.noprefix=false", "apply", "-"]
+    subprocess.run(command, input=kept, cwd=tmp_path / "again", check=True, capture_output=True)
+    assert (tmp_path / "again" / "sub" / "file").read_text() == changed.read_text()
