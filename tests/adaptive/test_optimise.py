@@ -158,3 +158,16 @@ def test_an_optuna_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     told = told_of([(run.combination, 1) for run in model.plan()], energy)
     with pytest.raises(DesignError, match=r"Optuna could not be asked where to search next: .*no_such_program"):
         asking.ask(told)
+
+
+def test_treatments_whose_runs_fail_are_avoided_and_not_only_their_combinations() -> None:
+    tried = failed = 0
+    for seed in range(3):
+
+        def values(combination: Mapping[str, Any]) -> dict[str, float]:
+            return {} if combination["Mode"] == "plain" else energy(combination)
+
+        told, _ = searched(model_of(Optimise("Energy", runs=20, start=6, seed=seed)), values)
+        after_start = [each.run.combination["Mode"] for each in told[6:]]
+        tried, failed = tried + len(after_start), failed + after_start.count("plain")
+    assert failed / tried < 1 / 3, f"{failed} of {tried}: by chance it would be a third"

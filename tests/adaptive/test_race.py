@@ -101,3 +101,9 @@ def test_what_cannot_be_is_said(treatments: Any, how: dict[str, Any], repetition
 def test_a_race_is_by_one_measure() -> None:
     with pytest.raises(DesignError, match="Name a measure"):
         Race({"Energy": "minimise"}, at_most=8)  # type: ignore[arg-type]
+
+
+def test_a_race_that_has_no_value_at_its_first_look_ends_and_says_so() -> None:
+    told, decision = raced(np.full((2, 9), np.nan), confirm=3)
+    assert len(told) == 2 * 5
+    assert decision.findings[0][0] == "no combination has a value of Energy"

@@ -11,7 +11,7 @@ import pytest
 
 from robot_runner.cli.excluding import exclude_runs, include_runs
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -103,7 +103,7 @@ def test_an_edited_reason_is_a_deviation_like_any(execute: Execute) -> None:
         resume(executed)
     (finding,) = refused.value.findings
     assert finding.where.endswith("run r_2, column 'excluded'")
-    assert finding.problem == f"the table has 'nothing', the journal {WHY!r}"
+    assert finding.problem == f"the table has nothing, the journal {WHY!r}"
     resume(executed, table=TableChoice.JOURNAL)
     assert reasons(executed) == ["", WHY, "", ""]
     edit(path, f'"{WHY}"', "")
@@ -191,3 +191,14 @@ def test_nothing_is_corrected_while_somebody_executes_the_experiment(execute: Ex
     assert "the experiment is being executed by process" in problem
     assert "Wait until it ends" in fix
     assert executed.journal("excluded") == []
+
+
+@pytest.mark.parametrize("name", ["run_table.csv", "run_table.schema.json"])
+def test_of_what_is_lost_it_is_said_how_it_comes_back(execute: Execute, name: str) -> None:
+    executed = execute(COUNTING)
+    (executed.folder / name).unlink()
+    with pytest.raises(StorageError, match=f"{name} is missing") as refused:
+        exclude_runs(folder_of(executed), ["r_1"], WHY)
+    assert "it is made anew" in refused.value.fix
+    resume(executed)
+    assert exclude_runs(folder_of(executed), ["r_1"], WHY) == ("r_1",)

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -104,3 +106,36 @@ def test_words_come_from_the_command_line_where_none_are_given(
     monkeypatch.setattr("sys.argv", ["robot-runner", "--version"])
     assert main() == 0
     assert capsys.readouterr().out.startswith("robot-runner ")
+
+
+@pytest.mark.parametrize("words", [["{}"], ["status", "{}"], ["status", "{}.py"], ["stop", "{}/x"], ["check", "{}"]])
+def test_a_name_that_no_file_can_have_is_refused(robot_runner: Callable, words: list[str]) -> None:
+    assert robot_runner(*(word.format("a" * 300) for word in words)).code == 2
+
+
+def test_the_home_of_nobody_is_refused(robot_runner: Callable) -> None:
+    answer = robot_runner("status", "~nobody-of-this-name/results")
+    assert (answer.code, "there is no such file or folder" in answer.err) == (2, True)
+
+
+WITHOUT_RIGHTS = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", "--inh-caps", "-all"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0 and not shutil.which("setpriv"), reason="root may look into everything")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["status"], "there is no experiment here, and none is named"),
+        (["status", "."], "there is no experiment here"),
+        (["status", "locked"], "the folder cannot be read: Permission denied"),
+        (["status", "locked/x"], "the folder cannot be read: Permission denied"),
+        (["stop", "locked/x.py"], "the file cannot be read: Permission denied"),
+    ],
+)
+def test_a_folder_that_may_not_be_looked_into_is_no_fault_of_ours(
+    program: str, tmp_path: Path, words: list[str], said: str
+) -> None:
+    (tmp_path / "locked").mkdir(mode=0)
+    command = [*(WITHOUT_RIGHTS if os.geteuid() == 0 else []), program, *words]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (answer.returncode, said in answer.stderr) == (2, True), answer.stderr

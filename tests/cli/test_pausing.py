@@ -100,3 +100,15 @@ def test_enter_ends_a_pause_in_its_own_terminal(
     shown.wait_for("Paused before run 2 of 2")
     shown.child.sendline("")
     assert shown.finish() == 0
+
+
+def test_the_command_that_goes_on_can_be_pasted(
+    terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
+) -> None:
+    write_config(f"experiment_name = 'my study'\n{UNTIL_TOLD}", table=TABLE)
+    shown = terminal("run", "config.py", "--plain")
+    shown.wait_for("starts")
+    assert "robot-runner continue 'results/my study'\n" in robot_runner("pause", "config.py").out
+    assert robot_runner("continue", "config.py").code == 0
+    (tmp_path / "go").touch()
+    assert shown.finish() == 0

@@ -280,3 +280,32 @@ def test_it_works_in_a_notebook(tmp_path: Path) -> None:
     folder = tmp_path / "experiments" / "notebook"
     assert "class Notebook(ExperimentConfig):" in (folder / "config" / "config_from_python.py").read_text()
     assert json.loads((folder / "manifest.json").read_text())["config"]["kept"] == "cell"
+
+
+def test_where_what_takes_the_lines_fails_the_experiment_goes_on(wherever: Any, tmp_path: Path) -> None:
+    def fail(line: str) -> None:
+        raise ValueError(line)
+
+    results = wherever(lambda: run_experiment(Study, folder=tmp_path, say=fail))
+    assert (results.done_count, results.failed_count, results.todo_count) == (2, 2, 0)
+
+
+@pytest.mark.parametrize("only", ["r_1", "r_1,r_3", ["r_1"], ("Task=Good",)])
+def test_runs_are_chosen_as_on_the_command_line(wherever: Any, tmp_path: Path, only: Any) -> None:
+    config = written_config(tmp_path, "def populate_run_data(self, context): return {'Energy': 1.0}")
+    config.write_text(config.read_text().replace("Video", "Good"))
+    results = wherever(lambda: run_experiment(config, only=only))
+    assert results.done_count == (1 if only in ("r_1", ["r_1"]) else 2)
+
+
+@pytest.mark.parametrize(
+    ("asked", "problem"),
+    [
+        ({"only": [1]}, "1 names no run"),
+        ({"redo": [None]}, "None names no run"),
+        ({"settings": {1: 2}}, "1 is no name"),
+    ],
+)
+def test_what_is_no_text_where_a_text_belongs_is_told(tmp_path: Path, asked: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ConfigError, match=problem):
+        run_experiment(Study, folder=tmp_path, **asked)

@@ -8,8 +8,9 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.asking import Decision
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding, did_you_mean
-from robot_runner.core.words import counted, listed
+from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -43,6 +44,11 @@ class Explored:
     values: dict[str, dict[int, float]] = field(default_factory=dict)
     repetition: int = 0
 
+    @property
+    def as_texts(self) -> dict[str, str]:
+        """The combination, each treatment as text."""
+        return {name: str(treatment) for name, treatment in self.combination.items()}
+
     def means(self, measures: Sequence[str]) -> tuple[float, ...] | None:
         """Return the mean of each measure; None where one of them has no value."""
         known = [self.values.get(name) for name in measures]
@@ -73,7 +79,7 @@ def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explor
             continue
         for name in measures:
             value = each.values.get(name)
-            if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            if is_number(value):
                 own.values.setdefault(name, {})[each.run.repetition] = float(value)
             elif value is not None:
                 odd.append((f"{each.run.run_id} has {value!r}, which is no number of {name}", "Name another measure."))
@@ -90,16 +96,17 @@ def best_of(points: Sequence[Explored], directions: Mapping[str, Direction]) -> 
         for each in points
         if (means := each.means(measures)) is not None
     ]
-    return [each for each, own in known if not any(_dominates(other, own) for _, other in known)][: _most(measures)]
-
-
-def _most(measures: Sequence[str]) -> int | None:
-    """Return how many are best at most: of equal means of one measure, the first."""
-    return 1 if len(measures) == 1 else None
+    found = [each for each, own in known if not any(_dominates(other, own) for _, other in known)]
+    return found[:1] if len(measures) == 1 else found  # of equal means of one measure, the first
 
 
 def _dominates(one: Sequence[float], other: Sequence[float]) -> bool:
     return one != other and all(mine <= its for mine, its in zip(one, other, strict=True))
+
+
+def without_values(measures: Sequence[str]) -> tuple[str, str]:
+    """Return what is told where no combination has a value, as problem and fix."""
+    return f"no combination has a value of {enumerated(measures)}", "See why its runs failed, or yielded none."
 
 
 def shown(combination: Mapping[str, Any]) -> str:

@@ -22,6 +22,7 @@ from robot_runner.adaptive.explored import (
     in_direction,
     key_of,
     shown,
+    without_values,
 )
 from robot_runner.adaptive.searched_space import Places, SearchedSpace, baseline_findings, baseline_of
 from robot_runner.core.design.asking import Decision
@@ -221,7 +222,7 @@ class _Search:
             name = f"combination {len(points) + 1}"
             return Decision(name=name, in_words=words, runs=runs, facts={"why": words, **facts})
         if not best:
-            odd = [*odd, (f"no combination has a value of {enumerated(self.measures)}", "See why its runs failed.")]
+            odd = [*odd, without_values(self.measures)]
         ended = "the search has had its runs" if left <= 0 else "no further combination is allowed"
         words = f"{words}: {ended if best else 'nothing tells where to search'}"
         if design.confirm and best:
@@ -289,7 +290,7 @@ class _Search:
             "without_value": sum(each.means(self.measures) is None for each in points),
             "best": [
                 {
-                    "combination": {name: str(treatment) for name, treatment in each.combination.items()},
+                    "combination": each.as_texts,
                     "means": dict(zip(self.measures, each.means(self.measures) or (), strict=True)),
                 }
                 for each in best

@@ -43,7 +43,8 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
     for places, values in question["points"]:
         tried.add(tuple(places))
         params = {name: places[int(name)] for name in space}
-        state = TrialState.COMPLETE if values is not None else TrialState.FAIL
+        # Failed trials would be passed over by the model; pruned ones without any value are the worst that there are.
+        state = TrialState.COMPLETE if values is not None else TrialState.PRUNED
         study.add_trial(create_trial(params=params, distributions=space, values=values, state=state))
     answer = []
     for _ in range(question["count"]):

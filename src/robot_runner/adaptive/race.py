@@ -18,6 +18,7 @@ from robot_runner.adaptive.explored import (
     in_direction,
     key_of,
     shown,
+    without_values,
 )
 from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.columns import REPETITION
@@ -175,18 +176,21 @@ class _Racing:
         left = [each for each in runners if id(each) not in worse] or runners
         words = self._in_words(left, runners, worse, now)
         known = {
-            "left": [_plain(each) for each in left],
-            "dropped": [_plain(each) for each in runners if id(each) in worse],
+            "left": [each.as_texts for each in left],
+            "dropped": [each.as_texts for each in runners if id(each) in worse],
         }
         facts: dict[str, Any] = {"known": {"repetitions": now, **known}}
         if any(each.run.batch > 1 for each in told):
             words = f"{words}. The runs that confirm it are done"
+        elif not (has_values := any(each.values for each in runners)):
+            # The fault is not in the combinations: the repetitions that are left are worth keeping.
+            odd = [*odd, without_values(self.measures)]
         elif len(left) > 1 and now < design.at_most:
             words = f"{words}. Next: repetition {now + 1} of {counted(len(left), 'combination')}"
             runs = [(each.combination, now + 1) for each in left]
             name = f"repetition {now + 1}"
             return Decision(name=name, in_words=words, runs=runs, blocks=REPETITION, facts={"why": words, **facts})
-        elif design.confirm and any(each.values for each in left):
+        elif design.confirm and has_values:
             return confirmation(left, design.confirm, words, facts)
         return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
 
@@ -227,7 +231,3 @@ def _within_repetitions(one: Explored, other: Explored, measure: str, sign: int)
     """Return by how much one is worse than another in each repetition that has both."""
     mine, its = one.values.get(measure, {}), other.values.get(measure, {})
     return [sign * (mine[each] - its[each]) for each in sorted(mine.keys() & its.keys())]
-
-
-def _plain(each: Explored) -> dict[str, str]:
-    return {name: str(treatment) for name, treatment in each.combination.items()}

@@ -93,7 +93,8 @@ class SearchedSpace:
         """
         if count < 2:  # noqa: PLR2004 - one combination has no ends
             return self._filled([], count, seed)
-        orders = [arranged(count, None, RunOrder(shuffle=True, seed=_number(f"{seed} {own}"))) for own in self._names]
+        seeds = [Random(f"{seed} {own}").getrandbits(32) for own in self._names]  # noqa: S311 - reproducible, not secret
+        orders = [arranged(count, None, RunOrder(shuffle=True, seed=each)) for each in seeds]
         spread = [
             tuple(
                 round(order[number] * (len(levels) - 1) / (count - 1))
@@ -166,7 +167,3 @@ def baseline_of(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Combi
 
 def _is_number(treatment: object) -> bool:
     return isinstance(treatment, int | float) and not isinstance(treatment, bool)
-
-
-def _number(seed: str) -> int:
-    return Random(seed).getrandbits(32)  # noqa: S311 - reproducible, not secret

@@ -108,6 +108,10 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
     """
     read_manifest(folder.manifest)  # says where there is no experiment
     with ExperimentLock(folder.lock):
+        for path in (folder.run_table, folder.schema):
+            if not path.exists():
+                fix = "Execute the experiment once more with its config (robot-runner run): it is made anew."
+                raise StorageError(f"{path.name} is missing", where=str(folder.root), fix=fix)
         schema = read_schema(folder.schema)
         rows = _read_rows(folder, schema)
         with Journal(folder.journal) as journal:

@@ -25,16 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.notices import ExperimentFinished
     from robot_runner.core.execution.recovery import Resumption
 
-# Which screen fits where the output goes.
-
-Screen = LiveScreen | PlainScreen
-
-
-def screen_for(experiment: Experiment, *, plain: bool) -> Screen:
-    """Return the live screen on a terminal, and plain lines elsewhere or where they are asked for."""
-    kind = LiveScreen if is_live_terminal(sys.stdout) and not plain else PlainScreen
-    return kind(output(), experiment, time.monotonic)
-
 
 @dataclass(frozen=True, slots=True)
 class Execution:
@@ -80,7 +70,8 @@ def execute_on_screen(
     Raises:
         RobotRunnerError: it cannot start.
     """
-    screen = screen_for(experiment, plain=plain)
+    kind = LiveScreen if is_live_terminal(sys.stdout) and not plain else PlainScreen
+    screen = kind(output(), experiment, time.monotonic)
     finished = None
     try:
         with screen:

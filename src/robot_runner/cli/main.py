@@ -122,9 +122,7 @@ def _command(words: list[str]) -> tuple[str, list[str]]:
 
 
 def _looks_like_a_file(word: str) -> bool:
-    from pathlib import Path  # noqa: PLC0415 - for a quick --help
-
-    return word.endswith(".py") or "/" in word or Path(word).exists()
+    return word.endswith(".py") or "/" in word or os.path.exists(word)  # noqa: PTH110 - false of a name too long, too
 
 
 def _version() -> str:

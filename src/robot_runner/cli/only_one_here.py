@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import command_line, shown_path
 from robot_runner.cli.parser import UsageError
-from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.cli.target import holds_experiment
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -49,9 +49,9 @@ def only_package(command: str) -> str:
 
 
 def _experiments(folder: Path, depth: int) -> Iterator[Path]:
-    if (ExperimentFolder(folder)).manifest.is_file():
+    if holds_experiment(folder):
         yield folder
-    elif depth and not (folder / _UNPACKED).exists():
+    elif depth and not os.path.exists(folder / _UNPACKED):  # noqa: PTH110 - false of what cannot be looked at, too
         names: list[str] = []
         with suppress(OSError), os.scandir(folder) as below:
             names = [

@@ -20,6 +20,7 @@ from robot_runner.core.events.measure import resolve_columns, with_phases
 from robot_runner.core.execution.begun_experiment import unplanned_additions
 from robot_runner.core.execution.deciding import asking_of, what_follows
 from robot_runner.core.execution.durations import Estimate, durations_of
+from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
 from robot_runner.core.storage.cells import RunStatus
@@ -29,7 +30,7 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.config.loader import LoadedConfig
@@ -136,15 +137,15 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     if refused:
         raise ConfigError.of_findings(refused)
     warnings = (*loaded.findings, *findings, *column_findings)
-    plan, rows = _planned(config, folder, model, columns, warnings, loaded.spelling)
+    plan, settled = _planned(config, folder, model, columns, warnings, loaded.spelling)
     if parameters is None or folder is None:
         return plan
-    return _with_duration(plan, rows, loaded, plugins, parameters, folder)
+    return _with_duration(plan, settled, loaded, plugins, parameters, folder)
 
 
 def _with_duration(
     plan: Plan,
-    rows: RunTableRows | None,
+    settled: Collection[str],
     loaded: LoadedConfig,
     plugins: tuple[Plugin, ...],
     parameters: Parameters,
@@ -159,11 +160,7 @@ def _with_duration(
     durations = durations_of(loaded.config, plugins, events, parameters, combinations, folder.journal)
     rules = parameters.repeat_until
     durations.plan(
-        (
-            run.combination
-            for place, run in enumerate(plan.runs)
-            if rows is None or (rows.status(place) is not RunStatus.DONE and rows.excluded(place) is None)
-        ),
+        (run.combination for run in plan.runs if run.run_id not in settled),
         follows=what_follows(asking_of(plan.model, rules), plan.runs),
     )
     plan = replace(plan, repeated=rule_in_words(rules, as_configured(plan.model).repetitions))
@@ -181,12 +178,20 @@ def _planned(
     columns: MeasureColumns,
     warnings: tuple[Finding, ...],
     spelling: TableSpelling,
-) -> tuple[Plan, RunTableRows | None]:
-    """Return the plan, and the rows on disk where there are any, in the same order."""
-    if folder is not None and folder.run_table.exists():
-        return _plan_on_disk(config, folder, model, columns, warnings, spelling)
+) -> tuple[Plan, Collection[str]]:
+    """Return the plan, and the runs that are not executed any more: they are done, or excluded."""
+    try:
+        manifest = {} if folder is None else read_manifest(folder.manifest)
+    except StorageError:  # nothing was executed: there is no table, or one that was made by hand
+        manifest = {}
+    if folder is not None and (folder.run_table.exists() or _is_of_config(manifest)):
+        return _plan_of_begun(config, folder, manifest, model, columns, warnings, spelling)
     table = model.plan()
-    return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings), None
+    return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings), ()
+
+
+def _is_of_config(manifest: Mapping[str, Any]) -> bool:
+    return bool(manifest.get("design", {}).get("source") == "config")
 
 
 def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
@@ -197,40 +202,54 @@ def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
     return experiment_folder(parameters, loaded)
 
 
-def _plan_on_disk(
+def _plan_of_begun(
     config: Path,
     folder: ExperimentFolder,
+    manifest: Mapping[str, Any],
     model: RunTableModel,
     columns: MeasureColumns,
     warnings: tuple[Finding, ...],
     spelling: TableSpelling,
-) -> tuple[Plan, RunTableRows | None]:
-    try:
-        manifest = read_manifest(folder.manifest)
-    except StorageError:  # a table that was made by hand, before anything was executed
-        manifest = {}
+) -> tuple[Plan, Collection[str]]:
     if unplanned := unplanned_additions(config, model, manifest):
         found = (Finding.warning(each.where, each.problem, each.fix) for each in unplanned)
         table = model.plan(manifest["seed"])
-        return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=(*warnings, *found)), None
+        return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=(*warnings, *found)), ()
     known = ExcludedRuns.read(folder.journal)
     layout = replace(TableLayout.of_model(model, columns.names, spelling=spelling), has_exclusions=known.were_any)
     told: dict[str, Any] = {
         "executed": executed_order(folder.journal),
         "excluded": {run_id: each.reason for run_id, each in known.present.items()},
     }
-    if manifest.get("design", {}).get("source") == "config":
+    if _is_of_config(manifest):
         table = model.plan(manifest["seed"])
+        planned = Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told)
+        if not folder.run_table.exists():
+            history = ExperimentHistory()
+            history.read(folder)
+            done = {run_id for run_id, status in history.statuses.items() if status is RunStatus.DONE}
+            problem = "the run table is missing: it is made anew from the journal when the experiment is executed next"
+            missing = Finding.warning(str(folder.run_table), problem)
+            return replace(planned, findings=(*warnings, missing)), done | known.present.keys()
         rows = read_run_table(folder.run_table, layout, table)
         if not is_reordered(table, rows):
-            planned = Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told)
-            return planned, rows
+            return planned, _settled(rows)
         problem = "the rows were put into another order by hand: runs are executed in that order"
         warnings = (*warnings, Finding.warning(str(folder.run_table), problem))
     rows = read_run_table(folder.run_table, layout)
     runs = list(rows.planned)
     findings = (*warnings, *rows.warnings)
-    return Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings, **told), rows
+    plan = Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings, **told)
+    return plan, _settled(rows)
+
+
+def _settled(rows: RunTableRows) -> set[str]:
+    """Return the runs of a table that are not executed any more."""
+    return {
+        run.run_id
+        for place, run in enumerate(rows.planned)
+        if rows.status(place) is RunStatus.DONE or rows.excluded(place) is not None
+    }
 
 
 def configured_folder(path: Path, assignments: Sequence[str]) -> ExperimentFolder:

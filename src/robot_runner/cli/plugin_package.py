@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import sys
+from keyword import iskeyword
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.parser import UsageError
@@ -73,6 +75,9 @@ def write_plugin_package(folder: Path, kind: str) -> str:
         fix = f"Use lower-case letters, digits and '_', as in my_{'meter' if kind == 'profiler' else 'robot'}."
         raise UsageError("the folder's name is to be that of a Python package", where=str(folder), fix=fix)
     module = folder.name.replace("-", "_")
+    if iskeyword(module) or module in sys.stdlib_module_names:
+        problem = f"{module!r} is a word or a module of Python itself, and no module beside it can be imported by it"
+        raise UsageError(problem, where=str(folder), fix=f"Choose another name, such as my_{module}.")
     words = {
         "Class": "".join(part.capitalize() for part in module.split("_")),
         "extra": _EXTRAS[kind],

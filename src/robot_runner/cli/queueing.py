@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.commands import run
+from robot_runner.cli.console import command_line
 from robot_runner.cli.findings import show_findings
 from robot_runner.cli.guard import INTERRUPTED, REFUSED, SOME_FAILED, guarded
 from robot_runner.cli.parser import parser_of
@@ -165,8 +166,8 @@ def _executed(queued: QueuedExperiment) -> tuple[int, str]:
 def _reason(code: int, queued: QueuedExperiment) -> str:
     reasons = {
         0: "",
-        SOME_FAILED: f"some run failed: robot-runner status {queued.results}",
-        REFUSED: f"it was refused: robot-runner check {queued.config}",
+        SOME_FAILED: f"some run failed: {command_line('status', queued.results)}",
+        REFUSED: f"it was refused: {command_line('check', queued.config)}",
     }
     return reasons.get(code, f"it ended with exit code {code}")
 
@@ -225,7 +226,8 @@ class QueueRunner:
         after = self._queue.read_one(queued.number)
         if after is not None and after.has_ended:
             self._rest = 0.0
-            print(f"{named(queued)} of the queue has ended: {after.problem or 'all is done'}", flush=True)
+            how = after.problem or "all that was asked for is done"
+            print(f"{named(queued)} of the queue has ended: {how}", flush=True)
             return after.exit_code != 0
         if code == INTERRUPTED:
             self._is_ending = True

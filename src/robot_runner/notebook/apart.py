@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 import os
 import signal
 import subprocess
@@ -22,6 +23,8 @@ from robot_runner.core.errors import ExecutionError, Finding, RobotRunnerError, 
 from robot_runner.core.execution.interruption import stop_signals_to_handle
 from robot_runner.core.execution.notices import ExperimentFinished
 from robot_runner.core.execution.processes import stop_with_parent
+
+_log = logging.getLogger(__name__)
 
 #: Executes the experiment, given what takes lines for the user.
 Work = Callable[[Callable[[str], object]], ExperimentFinished]
@@ -97,14 +100,24 @@ def _followed(pid: int, reader: int, say: Callable[[str], object] | None) -> dic
                 if "print" in record:
                     sys.stdout.write(record["print"])
                 elif "say" in record:
-                    if say is not None:
-                        say(record["say"])
+                    say = _said(say, record["say"])
                 else:
                     last = record
             except KeyboardInterrupt:
                 with suppress(ProcessLookupError):
                     os.kill(pid, signal.SIGINT)
     return last
+
+
+def _said(say: Callable[[str], object] | None, line: str) -> Callable[[str], object] | None:
+    """Pass a line on, and return what takes the next one: nothing once it has failed, as the experiment goes on."""
+    try:
+        if say is not None:
+            say(line)
+    except Exception:  # noqa: BLE001 - it is the user's, and may fail in any way
+        _log.exception("What takes the lines failed; the experiment goes on.")
+        return None
+    return say
 
 
 def _outcome(code: int, last: dict[str, Any]) -> ExperimentFinished:

@@ -29,7 +29,7 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_duration
 from robot_runner.notebook.apart import execute_forked, execute_in_interpreter
-from robot_runner.notebook.python_config import as_texts, config_of_object, is_config
+from robot_runner.notebook.python_config import as_texts, config_of_object, is_config, runs_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -111,8 +111,8 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
         config: the path of a config file, a config class, or an instance of one.
         settings: static parameters to set, by name; recorded as deviations, as `--set` does.
         folder: where the experiment's folder is made, in the place of the config's `results_output_path`.
-        only: the ids of the only runs to execute.
-        redo: the ids of runs to execute again though they are done.
+        only: the only runs to execute: ids and treatments, as `--only` takes them.
+        redo: the runs to execute again though they are done.
         accept_changes: go on though the config, or what is set, differs from what was executed before.
         probe: whether profilers are tried before the first run, where the config does not forbid it.
         say: takes a line when a run starts and when it ends, such as `print`.
@@ -137,7 +137,13 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
     texts = as_texts(settings or {})
     if folder is not None:
         texts["results_output_path"] = str(Path(folder).expanduser().absolute())
-    resumption = Resumption(accept_changes=accept_changes, redo=tuple(redo), only=tuple(only), probe=probe)
+    asked: dict[str, Any] = {
+        "accept_changes": accept_changes,
+        "redo": runs_named("redo", redo),
+        "only": runs_named("only", only),
+        "probe": probe,
+    }
+    resumption = Resumption(**asked)
     if not isinstance(config, str | Path) and not is_config(config):
         raise ConfigError(
             f"{config!r} is no config",
@@ -155,8 +161,7 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
 
     if isinstance(config, str | Path):
         path = str(Path(config).expanduser().absolute())
-        chosen = {"accept_changes": accept_changes, "redo": list(redo), "only": list(only), "probe": probe}
-        request = {"config": path, "texts": texts, "chosen": chosen}
+        request = {"config": path, "texts": texts, "asked": asked}
         return _results(execute_in_interpreter(f"{__name__}:requested", request, say))
 
     def work(tell: Callable[[str], object]) -> ExperimentFinished:
@@ -167,13 +172,7 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
 
 def requested(request: Mapping[str, Any], tell: Callable[[str], object]) -> ExperimentFinished:
     """Execute what a program with threads asks a fresh interpreter for."""
-    chosen = request["chosen"]
-    resumption = Resumption(
-        accept_changes=chosen["accept_changes"],
-        redo=tuple(chosen["redo"]),
-        only=tuple(chosen["only"]),
-        probe=chosen["probe"],
-    )
+    resumption = Resumption(**request["asked"])
     return _executed(request["config"], request["texts"], resumption, _Teller(tell))
 
 

@@ -20,7 +20,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.vain_parameters import parameters_guarded
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
 
 _NO_FILE = "Write the class to a file and give its path: then all of it is kept."
@@ -45,7 +45,10 @@ def as_texts(settings: Mapping[str, Any]) -> dict[str, str]:
     texts: dict[str, str] = {}
     findings: list[Finding] = []
     for name, value in settings.items():
-        if isinstance(value, Enum):
+        if not isinstance(name, str):
+            problem = f"{name!r} is no name of a static parameter"
+            findings.append(Finding.error("settings", problem, "Give names as texts, such as 'robot'."))
+        elif isinstance(value, Enum):
             texts[name] = str(value.value)
         elif value is None or isinstance(value, str | int | float | Path):
             texts[name] = str(value)
@@ -57,6 +60,24 @@ def as_texts(settings: Mapping[str, Any]) -> dict[str, str]:
     if findings:
         raise ConfigError.of_findings(findings)
     return texts
+
+
+def runs_named(option: str, runs: Sequence[str] | str) -> tuple[str, ...]:
+    """Return the runs that are chosen as `--only` and `--redo` take them, where one text alone is one of these, too.
+
+    Raises:
+        ConfigError: something among them is no text.
+
+    Example:
+        >>> runs_named("only", "r_1,r_2"), runs_named("only", ["r_1", "Task=Video"])
+        (('r_1,r_2',), ('r_1', 'Task=Video'))
+    """
+    named = (runs,) if isinstance(runs, str) else tuple(runs)
+    wrong = [each for each in named if not isinstance(each, str)]
+    if wrong:
+        fix = "Give ids or treatments as texts, such as 'r_1' or 'Task=Video'."
+        raise ConfigError(f"{wrong[0]!r} names no run", where=f"run_experiment, {option}", fix=fix)
+    return named
 
 
 @contextmanager

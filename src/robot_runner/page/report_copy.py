@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ExecutionError
@@ -25,7 +26,7 @@ class Reports:
         try:
             return read_bytes(ExperimentFolder(folder).report / "report.html", folder)
         except MissingFileError as error:
-            fix = f"Make it: robot-runner report {folder.name}"
+            fix = f"Make it: robot-runner report {shlex.quote(folder.name)}"
             raise ExecutionError("there is no report yet", where=folder.name, fix=fix) from error
 
     def close(self) -> None:

@@ -127,3 +127,11 @@ def test_a_name_that_is_no_packages_is_refused_and_nothing_is_overwritten(
     assert (there.code, "there is a file or folder of this name already" in there.err) == (2, True)
     assert list((tmp_path / "my_robot").iterdir()) == []
     assert robot_runner("new", "--plugin", "robot").code == 2
+
+
+@pytest.mark.parametrize("name", ["class", "random", "lambda", "robots/json"])
+def test_a_plugin_is_not_named_like_what_python_has_already(robot_runner: Callable, tmp_path: Path, name: str) -> None:
+    refused = robot_runner("new", "--plugin", "profiler", name)
+    assert refused.code == 2
+    assert f"fix: Choose another name, such as my_{name.rpartition('/')[2]}." in refused.err
+    assert list(tmp_path.iterdir()) == []

@@ -203,3 +203,18 @@ def test_a_plan_that_may_be_repeated_says_until_when_and_how_often(
     checked = " ".join(robot_runner("check", "config.py").out.split())
     assert "hold at 95 % for values that are near to normal, in 88 to 95 % for skewed ones" in checked
     assert until in checked
+
+
+def test_where_the_run_table_is_lost_runs_that_are_done_take_no_time(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
+    robot_runner("run", "config.py", "--skip", "r_4")
+    before = robot_runner("plan", "config.py", "--json").json
+    (tmp_path / "results" / "trial" / "run_table.csv").unlink()
+    answer = robot_runner("plan", "config.py", "--json")
+    (finding,) = answer.json.pop("findings")
+    assert "the run table is missing" in finding["problem"]
+    assert answer.json["duration"]["parts"] == before["duration"]["parts"]
+    assert "1 run" in answer.json["duration"]["parts"][0]
+    assert {**answer.json, "findings": []} == before

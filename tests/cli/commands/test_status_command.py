@@ -1,9 +1,15 @@
 from __future__ import annotations
 
 import shutil
+import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
+
+from robot_runner.cli.commands.status import _as_json
+from robot_runner.core.execution.experiment_status import read_status
+from robot_runner.core.execution.places import InFlight
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -156,3 +162,49 @@ def test_a_missing_run_table_hides_nothing_that_was_executed(robot_runner: Calla
         name: before[name] for name in ("run_count", "done", "failed", "todo")
     }
     assert "the run table is missing; the journal has what was executed" in robot_runner("status", "config.py").out
+
+
+def test_json_holds_each_run_that_is_executed_as_facts(half_done: Path) -> None:
+    status = replace(read_status(half_done), in_flight=(InFlight("r_2", "alice", "start_run"),))
+    assert _as_json(status)["in_flight"] == [{"run": "r_2", "place": "alice", "event": "start_run"}]
+
+
+@pytest.mark.parametrize("words", [["status"], ["stop"], ["exclude", "r_1", "--reason", "x"]])
+@pytest.mark.parametrize("target", ["results/trial", "config.py"])
+def test_an_experiment_whose_manifest_is_lost_is_not_taken_for_that_of_another_tool(
+    robot_runner: Callable, half_done: Path, words: list[str], target: str
+) -> None:
+    (half_done / "manifest.json").unlink()
+    command, *more = words
+    answer = robot_runner(command, target, *more)
+    assert answer.code == 2
+    assert "manifest.json is missing, and the journal is there" in answer.err
+    assert "robot-runner run" in answer.err
+    robot_runner("run", "config.py")
+    assert robot_runner("status", target).code == 0
+
+
+def test_the_command_that_is_offered_can_be_pasted(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config().rename(tmp_path / "my study.py")
+    assert "fix: Execute it: robot-runner 'my study.py'" in robot_runner("status", "my study.py").err
+
+
+def test_a_session_does_not_last_until_somebody_excludes_a_run(robot_runner: Callable, half_done: Path) -> None:
+    before = robot_runner("status", "config.py", "--json").json["sessions"]
+    time.sleep(0.01)  # the stamps of the journal have milliseconds
+    assert robot_runner("exclude", "config.py", "r_2", "--reason", "the door was open").code == 0
+    assert robot_runner("status", "config.py", "--json").json["sessions"] == before
+
+
+def test_a_missing_schema_hides_nothing_that_was_executed(robot_runner: Callable, half_done: Path) -> None:
+    (half_done / "run_table.schema.json").unlink()
+    told = robot_runner("status", "config.py").out
+    assert "2 of 4 runs done, 2 failed, 0 to do" in told
+    assert "the schema of the run table is missing" in told
+
+
+def test_runs_that_are_executed_again_are_not_counted_twice(robot_runner: Callable, half_done: Path) -> None:
+    told = robot_runner("run", "config.py", "--redo", "r_2", "--only", "r_2", "--plain").out
+    assert ", 1 of them done before" in told

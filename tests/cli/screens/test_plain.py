@@ -1,10 +1,12 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from robot_runner.cli.console import UserConsole
 from robot_runner.cli.screens import plain
 from robot_runner.cli.screens.plain import PlainScreen, opening
 from robot_runner.core.errors import Finding
@@ -107,3 +109,18 @@ def test_a_gate_that_is_open_is_not_worth_a_line_and_one_that_stays_shut_is(said
 
 def test_a_gate_that_opens_within_a_second_is_not_told_of(said: Any) -> None:
     assert said(at_gate(0.0, "12 %"), GatePassed("r_2", "the load is below 10 %", "9 %", 0.05, "open")) == []
+
+
+def test_where_nobody_reads_on_the_experiment_goes_on_without_a_word(
+    experiment: Experiment, clock: Any, notices: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    let_go: list[bool] = []
+    monkeypatch.setattr(plain, "let_go_of_stdout", lambda: let_go.append(True))
+    reader, writer = os.pipe()
+    os.close(reader)
+    closed = os.fdopen(writer, "w", encoding="utf-8")
+    screen = PlainScreen(UserConsole(closed), experiment, clock)
+    screen.notice(notices.started())
+    assert (let_go, screen.progress.run_count) == ([True], 4)
+    with pytest.raises(BrokenPipeError):
+        closed.close()

@@ -150,7 +150,7 @@ def test_a_measure_column_that_was_removed_comes_back_with_its_values(execute: E
     path = executed.folder / "run_table.csv"
     before = text_of(path)
     path.write_text("\n".join(line.rpartition(",")[0] for line in before.splitlines()) + "\n", encoding="utf-8")
-    with pytest.raises(TableDisagreementError, match="the table has 'nothing', the journal '11'"):
+    with pytest.raises(TableDisagreementError, match="the table has nothing, the journal '11'"):
         resume(executed)
     resume(executed, table=TableChoice.JOURNAL)
     assert text_of(path) == before

@@ -25,6 +25,7 @@ from robot_runner.cli.console import (
 )
 from robot_runner.cli.executing import Execution, execute_on_screen, read_or_not
 from robot_runner.cli.screens.ending import print_verdict, whereabouts
+from robot_runner.cli.screens.run_rows import heading_of
 from robot_runner.cli.templating import template, write_new_file
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import LinkError, StorageError
@@ -118,17 +119,14 @@ def _rows(run_table: Path) -> list[dict[str, str]]:
 def _print_table(console: UserConsole, rows: Sequence[Mapping[str, str]]) -> None:
     console.print()
     cells = [[_cell(row, name) for name in _SHOWN] for row in rows]
+    headings = [heading_of(name, _UNITS.get(name, "")) for name in _SHOWN]
     columns = [
-        Column(_heading(name), width_of([_heading(name), *(line[place] for line in cells)]), name in _UNITS)
-        for place, name in enumerate(_SHOWN)
+        Column(column[0], width_of(column), name in _UNITS)
+        for name, column in zip(_SHOWN, zip(headings, *cells, strict=True), strict=True)
     ]
     console.print("  " + aligned(columns, [column.heading for column in columns]), style="bold", soft_wrap=True)
     for line in cells:
         console.print("  " + aligned(columns, line), soft_wrap=True)
-
-
-def _heading(name: str) -> str:
-    return f"{name} ({_UNITS[name]})" if name in _UNITS else name
 
 
 def _cell(row: Mapping[str, str], name: str) -> str:

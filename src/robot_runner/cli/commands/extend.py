@@ -17,7 +17,7 @@ from robot_runner.cli.design_words import (
     warm_ups_in_words,
 )
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
-from robot_runner.cli.findings import show_findings
+from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
 from robot_runner.core.config.dialects import prepare
@@ -163,4 +163,5 @@ def _as_json(extension: Extension, *, is_written: bool) -> dict[str, object]:
         "is_written": is_written,
         "run_count": sum(len(each.run_ids) for each in extension.model.batches),
         "new_runs": list(map(run_as_json, extension.runs)),
+        "findings": as_json(extension.findings),
     }

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import shown_path
 from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_set, add_target
+from robot_runner.cli.screens.plain import continue_command
 from robot_runner.cli.target import folder_of_target
 from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status, require_executed
 from robot_runner.core.storage.lock import leave_request
@@ -31,9 +32,8 @@ def execute(arguments: Namespace) -> int:
     """Leave the request, and say when it takes effect."""
     folder = folder_of_target(arguments.target or only_experiment("pause"), arguments.set)
     status = read_status(folder.root)
-    where = shown_path(folder.root)
-    require_executed(status, where, "There is nothing to pause")
-    command = f"robot-runner continue {where}"
+    require_executed(status, shown_path(folder.root), "There is nothing to pause")
+    command = continue_command(folder.root)
     if status.is_paused:
         print(f"{status.experiment_name} is paused already. To go on: {command}")
         return 0

@@ -21,7 +21,7 @@ from robot_runner.cli.design_words import (
     run_as_json,
     warm_ups_in_words,
 )
-from robot_runner.cli.findings import show_findings
+from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.parser import add_config, add_json, add_set
 from robot_runner.cli.planning import Plan, plan_of
 from robot_runner.core.config.loader import parse_assignments
@@ -87,4 +87,5 @@ def _as_json(plan: Plan) -> dict[str, object]:
         "measures": columns_as_json(plan.columns),
         "duration": asdict(plan.duration),
         "runs": list(map(run_as_json, plan.runs)),
+        "findings": as_json(plan.findings),
     }

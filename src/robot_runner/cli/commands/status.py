@@ -6,6 +6,7 @@ It is told from what is on disk alone, so from any terminal.
 from __future__ import annotations
 
 from dataclasses import asdict
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
@@ -153,7 +154,7 @@ def _sessions(status: ExperimentStatus) -> str:
 
 def _chosen(status: ExperimentStatus) -> str:
     chosen = status.sessions[-1].selection if status.sessions else {}
-    return " ".join(f"--{option} {each}" for option, several in chosen.items() for each in several)
+    return " ".join(f"--{option} {quote(each)}" for option, several in chosen.items() for each in several)
 
 
 def _state(status: ExperimentStatus) -> str:
@@ -182,6 +183,7 @@ def _as_json(status: ExperimentStatus) -> dict[str, Any]:
         "holder": asdict(status.holder) if status.holder else None,
         "sessions": [_session_as_json(session) for session in status.sessions],
         "findings": as_json(status.findings),
+        "in_flight": list(map(asdict, status.in_flight)),
     }
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -113,17 +112,11 @@ def _check(arguments: Namespace) -> None:
 def _kept(trial: Trial, wanted: str | None) -> Path | None:
     if wanted is None or trial.folder is None or not trial.folder.exists():
         return None
-    with _writing(wanted):
-        return Path(shutil.copytree(trial.folder, wanted))
-
-
-@contextmanager
-def _writing(path: str) -> Iterator[None]:
     try:
-        yield
+        return Path(shutil.copytree(trial.folder, wanted))
     except OSError as error:
         fix = "Name another folder."
-        raise RobotRunnerError(f"the folder cannot be written: {error.strerror}", where=path, fix=fix) from error
+        raise RobotRunnerError(f"the folder cannot be written: {error.strerror}", where=wanted, fix=fix) from error
 
 
 def _print(console: UserConsole, plugin: Plugin, trial: Trial, kept: Path | None) -> None:

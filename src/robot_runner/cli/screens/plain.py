@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import command_line, folded, shown_path
 from robot_runner.cli.findings import print_findings
+from robot_runner.cli.guard import let_go_of_stdout
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.cli.screens.run_rows import shown_measure, treatments_in_words
 from robot_runner.core.execution.notices import (
@@ -200,8 +201,14 @@ class PlainScreen:
         """Leave what was printed."""
 
     def notice(self, notice: Notice) -> None:
-        """Print what is worth a line."""
+        """Print what is worth a line; where nobody reads on (`| head`), the experiment goes on unseen."""
         self.progress.take(notice)
+        try:
+            self._show(notice)
+        except BrokenPipeError:
+            let_go_of_stdout()
+
+    def _show(self, notice: Notice) -> None:
         match notice:
             case PreparationStarted() | ProbeStarted() | HostRestarts():
                 self._print(announced(notice))

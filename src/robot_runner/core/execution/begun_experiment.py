@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -195,5 +196,5 @@ def _chosen(model: RunTableModel) -> Mapping[str, Sequence[str]]:
 
 
 def shown_config(path: Path) -> str:
-    """Return a path as it is named in a command: from the present folder, where it is below it."""
-    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+    """Return a path as it is named in a command of a shell: from the present folder, where it is below it."""
+    return shlex.quote(str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path))

@@ -8,13 +8,15 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.treatment_makers import PREPARED
 from robot_runner.core.design.batch import CONFIRMATION
+from robot_runner.core.design.batches import EXTENDED
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Quality, quality_of_value
 from robot_runner.core.execution.durations import TimeLeft
 from robot_runner.core.execution.places import InFlight
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import ExcludedRuns
+from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -25,6 +27,10 @@ if TYPE_CHECKING:
 
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
+
+
+#: What is written before a session begins, or by other commands after one has ended: no session lasts until then.
+_BETWEEN_SESSIONS = EXCLUSION_KINDS | {EXTENDED, PREPARED}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +107,7 @@ class ExperimentHistory:
 
     def take(self, record: Mapping[str, Any]) -> None:
         """Take a record of the journal into account, the oldest first."""
-        if self.sessions:
+        if self.sessions and not self.sessions[-1].is_whole and record["kind"] not in _BETWEEN_SESSIONS:
             self.sessions[-1] = replace(self.sessions[-1], ended_at=record.get("at", self.sessions[-1].ended_at))
         self._excluded.take(record)
         take = getattr(self, f"_take_{record['kind']}", None)
@@ -120,12 +126,14 @@ class ExperimentHistory:
         """
         if files.run_table.exists() and files.schema.exists():
             self.take_rows(read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema))))
-        elif self._ends and not files.run_table.exists():
+        elif self._ends:
             self.statuses = dict(self._ends)
             self.unlisted = max(0, self._planned - len(self._ends))
-            problem = "the run table is missing; the journal has what was executed"
+            missing = files.schema if files.run_table.exists() else files.run_table
+            what = "schema of the run table" if files.run_table.exists() else "run table"
+            problem = f"the {what} is missing; the journal has what was executed"
             fix = "It is made anew when the experiment is executed next."
-            self.findings.append(Finding.warning(str(files.run_table), problem, fix))
+            self.findings.append(Finding.warning(str(missing), problem, fix))
         self.settle()
 
     def take_rows(self, rows: RunTableRows) -> None:

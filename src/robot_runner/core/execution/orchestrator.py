@@ -233,7 +233,7 @@ class _Orchestrator:
             experiment_name=self._parameters.experiment_name,
             folder=self._experiment.folder.root,
             run_count=self._progress.run_count,
-            done_count=self._progress.done_count,
+            done_count=self._progress.done_before,
             seed=self._progress.seed,
             columns={column.name: column.measure.unit for column in columns if not column.tells_of},
             asked_for=[column.name for column in columns if column.owner == OPERATOR_OWNER],

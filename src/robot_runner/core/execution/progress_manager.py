@@ -161,6 +161,11 @@ class ProgressManager:
         return self._rows.count(RunStatus.DONE)
 
     @property
+    def done_before(self) -> int:
+        """How many runs are done, but for those that this session executes again."""
+        return self.done_count - sum(self._rows.status(place) is RunStatus.DONE for place in self._selected)
+
+    @property
     def todo_count(self) -> int:
         """How many runs are left to be executed: neither done nor failed, nor excluded."""
         left = self.run_count - self.done_count - len(self._failed)

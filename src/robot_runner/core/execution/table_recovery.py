@@ -280,7 +280,8 @@ class _Recovery:
             problem = "the run was executed, and the table has no such run any more"
         else:
             where += f", column {each.column!r}"
-            problem = f"the table has {each.is_now or 'nothing'!r}, the journal {each.was or 'nothing'!r}"
+            now, before = (repr(text) if text else "nothing" for text in (each.is_now, each.was))
+            problem = f"the table has {now}, the journal {before}"
         return Finding.error(where, problem, _CHOOSE) if is_error else Finding.warning(where, problem)
 
     def _put_aside(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -122,9 +123,8 @@ def convert(path: Path, folder: Path | None = None, name: str = "") -> Conversio
     recognised = recognise(path)
     if recognised is None:
         read_source(path)  # which refuses what is no config at all
-        raise ConfigError(
-            "the config is written in our own spelling already", where=str(path), fix=f"Execute it: robot-runner {path}"
-        )
+        fix = f"Execute it: robot-runner {shlex.quote(str(path))}"
+        raise ConfigError("the config is written in our own spelling already", where=str(path), fix=fix)
     with load_apart():
         preparation = prepare(path, is_for_here=False)
         if preparation.experiment is None:
