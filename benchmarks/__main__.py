@@ -20,6 +20,7 @@ _HARNESS = {
     "odometry_types",
     "power_comparison",
     "precise_stopping",
+    "proportion_nulls",
     "table",
 }
 _DEADLINE = 1800.0  # seconds a benchmark

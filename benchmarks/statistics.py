@@ -22,6 +22,7 @@ from benchmarks.interval_coverage import COVERED
 from benchmarks.null_designs import NULL_DESIGNS, NullDesign
 from benchmarks.power_comparison import COMPARED
 from benchmarks.precise_stopping import precise_stopping
+from benchmarks.proportion_nulls import PROPORTIONS
 from benchmarks.table import Judged, Row, print_table
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
@@ -63,6 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
         (f"False positives at 5 % ({count:,} experiments a design)", false_positives),
         ("False positives of designs of their own, at 5 %", DESIGNED_NULLS),
         ("Coverage of intervals", COVERED),
+        ("Proportions: false positives at 5 %, and coverage", PROPORTIONS),
         ("Power, and what it lacks to the best test beside it", COMPARED),
     ]
     failed = 0

@@ -6,6 +6,8 @@ import json
 
 import numpy as np
 import pytest
+from statsmodels.stats.proportion import confint_proportions_2indep
+from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis.comparison.compared import Bound, Verdict
 from robot_runner.analysis.comparison.comparing import compare
@@ -15,6 +17,7 @@ from robot_runner.analysis.comparison.comparison_document import (
     json_of_comparison,
 )
 from robot_runner.analysis.results import load_results
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import AnalysisError, StorageError
 
 
@@ -278,3 +281,34 @@ def test_json_has_everything_and_no_nan(two_tasks):
     facts = json.loads(json_of_comparison(comparison), parse_constant=pytest.fail)
     assert facts["verdict"] == "undecided"
     assert facts["measures"][0]["differences"][1]["treatments"] == {"Task": "Network"}
+
+
+def of_answers(root, yes, n):
+    planner = Factor("Planner", ["DWB"])
+    return make_experiment(
+        root, [planner], lambda _, repetition: {"Success": repetition <= yes}, repetitions=n, measures=["Success"]
+    ).root
+
+
+def test_proportions_have_score_intervals_that_decide_as_their_tests_do(tmp_path):
+    folders = of_answers(tmp_path / "one", 18, 20), of_answers(tmp_path / "other", 33, 40)
+    (difference,) = compare(*folders, bound=0.25).measure("Success").differences
+    ends = confint_proportions_2indep(33, 40, 18, 20, method="newcomb", compare="diff")
+    assert (difference.interval.low, difference.interval.high) == pytest.approx(ends)
+    narrow = confint_proportions_2indep(33, 40, 18, 20, method="newcomb", compare="diff", alpha=0.1)
+    assert (difference.narrow_interval.low, difference.narrow_interval.high) == pytest.approx(narrow)
+    assert difference.verdict is Verdict.EQUIVALENT
+    for bound in (0.1, 0.2, -difference.narrow_interval.low + 0.001, -difference.narrow_interval.low - 0.001, 0.3):
+        (again,) = compare(*folders, bound=bound).measure("Success").differences
+        assert (again.equivalence_p_value < 0.05) is (-bound < again.narrow_interval.low)
+
+
+def test_experiments_all_of_whose_runs_succeed_are_compared(tmp_path):
+    (difference,) = (
+        compare(of_answers(tmp_path / "one", 40, 40), of_answers(tmp_path / "other", 40, 40), bound=0.1)
+        .measure("Success")
+        .differences
+    )
+    assert (difference.difference, difference.p_value) == (0, 1)
+    assert -0.1 < difference.interval.low < 0 < difference.interval.high < 0.1
+    assert difference.verdict is Verdict.EQUIVALENT

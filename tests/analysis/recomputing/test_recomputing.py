@@ -94,6 +94,10 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     ),
     "combinations without runs": ([TASKS, MAPS, Factor("Room", ["a", "b"])], 3, {1, 13, 25}, {}),
     "a run in a cell": ([TASKS, MAPS], 2, {1, 4}, {}),
+    "yes or no": ([MAPS], 12, {1}, {}),
+    "yes or no, three treatments": ([TASKS], 8, set(), {}),
+    "yes or no, two factors": ([TASKS, MAPS], 7, {2, 3}, {"analysis": {"measures": ["Energy", "CPU"]}}),
+    "yes or no, blocks": ([TASKS, MAPS], 9, {4}, {"blocks": "Repetition"}),
     "odd names": ([Factor(EVIL, EVILS), Factor("is on", [True, False])], 2, set(), {}),
 }
 
@@ -114,7 +118,8 @@ def experiment(folder: Path, name: str) -> Path:
     def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
         effect = sum(at[str(treatments[each])] for each, at in places.items())
         energy = 50 + (20 if "large" in name else 1.5) * effect + repetition % 3 + (1 + effect % 2) * random.normal()
-        return None if next(runs) in missing else {"Energy": float(energy), "CPU": float(random.lognormal())}
+        told = bool(random.random() < 0.3 + 0.2 * effect) if "yes or no" in name else float(energy)
+        return None if next(runs) in missing else {"Energy": told, "CPU": float(random.lognormal())}
 
     made = make_experiment(
         folder / "made",

@@ -128,11 +128,10 @@ def test_unequal_groups(tmp_path):
     assert found.measure("Energy").test is not None
 
 
-@pytest.mark.parametrize("value", ["fast", True])
-def test_a_measure_that_is_not_a_number(tmp_path, value):
-    measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": value}).measure("Energy")
+def test_a_measure_that_is_a_text(tmp_path):
+    measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": "fast"}).measure("Energy")
     assert measure.overall is None
-    assert [each.why for each in measure.not_computed] == ["the measure is not a number."]
+    assert [each.why for each in measure.not_computed] == ["the measure is neither a number nor yes or no."]
 
 
 def test_a_factor_of_a_hundred_treatments(tmp_path):

@@ -20,11 +20,14 @@ from robot_runner.analysis.comparison.equivalence import (
     agreement_of,
     difference_test,
     equivalence_p_value,
+    equivalent_proportions,
     practical_equivalence,
+    proportion_test,
     spread_of,
     why_not_testable,
 )
 from robot_runner.analysis.comparison.matching import (
+    are_answers,
     can_be_converted,
     chosen_measures,
     differing_circumstances,
@@ -153,11 +156,13 @@ class _Asked(NamedTuple):
     region: Bound | None
     alpha: float
     is_paired: bool
+    are_answers: bool = False
 
 
 def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) -> MeasureComparison:
     """Compare a measure in all combinations; p-values are adjusted after Holm for their number."""
     units = matching.first.unit(names[0]), matching.second.unit(names[1])
+    asked = asked._replace(are_answers=not asked.is_paired and are_answers(matching, names))
     found_values = (group.values(*names, is_paired=asked.is_paired) for group in matching.groups)
     values = [(one, in_unit(other, units[1], units[0])) for one, other in found_values]
     found = [_tested(group.treatments, *pair, asked) for group, pair in zip(matching.groups, values, strict=True)]
@@ -174,7 +179,7 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
         agreement=agreement_of(labelled, is_paired=asked.is_paired),
         verdict=Verdict.of_all([each.verdict for each in differences]),
         conclusion="",
-        not_computed=tuple(_missed(differences, asked.region, *units)),
+        not_computed=tuple(_missed(differences, asked, *units)),
         region=asked.region,
     )
     return replace(compared, conclusion=conclusion_of(compared))
@@ -182,7 +187,7 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
 
 def _tested(treatments: Mapping[str, str], first: Floats, second: Floats, asked: _Asked) -> Difference:
     """Compare the values of one combination; p-values are not adjusted yet."""
-    bound, region, alpha, is_paired = asked
+    bound, region, alpha, is_paired, are_answers = asked
     one, other = (float(values.mean()) if len(values) else None for values in (first, second))
     size = None if one is None or other is None else other - one
     described = Difference(
@@ -196,10 +201,19 @@ def _tested(treatments: Mapping[str, str], first: Floats, second: Floats, asked:
         size,
         relative=size / abs(one) * _PERCENT if size is not None and one else None,
         bound=None if bound is None or one is None else bound.in_units(one),
-        not_computed=why_not_testable(first, second, is_paired=is_paired),
     )
-    if described.not_computed:
-        return described
+    if are_answers and size is not None:
+        told = proportion_test(first, second, alpha=alpha)
+        within = described.bound
+        return replace(
+            described,
+            interval=told.interval,
+            narrow_interval=told.narrow,
+            p_value=told.p_value,
+            equivalence_p_value=equivalent_proportions(first, second, within) if within else None,
+        )
+    if why := why_not_testable(first, second, is_paired=is_paired):
+        return replace(described, not_computed=why)
     test, pair = difference_test(first, second, alpha=alpha, is_paired=is_paired), (first, second)
     return replace(
         described,
@@ -227,12 +241,16 @@ def _judged(difference: Difference, alpha: float) -> Difference:
     return difference
 
 
-def _missed(differences: Sequence[Difference], region: Bound | None, one: str, other: str) -> Iterator[NotComputed]:
+def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: str) -> Iterator[NotComputed]:
     for each in differences:
         if each.not_computed:
             yield NotComputed(f"test of {each.label}", each.not_computed)
-        elif region is not None and each.practical is None:
+        elif each.bound == 0:
+            why = "The bound is a percentage of the first mean, which is 0: give it in the unit of the measure."
+            yield NotComputed(f"equivalence of {each.label}", why)
+        elif asked.region is not None and each.practical is None:
             why = "The runs of one experiment are all equal, so that there is no posterior distribution."
+            why = "They are computed of means, and not of proportions." if asked.are_answers else why
             yield NotComputed(f"probabilities of {each.label}", why)
     if one != other and not can_be_converted(other, one):
         why = f"The units are {one or 'not known'} and {other or 'not known'}: numbers are compared as they are."

@@ -19,6 +19,7 @@ from scipy import integrate, optimize, special, stats
 from robot_runner.analysis.comparison.compared import Agreement, Bound, PracticalEquivalence
 from robot_runner.analysis.importing.units import known_units, unit_of
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
+from robot_runner.analysis.statistics.proportions import Share, difference_ends, score_of
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
@@ -96,6 +97,30 @@ def equivalence_p_value(
     above = _t_test(second, lower, is_paired=is_paired, alternative="greater")
     below = _t_test(second, upper, is_paired=is_paired, alternative="less")
     return max(float(above.pvalue), float(below.pvalue))
+
+
+def proportion_test(first: Floats, second: Floats, *, alpha: float) -> DifferenceTest:
+    """Test the difference of two proportions, second less first, by Newcombe's score intervals.
+
+    Args:
+        first: answers of the first experiment, 1 for yes and 0 for no.
+        second: answers of the second.
+        alpha: the level of significance.
+    """
+    one, other = (Share(float(values.mean()), len(values)) for values in (first, second))
+    ends = [difference_ends(other, one, float(stats.norm.isf(each))) for each in (alpha / 2, alpha)]
+    p_value = min(1.0, 2 * float(stats.norm.sf(abs(score_of(other, one)))))
+    wide, narrow = (
+        Interval(*each, level, "Newcombe's score interval")
+        for each, level in zip(ends, (1 - alpha, 1 - 2 * alpha), strict=True)
+    )
+    return DifferenceTest(p_value, wide, narrow)
+
+
+def equivalent_proportions(first: Floats, second: Floats, within: float) -> float:
+    """Return the p-value of two one-sided tests: the second proportion lies within a bound around the first one."""
+    one, other = (Share(float(values.mean()), len(values)) for values in (first, second))
+    return float(max(stats.norm.sf(score_of(other, one, -within)), stats.norm.sf(score_of(one, other, -within))))
 
 
 def _t_test(one: NDArray[np.float64], other: NDArray[np.float64], *, is_paired: bool, **settings: str) -> Any:

@@ -54,6 +54,12 @@ class Matching:
     notes: tuple[str, ...]
 
 
+def are_answers(matching: Matching, names: tuple[str, str]) -> bool:
+    """Whether a measure is yes or no in both experiments."""
+    runs = (matching.first.runs[names[0]], matching.second.runs[names[1]])
+    return all(isinstance(each.dtype, pd.BooleanDtype) for each in runs)
+
+
 def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
     """Match the runs that are done by the treatments of the factors that both experiments have."""
     factors = tuple(name for name in first.factors if name in second.factors)
@@ -128,16 +134,32 @@ def _by_combination(results: Results, factors: tuple[str, ...]) -> dict[tuple[st
 def _paired(
     first: Results, second: Results, ours: pd.DataFrame, theirs: pd.DataFrame
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the rows that belong together: by run id within one experiment, else by repetition, else in order."""
+    """Return the rows that belong together: by run id within one experiment, else by repetition, else in order.
+
+    Raises:
+        AnalysisError: that does not tell which run belongs to which.
+    """
     if first.folder == second.folder:
         keys = (ours[RUN_ID], theirs[RUN_ID])
     elif first.repetition and second.repetition:
         keys = (ours[first.repetition].astype("str"), theirs[second.repetition].astype("str"))
     else:
         keys = (pd.Series(range(len(ours))), pd.Series(range(len(theirs))))
+        if len(ours) != len(theirs):
+            problem = f"a combination has {len(ours)} and {len(theirs)} runs, and nothing tells which belong together"
+            raise AnalysisError(problem, where=second.name, fix=_UNPAIRED)
+    for results, own in zip((first, second), keys, strict=True):
+        if not own.is_unique:
+            problem = (
+                "a combination has several runs of one repetition, so that they are not pairs with those of another"
+            )
+            raise AnalysisError(problem, where=results.name, fix=_UNPAIRED)
     places = {key: place for place, key in enumerate(keys[1])}
     pairs = [(place, places[key]) for place, key in enumerate(keys[0]) if key in places]
     return ours.iloc[[ours_at for ours_at, _ in pairs]], theirs.iloc[[theirs_at for _, theirs_at in pairs]]
+
+
+_UNPAIRED = "Compare without --paired, or experiments that have the same factors."
 
 
 def can_be_converted(own: str, wanted: str) -> bool:

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
+    from robot_runner.analysis.statistics.outcome import Proportion
+
 #: Fewer values than this make a density that says more about the method than about the values.
 _ENOUGH_FOR_A_VIOLIN = 20
 _MOST_UPRIGHT = 8  # groups beside each other; more lie beneath each other
@@ -90,19 +92,42 @@ def draw_distribution(
         if group.size:
             _draw_group(axes, place, group, look, is_upright=is_upright)
     _name_outliers(axes, groups, outliers, is_upright=is_upright)
-    names = [shortened(group.label) for group in groups]
-    step = -(-max(1, len(groups)) // _MOST_NAMES)
-    ticks = range(0, len(groups), step)
-    if is_upright:
+    _name_groups(axes, [group.label for group in groups], value_label, group_label)
+    return figure
+
+
+@figure_style()
+def draw_proportions(groups: Sequence[Proportion], *, value_label: str, group_label: str) -> Figure:
+    """Draw a point for the percentage of each group, with its confidence interval."""
+    is_upright = len(groups) <= _MOST_UPRIGHT
+    figure, axes = new_axes(COLUMN, 2.3 if is_upright else min(HIGHEST, 0.6 + _ROW * len(groups)))
+    for place, (group, look) in enumerate(zip(groups, looks(len(groups)), strict=True)):
+        if group.percent is None or group.interval is None:
+            continue
+        reach = [[group.percent - group.interval.low], [group.interval.high - group.percent]]
+        drawn: dict[str, Any] = {"color": look.colour, "marker": "D", "markersize": 4.0, "capsize": 3.0}
+        if is_upright:
+            axes.errorbar([place], [group.percent], yerr=reach, **drawn)
+        else:
+            axes.errorbar([group.percent], [place], xerr=reach, **drawn)
+    (axes.set_ylim if is_upright else axes.set_xlim)(-3, 103)  # so that 0 and 100 % are seen
+    _name_groups(axes, [group.label for group in groups], value_label, group_label)
+    return figure
+
+
+def _name_groups(axes: Axes, labels: Sequence[str], value_label: str, group_label: str) -> None:
+    """Name the groups of a figure, beside each other where they are few."""
+    names, step = list(map(shortened, labels)), -(-max(1, len(labels)) // _MOST_NAMES)
+    ticks = range(0, len(names), step)
+    if len(names) <= _MOST_UPRIGHT:
         is_crowded = sum(map(len, names)) > _LETTERS_BESIDE
         axes.set_xticks(ticks, names, rotation=30 if is_crowded else 0, ha="right" if is_crowded else "center")
-        axes.set_xlim(-0.6, len(groups) - 0.4)
+        axes.set_xlim(-0.6, len(names) - 0.4)
         label_axes(axes, group_label, value_label, grid="y")
     else:
         axes.set_yticks(ticks, names[::step])
-        axes.set_ylim(len(groups) - 0.4, -0.6)
+        axes.set_ylim(len(names) - 0.4, -0.6)
         label_axes(axes, value_label, group_label, grid="x")
-    return figure
 
 
 def _draw_group(axes: Axes, place: int, group: Group, look: Look, *, is_upright: bool) -> None:

@@ -107,7 +107,7 @@ def _measures(
     key_of = _unique_names()
     for beside, measures in _analyses(statistics):
         for measure in measures:
-            if measure.overall is None:
+            if measure.overall is None and measure.proportions is None:
                 continue
             gone = frozenset(each.run_id for each in measure.left_out if each.reason is not Reason.COVARIATE)
             mine = replace(design, without=gone)

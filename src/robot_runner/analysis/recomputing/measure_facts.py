@@ -8,6 +8,7 @@ import numpy as np
 
 from robot_runner.analysis.recomputing.study_facts import (
     LEVEL,
+    Answered,
     Compared,
     Contrasted,
     MeasureFacts,
@@ -20,6 +21,7 @@ from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.linear_model import FittedModel
+from robot_runner.analysis.statistics.outcome import Proportion
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import check_estimand, model_of
 from robot_runner.core.design.analysis_plan import Estimand
@@ -59,6 +61,9 @@ _TEST = {"df": "degrees_of_freedom", "p": "p_value"}
 _OF_BLOCKS, _BOOTSTRAP = " of blocks", ", parametric bootstrap"
 
 
+_PAIR = 2
+
+
 def facts_of_measure(
     design: Design,
     measure: MeasureStatistics,
@@ -68,7 +73,7 @@ def facts_of_measure(
     beside: str = "",
 ) -> MeasureFacts:
     """Return what a recomputation has to know of one measure, whose left-out runs the design is without already."""
-    data = design.data(measure.name)
+    data = design.data(measure.name) or design.answers(measure.name)
     assert data is not None  # noqa: S101 - it has statistics
     label = f"{measure.name} {beside}".rstrip()
     effects = measure.test.effects if measure.test is not None else ()
@@ -77,10 +82,11 @@ def facts_of_measure(
     levels = level_of_looks(design.results, measure.name)
     about_residuals = _about_residuals(measure)
     compared, left, taken = None, [], {}
-    if data.covariates or not data.known.is_plain:  # scripts do not know their residuals
+    if measure.proportions is None and (data.covariates or not data.known.is_plain):
+        # Scripts do not know their residuals.
         left = [*about_residuals.values(), *_left(measure)]
         about_residuals = dict.fromkeys(about_residuals, Reported())
-    elif measure.test is not None:
+    elif measure.proportions is None and measure.test is not None:
         compared = _compared(data, measure, choices, hypotheses, effect_keys, contrast_keys)
         left = [] if compared is not None else _left(measure)
     if left:
@@ -105,15 +111,17 @@ def facts_of_measure(
         taken=taken,
         skipped=sum(len(each.numbers) for each in left),
         level=LEVEL if levels is None else levels,
+        answered=_answered(data, measure, effect_keys),
     )
 
 
-def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[Description]]]:
+def _groups(measure: MeasureStatistics) -> Iterator[tuple[tuple[str, ...], list[Description | Proportion]]]:
     """Yield the groups that are described, by the factors that they differ in."""
-    groups: dict[tuple[str, ...], list[Description]] = {}
-    if measure.overall is not None:
-        groups[()] = [measure.overall]
-    for each in (*measure.by_treatment, *measure.by_combination):
+    groups: dict[tuple[str, ...], list[Description | Proportion]] = {}
+    described = measure.proportions or measure
+    if described.overall is not None:
+        groups[()] = [described.overall]
+    for each in (*described.by_treatment, *described.by_combination):
         groups.setdefault(tuple(each.treatments), []).append(each)
     yield from groups.items()
 
@@ -130,7 +138,9 @@ def _ends(interval: Interval | None, of: str = "") -> Row:
     return {f"{of}low": low, f"{of}high": high}
 
 
-def _described(of: Description) -> Row:
+def _described(of: Description | Proportion) -> Row:
+    if isinstance(of, Proportion):
+        return _numbers(of, "n", "missing", "count", "percent") | _ends(of.interval)
     row = _numbers(of, "n", "missing", "mean", "sd", "minimum", "first_quartile", "median", "third_quartile", "maximum")
     found = {"outliers": len(of.outliers), "extreme": sum(each.is_extreme for each in of.outliers)}
     return row | _ends(of.mean_interval) | found
@@ -155,6 +165,41 @@ def _about_residuals(measure: MeasureStatistics) -> dict[str, Reported]:
         row = {f"runs for {each.effect_size:g}": each.repetitions for each in power.needed}
         tables["power"] = Reported.of([(power.effect_name, _numbers(power, "detectable_effect") | row)])
     return tables
+
+
+def _answered(
+    data: MeasureData, measure: MeasureStatistics, effect_keys: Mapping[tuple[str, ...], str]
+) -> Answered | None:
+    """Return what is computed of a measure that is yes or no; None of others."""
+    if measure.proportions is None:
+        return None
+    effects = measure.test.effects if measure.test is not None else ()
+    known = [each for each in effects if each.p_value is not None]
+    # Those of three and more treatments are drawn at random.
+    drawn = {each.factors: each.p_value for each in known if len(data.levels(each.factors[0])) > _PAIR}
+    rows = [
+        (
+            each.label,
+            {"statistic": each.statistic, **_freedom(each.degrees_of_freedom, ""), "p": each.p_value},
+        )
+        for each in known
+    ]
+    return Answered(
+        is_blocked=data.is_blocked,
+        is_extended=data.is_extended,
+        effects=tuple(
+            (
+                each.factors[0],
+                tuple(name for name in data.factors if name not in each.factors),
+                effect_keys[each.factors],
+                drawn.get(each.factors),
+            )
+            for each in known
+        ),
+        tested=Reported.of(rows),
+        pairs=tuple(_paired(each, effect_keys[each.factors], "ranks") for each in measure.post_hoc),
+        treatments=tuple(tuple((each.first, each.second) for each in of.comparisons) for of in measure.post_hoc),
+    )
 
 
 def _left(measure: MeasureStatistics) -> list[Reported]:

@@ -180,6 +180,26 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
+class Answered:
+    """A measure that is yes or no.
+
+    Attributes:
+        is_blocked, is_extended: whether runs are compared within blocks, and within batches.
+        effects: of each factor that is tested: its name, the other factors, its key, and its p-value where that is
+            drawn at random.
+        tested, pairs: as the report has them.
+        treatments: the pairs of each factor.
+    """
+
+    is_blocked: bool
+    is_extended: bool
+    effects: tuple[tuple[str, tuple[str, ...], str, float | None], ...]
+    tested: Reported
+    pairs: tuple[Paired, ...]
+    treatments: tuple[tuple[tuple[str, str], ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class MeasureFacts:
     """A measure, as planned or with one choice made otherwise.
 
@@ -193,6 +213,7 @@ class MeasureFacts:
         taken: p-values of tests that are not computed again, by their keys.
         skipped: how many numbers of the report are not computed again.
         level: of the interval of a mean: higher than 0.95 where runs were added until it was narrow.
+        answered: what is computed of a measure that is yes or no.
     """
 
     key: str
@@ -213,6 +234,12 @@ class MeasureFacts:
     taken: Mapping[str, float]
     skipped: int
     level: float
+    answered: Answered | None = None
+
+    @property
+    def pairs(self) -> tuple[Paired, ...]:
+        """What is compared pair by pair."""
+        return tuple(each for of in (self.compared, self.answered) if of is not None for each in of.pairs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,5 +330,7 @@ class StudyFacts:
             found += [measure.distribution, measure.quantiles, measure.drift, measure.power]
             if measure.compared is not None:
                 found += [measure.compared.tested, measure.compared.contrasted]
-                found += [each for pair in measure.compared.pairs for each in (pair.reported, pair.adjusted)]
+            if measure.answered is not None:
+                found.append(measure.answered.tested)
+            found += [each for pair in measure.pairs for each in (pair.reported, pair.adjusted)]
         return tuple(found)

@@ -22,11 +22,11 @@ from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_commit, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.known_precision import KnownPrecision
-    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics
+    from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
 
 _GIBI = 2**30
 _MOST_NAMED = 12  # outliers that fit a line
@@ -239,14 +239,29 @@ def _precision_blocks(known: KnownPrecision, label: str) -> Iterator[Block]:
 
 def _description_tables(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Table]:
     factors, name = material.results.factors, f"describe {measure.name}"
+    of = measure.proportions or measure
+    table: Callable[..., Table] = _description_table if measure.proportions is None else _proportion_table
     for factor in factors:
-        groups = [group for group in measure.by_treatment if tuple(group.treatments) == (factor,)]
+        groups = [group for group in of.by_treatment if tuple(group.treatments) == (factor,)]
         if groups:
-            yield _description_table(f"{name} by {factor}", f"{label} by {factor}.", factor, groups)
-    if measure.by_combination:
-        yield _description_table(name, f"{label} by combination.", " / ".join(factors), measure.by_combination)
-    elif not measure.by_treatment and measure.overall is not None:
-        yield _description_table(name, f"{label}, all runs.", "Group", [measure.overall])
+            yield table(f"{name} by {factor}", f"{label} by {factor}.", factor, groups)
+    if of.by_combination:
+        yield table(name, f"{label} by combination.", " / ".join(factors), of.by_combination)
+    elif not of.by_treatment and of.overall is not None:
+        yield table(name, f"{label}, all runs.", "Group", [of.overall])
+
+
+def _proportion_table(name: str, caption: str, heading: str, groups: Sequence[Proportion]) -> Table:
+    fields = (
+        text(heading, "label"),
+        number("n", "n"),
+        number("Missing", "missing", warns=True),
+        number("Yes", "count"),
+        number("Yes (%)", "percent"),
+        interval("CI (%)", "interval"),
+    )
+    note = "CI: 95% confidence interval, Wilson's score interval."
+    return build_table(name, caption, groups, fields, note).without_blank("Missing")
 
 
 def _description_table(name: str, caption: str, heading: str, groups: Sequence[Description]) -> Table:

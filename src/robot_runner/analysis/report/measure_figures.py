@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
+from robot_runner.analysis.figures.distribution import (
+    Group,
+    draw_distribution,
+    draw_proportions,
+    draw_quantiles,
+    draw_run_order,
+)
 from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
@@ -69,17 +75,39 @@ def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -
 
 def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
     """Yield how a measure is distributed, by combination or by each factor; nothing where no run has a number."""
-    if measure.overall is None or not measure.overall.n:
+    of = measure.proportions
+    draw, described = (_distribution, measure.overall) if of is None else (_proportions, of.overall)
+    if described is None or not described.n:
         return
     design = material.statistics.design
     factors = tuple(name for name in material.results.factors if name in {*design.factors, *design.constant_factors})
     if len(factors) > 1 and 1 < len(material.order) <= _MOST_COMBINATIONS:
-        yield _distribution(material, measure, factors)
+        yield draw(material, measure, factors)
         return
     for factor in factors:
-        yield _distribution(material, measure, (factor,))
+        yield draw(material, measure, (factor,))
     if not factors:
-        yield _distribution(material, measure, ())
+        yield draw(material, measure, ())
+
+
+def _proportions(_: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> FigureBlock:
+    """Return how often a measure is yes."""
+    of = measure.proportions
+    assert of is not None  # noqa: S101 - it is yes or no
+    groups = [each for each in (of.overall, *of.by_treatment, *of.by_combination) if tuple(each.treatments) == factors]
+    by = f" by {JOINT.join(factors)}" if factors else ""
+    described = "; ".join(f"{each.label}: {each.count} of {each.n}" for each in groups[:8])
+    return FigureBlock(
+        f"distribution {measure.name}{by}",
+        f"{measure.name}{by}: how many runs say yes, with the confidence interval.{origin_in_words(measure.origin)}",
+        f"Proportions of {measure.name}{by}. {described}.",
+        partial(
+            draw_proportions,
+            groups,
+            value_label=f"{measure.name} (% of runs)",
+            group_label=JOINT.join(factors),
+        ),
+    )
 
 
 def _distribution(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> FigureBlock:

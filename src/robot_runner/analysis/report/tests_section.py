@@ -25,6 +25,7 @@ from robot_runner.analysis.report.measure_figures import quantile_figure
 from robot_runner.analysis.report.plan_part import besides, planned_parts, standing_parts
 from robot_runner.analysis.report.surface_part import surface_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
+from robot_runner.analysis.statistics.proportions import PROPORTION, QUANTITY
 from robot_runner.analysis.wording import (
     ALPHA,
     MISSING,
@@ -204,7 +205,11 @@ def _effect_table(name: str, caption: str, test: MeasureTest, alpha: float) -> T
         ),
         field(f"At {ALPHA} = {alpha:g}", lambda effect: Cell(effect.is_significant, words[effect.is_significant])),
     )
-    note = f"Computed with {test.library}. The last p-value is of a check: the same test of {checked}."
+    note = f"Computed with {test.library}."
+    if test.estimand == PROPORTION:
+        shown = (each for each in fields if each.column.name not in {"Effect size", f"p of {checked}"})
+        return build_table(name, caption, test.effects, tuple(shown), note)
+    note += f" The last p-value is of a check: the same test of {checked}."
     return build_table(name, caption, test.effects, fields, note)
 
 
@@ -243,7 +248,8 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
         f"{post_hoc.method}; intervals, in brackets, belong to p. Adjusted after "
         f"{correction_in_words(post_hoc.correction)}, and no smaller than the p-value of the effect."
     )
-    return build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note)
+    table = build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note)
+    return table.without_blank("p of ranks") if post_hoc.quantity == QUANTITY else table
 
 
 def _size_fields(name: str) -> tuple[Field, ...]:

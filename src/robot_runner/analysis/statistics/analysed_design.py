@@ -133,6 +133,11 @@ class MeasureData:
         }
         return {str(run_id): names for run_id, names in found.items() if names}
 
+    def strata_columns(self, but: str) -> list[str]:
+        """Return the columns in which runs that differ in nothing but one factor are alike, block and batch too."""
+        names = [name for name in self.factors if name != but]
+        return [*names, *([_BLOCK] if self.is_blocked else []), *([BATCH] if self.is_extended else [])]
+
     def levels(self, factor: str) -> list[str]:
         """Return the treatments of a factor that occur among runs with a value, in their order."""
         present = set(self.frame[factor])
@@ -227,8 +232,16 @@ class Design:
     def data(self, measure: str) -> MeasureData | None:
         """Return the data of a measure, or None where its values are no numbers."""
         values = self._numbers(measure)
-        if values is None:
+        return None if values is None else self._data(measure, values)
+
+    def answers(self, measure: str) -> MeasureData | None:
+        """Return the data of a measure that is yes or no, 1 for yes; None where it is not."""
+        values = self.results.done[measure]
+        if not isinstance(values.dtype, pd.BooleanDtype):
             return None
+        return self._data(measure, values.to_numpy(dtype=np.float64, na_value=np.nan))
+
+    def _data(self, measure: str, values: NDArray[np.float64]) -> MeasureData:
         covariates = () if measure in self.covariates else self.covariates
         told = {covariate_column(name): self._covariate(name) for name in covariates}
         every = self.frame.assign(**{VALUE: values, **told})

@@ -16,6 +16,7 @@ from robot_runner.analysis.wording import (
     difference_unit,
     listed,
     p_in_words,
+    p_values_in_words,
     shown_level,
     shown_statistic,
     with_unit,
@@ -155,10 +156,10 @@ def _measure(measure: MeasureStatistics, found: Mapping[Key, _Adjusted], alpha: 
         for effect in effects
         if effect.factors == each.factors and (len(each.factors) == 1 or each.factors == shown)
     )
-    worded = tuple(_worded(measure, test, effect, _pairs_of(post_hoc, effect)) for effect in effects)
     of = known[0] if known else None
-    told = replace(test, effects=worded, family=of.family if of else "", family_size=of.size if of else 0)
-    return replace(measure, test=told, post_hoc=post_hoc)
+    test = replace(test, family=of.family if of else "", family_size=of.size if of else 0)
+    worded = tuple(_worded(measure, test, effect, _pairs_of(post_hoc, effect)) for effect in effects)
+    return replace(measure, test=replace(test, effects=worded), post_hoc=post_hoc)
 
 
 def _effect(measure: MeasureStatistics, effect: Effect, found: _Adjusted | None, alpha: float) -> Effect:
@@ -192,9 +193,12 @@ def _pairs_of(post_hoc: Sequence[PostHoc], effect: Effect) -> tuple[Comparison, 
 
 def _worded(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> Effect:
     if effect.p_value is None:
-        return replace(effect, conclusion=f"The effect of {enumerated(effect.factors)} was not computed.")
+        why = "too few runs vary beside it, so that chance has no measure."
+        if test.method is TestMethod.PROPORTIONS:
+            why = "no runs with different answers differ in nothing else."
+        return replace(effect, conclusion=f"The effect of {enumerated(effect.factors)} was not computed: {why}")
     words = _claim(measure, test, effect, pairs)
-    return replace(effect, conclusion=f"{words}{_beside(effect)}")
+    return replace(effect, conclusion=f"{words}{_beside(effect, is_corrected=test.family_size > 1)}")
 
 
 def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> str:
@@ -216,13 +220,10 @@ def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs:
 
 def _figures(effect: Effect) -> str:
     if effect.parts:
-        parts = ", ".join(f"{each.name} {_statistic('F', each)}" for each in effect.parts)
-        figures = f"{parts}, together {p_in_words(effect.p_value or 0.0)}"
+        figures = ", ".join(f"{each.name} {_statistic('F', each)}" for each in effect.parts) + ", together "
     else:
-        figures = f"{_statistic(effect.statistic_name, effect)}, {p_in_words(effect.p_value or 0.0)}"
-    if effect.adjusted_p_value is not None and effect.adjusted_p_value != effect.p_value:
-        figures += f", {p_in_words(effect.adjusted_p_value)} after correction"
-    return figures
+        figures = f"{_statistic(effect.statistic_name, effect)}, "
+    return figures + p_values_in_words(effect.p_value or 0.0, effect.adjusted_p_value)
 
 
 def _statistic(name: str, of: Effect | TestPart) -> str:
@@ -249,15 +250,18 @@ def _more(pair: Comparison) -> str:
     return "higher" if pair.difference > 0 else "lower"
 
 
-def _beside(effect: Effect) -> str:
-    """Return a sentence where the check beside the test comes to another verdict."""
+def _beside(effect: Effect, *, is_corrected: bool) -> str:
+    """Return a sentence where the check beside the test comes to another verdict; it is not corrected itself."""
     check = effect.check
     if check is None or check.agrees is not False or check.p_value is None:
         return ""
     p_value = p_in_words(check.p_value)
     if effect.p_value is not None and check.p_value > effect.p_value:
+        if not effect.is_significant:  # after correction neither shows anything
+            return ""
         return f" The same test of {check.of} does not show it ({p_value}): it hangs on how large some values are."
-    return f" The same test of {check.of} does show one ({p_value}): the treatments may differ in other ways."
+    before = " before correction" if is_corrected else ""
+    return f" The same test of {check.of} does show one ({p_value}{before}): the treatments may differ in other ways."
 
 
 # Hypotheses.

@@ -54,14 +54,12 @@ def left_out_of(
         doubtful: the runs whose value is doubtful.
     """
     data = design.data(measure)
-    if data is None:
-        return ()
     displaced = displaced_runs(design.results)
     found = _values_of(design, measure, displaced, Reason.DISPLACED)
     if plan is not None and plan.doubtful is Doubtful.LEAVE_OUT:
         others = {run_id: "the value is doubtful" for run_id in doubtful if run_id not in displaced}
         found += _values_of(design, measure, others, Reason.DOUBTFUL)
-    if plan is None or plan.outliers is None:
+    if data is None or plan is None or plan.outliers is None:
         return found
     gone = {each.run_id for each in found}
     unit = design.results.unit(measure)
@@ -75,7 +73,7 @@ def doubtful_values(design: Design, measure: str, doubtful: Sequence[str]) -> tu
 
 
 def _values_of(design: Design, measure: str, whys: Mapping[str, str], reason: Reason) -> tuple[LeftOut, ...]:
-    data = design.data(measure)
+    data = design.data(measure) or design.answers(measure)
     every = {} if data is None else dict(zip(data.every[RUN_ID], data.every[VALUE], strict=True))
     return tuple(LeftOut(run_id, float(every[run_id]), reason, why) for run_id, why in whys.items() if run_id in every)
 

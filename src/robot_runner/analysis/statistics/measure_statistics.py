@@ -17,7 +17,13 @@ from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import MeasureStatistics
-from robot_runner.analysis.statistics.post_hoc import carry_out_contrast, compare_pairs, missing_intervals
+from robot_runner.analysis.statistics.post_hoc import (
+    MOST_PAIRS,
+    carry_out_contrast,
+    compare_pairs,
+    missing_intervals,
+)
+from robot_runner.analysis.statistics.proportions import carry_out_proportions, compare_proportions, proportions_of
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
@@ -78,9 +84,14 @@ def measure_statistics(
     data = design.data(name)
     is_primary = plan is not None and name in plan.measures
     is_planned = plan is not None and name in (*plan.measures, *plan.secondary)
+    answers = design.answers(name)
+    if answers is not None and len(answers.frame):
+        told = MeasureStatistics(name, "%", column.origin, is_planned, is_primary, left_out=tuple(left_out))
+        return _of_answers(answers, told, gathered, choices, plan)
     odd = out_of_range(data.values) if data is not None else ""
     if data is None or not len(data.frame) or odd:
-        why = "the measure is not a number." if data is None else "no run that is done has a value."
+        is_text = data is None and answers is None
+        why = "the measure is neither a number nor yes or no." if is_text else "no run that is done has a value."
         why = f"the measure {odd}" if odd else why
         missing = (NotComputed(f"statistics of {name}", why),)
         return MeasureStatistics(
@@ -127,6 +138,25 @@ def measure_statistics(
         rule_false_positives=_rule_false_positives(every, plan, left_out),
         adjustment=adjustment,
         surface=model.surface(choices.alpha) if isinstance(model, SurfaceModel) else None,
+    )
+
+
+def _of_answers(
+    answers: MeasureData, measure: MeasureStatistics, gathered: _Gathered, choices: Choices, plan: AnalysisPlan | None
+) -> MeasureStatistics:
+    """Return the statistics of a measure that is yes or no."""
+    test = gathered.take(carry_out_proportions(answers, choices))
+    pairs = [gathered.take(each) for each in compare_proportions(answers, choices, MOST_PAIRS)] if test else []
+    for each in plan.hypotheses if plan is not None else ():
+        if _is_contrast(each, measure.name):
+            why = "contrasts and bounds are of means; the pairs of treatments have the differences of proportions."
+            gathered.missing.append(NotComputed(f"the contrast of {each.statement!r}", why))
+    return replace(
+        measure,
+        proportions=proportions_of(answers, _MOST_DESCRIBED),
+        test=test,
+        post_hoc=tuple(each for each in pairs if each is not None),
+        not_computed=tuple(gathered.missing),
     )
 
 

@@ -44,6 +44,11 @@ class Outlier:
     is_extreme: bool
 
 
+def group_label(treatments: Mapping[str, str]) -> str:
+    """Return a group in words: its treatments, with ` / ` between; `all runs` for all of them."""
+    return " / ".join(treatments.values()) or "all runs"
+
+
 @dataclass(frozen=True, slots=True)
 class Description:
     """Descriptive statistics of one measure over the runs of one group.
@@ -78,8 +83,49 @@ class Description:
 
     @property
     def label(self) -> str:
-        """The group in words: its treatments, with ` / ` between; `all runs` for all of them."""
-        return " / ".join(self.treatments.values()) or "all runs"
+        """The group in words."""
+        return group_label(self.treatments)
+
+
+@dataclass(frozen=True, slots=True)
+class Proportion:
+    """How often a measure that is yes or no is yes, over the runs of one group.
+
+    Attributes:
+        treatments: which group, by factor; empty for all runs together.
+        n: how many runs have a value.
+        missing: how many runs are done and have none.
+        count: how many say yes.
+        percent: of the runs that have a value; None where none has.
+        interval: its confidence interval, percent.
+    """
+
+    treatments: Mapping[str, str]
+    n: int
+    missing: int
+    count: int
+    percent: float | None
+    interval: Interval | None
+
+    @property
+    def label(self) -> str:
+        """The group in words."""
+        return group_label(self.treatments)
+
+
+@dataclass(frozen=True, slots=True)
+class Proportions:
+    """The proportions of a measure that is yes or no.
+
+    Attributes:
+        overall: all runs together.
+        by_treatment: one a treatment of each factor, factors in their order.
+        by_combination: one a combination, where there are two and more factors.
+    """
+
+    overall: Proportion
+    by_treatment: tuple[Proportion, ...]
+    by_combination: tuple[Proportion, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,6 +231,7 @@ class MeasureStatistics:
             chance alone where outliers are left out by the plan's rule, by simulation, percent; None where none was.
         adjustment: how the tests were adjusted for covariates; descriptions are of values as measured.
         surface: how it depends on factors that are numbers, where the design is one of a response surface.
+        proportions: how often it is yes, where it is yes or no; the unit of it and of differences is percent then.
     """
 
     name: str
@@ -207,6 +254,7 @@ class MeasureStatistics:
     rule_false_positives: float | None = None
     adjustment: Adjustment | None = None
     surface: Surface | None = None
+    proportions: Proportions | None = None
 
 
 @dataclass(frozen=True, slots=True)

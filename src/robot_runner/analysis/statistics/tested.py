@@ -72,6 +72,7 @@ class TestMethod(Enum):
     SPLIT_PLOT = "analysis of variance of a split-plot design"
     LENTH = "Lenth's method"
     SURFACE = "response surface"
+    PROPORTIONS = "exact tests of proportions"
 
 
 class EffectTest(NamedTuple):
@@ -237,7 +238,7 @@ class MeasureTest:
 
     Attributes:
         method: the test.
-        estimand: what is compared: `mean`, `trimmed mean` or `rank`.
+        estimand: what is compared: `mean`, `trimmed mean`, `rank`, or `proportion` of a measure that is yes or no.
         reason: why this one, in a sentence.
         effects: its results, main effects first.
         family: the tests among which errors are controlled together, in words; how many they are.
@@ -294,7 +295,7 @@ class PostHoc:
         factors: whose treatments are compared; several where combinations are.
         method: the test of each pair, in words.
         correction: how p-values were adjusted.
-        quantity: what differences are of: `means`, `trimmed means` or `relative ranks`.
+        quantity: what differences are of: `means`, `trimmed means`, `relative ranks`, or `proportions`.
     """
 
     factors: tuple[str, ...]

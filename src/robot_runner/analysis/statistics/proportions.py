@@ -1,0 +1,342 @@
+"""Measures that are yes or no, such as whether a mission succeeded: proportions, exact tests, and pairs of treatments.
+
+Runs are compared within strata: those that differ in nothing but the treatment in question, and are of one block. A
+test holds the treatments and the number of yes in each stratum as they are (Cochran 1954; Mantel and Haenszel 1959;
+Agresti, Categorical Data Analysis, 2013, chapter 8), and asks how often chance alone deals the yes out as unevenly. So
+it keeps its level however few runs there are, where tests of means do not: within a treatment that always succeeds,
+nothing varies.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from itertools import combinations
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy import optimize, stats
+
+from robot_runner.analysis.statistics.analysed_design import VALUE
+from robot_runner.analysis.statistics.outcome import Proportion, Proportions
+from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.tested import (
+    Comparison,
+    Effect,
+    Interval,
+    MeasureTest,
+    NotComputed,
+    PostHoc,
+    TestMethod,
+)
+from robot_runner.core.words import counted, enumerated, listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from robot_runner.analysis.statistics.analysed_design import Group, MeasureData
+    from robot_runner.analysis.statistics.tests import Choices
+
+    Integers = NDArray[np.int64]
+
+#: What is compared, as the report names it.
+PROPORTION = "proportion"
+QUANTITY = "proportions, in percentage points"
+_LEVEL = 0.95
+_STATISTIC = "Mantel-Haenszel \N{GREEK SMALL LETTER CHI}\N{SUPERSCRIPT TWO}"
+_PAIR = 2
+#: Tables that chance deals out where treatments are three and more: a p-value of 5 % is then known to 0.1 points.
+_DRAWS = 49_999
+_SEED = 20210525
+#: Tables as probable as the one that was seen count as such, whatever rounding makes of them (as in R's fisher.test).
+_ROUNDING = 1e-7
+
+
+def proportions_of(data: MeasureData, most_groups: int) -> Proportions:
+    """Return how often a measure is yes: over all runs, of each treatment, and of each combination.
+
+    Args:
+        data: the measure, 1 for yes and 0 for no.
+        most_groups: of more groups none is described.
+    """
+
+    def by(factors: tuple[str, ...]) -> tuple[Proportion, ...]:
+        groups = data.described_groups(factors)
+        return tuple(map(_proportion, groups)) if len(groups) <= most_groups else ()
+
+    return Proportions(
+        overall=_proportion(data.described_groups(())[0]),
+        by_treatment=tuple(each for factor in data.factors for each in by((factor,))),
+        by_combination=by(data.factors) if len(data.factors) > 1 else (),
+    )
+
+
+def _proportion(group: Group) -> Proportion:
+    n, count = len(group.values), int(np.sum(group.values))
+    if not n:
+        return Proportion(group.treatments, 0, group.missing, 0, None, None)
+    low, high = _score_ends(count / n, n, float(stats.norm.isf((1 - _LEVEL) / 2)))
+    interval = Interval(100 * low, 100 * high, _LEVEL, "Wilson's score interval")
+    return Proportion(group.treatments, n, group.missing, count, 100 * count / n, interval)
+
+
+def _score_ends(share: float, n: float, z: float) -> tuple[float, float]:
+    """Return the ends of Wilson's score interval (Wilson 1927), of shares from 0 to 1."""
+    centre = (share + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    return max(0.0, min(share, centre - half)), min(1.0, max(share, centre + half))  # whatever rounding makes of it
+
+
+# Tests of effects.
+
+
+def carry_out_proportions(data: MeasureData, choices: Choices) -> MeasureTest | NotComputed:
+    """Return the tests of the main effects, before p-values are adjusted and conclusions are drawn.
+
+    Args:
+        data: the measure, 1 for yes and 0 for no.
+        choices: the level of significance; proportions are compared whatever the estimand.
+    """
+    problem = _problem(data)
+    if problem:
+        return NotComputed("the test", problem)
+    effects = tuple(_effect(data, factor, choices.alpha) for factor in data.factors)
+    several, where = len(data.factors) > 1, " and of one block" if data.is_blocked else ""
+    alike = f" that differ in no other factor{where}" if several else where.replace(" and", "", 1)
+    return MeasureTest(
+        method=TestMethod.PROPORTIONS,
+        estimand=PROPORTION,
+        reason=f"The measure is yes or no: proportions are compared among runs{alike}, and chance deals out the yes.",
+        effects=effects,
+        family="",
+        family_size=len(effects),
+        spread=None,
+        library=f"scipy {version('scipy')}",
+        notes=tuple(_notes(data, effects)),
+    )
+
+
+def _problem(data: MeasureData) -> str:
+    if not data.factors:
+        return "all runs with a value have the same treatments, so that there is nothing to compare."
+    if np.ptp(data.values) == 0:
+        return f"all runs say {'yes' if data.values[0] else 'no'}."
+    if not data.known.is_plain:
+        return f"proportions are tested of runs by themselves or in blocks, and not of {data.known.in_words}."
+    return ""
+
+
+def _notes(data: MeasureData, effects: Sequence[Effect]) -> Iterator[str]:
+    if len(data.factors) > 1:
+        yield "Interactions of proportions are not tested: compare the proportions of the combinations."
+    if data.covariates:
+        yield "Proportions are not adjusted for covariates."
+    unknown = [each.factors[0] for each in effects if each.p_value is None]
+    if unknown:
+        yield f"No runs with different answers differ in nothing but {enumerated(unknown)}: that is not tested."
+    if any(len(data.levels(factor)) > _PAIR for factor in data.factors):
+        yield f"p-values of three and more treatments are those of {_DRAWS:,} tables that chance dealt out."
+
+
+def _effect(data: MeasureData, factor: str, alpha: float) -> Effect:
+    table = Strata.of(data, factor, data.levels(factor))
+    statistic, freedom = table.statistic()
+    p_value = table.p_value() if freedom else None
+    stratified = "exact Cochran-Mantel-Haenszel" if len(table.runs) > 1 else "Fisher's exact"
+    return Effect(
+        factors=(factor,),
+        test=stratified if table.runs.shape[1] == _PAIR else "Cochran-Mantel-Haenszel, permuted",
+        statistic_name=_STATISTIC,
+        statistic=statistic if freedom else None,
+        degrees_of_freedom=(float(freedom),) if freedom else (),
+        p_value=p_value,
+        adjusted_p_value=p_value,
+        is_significant=None if p_value is None else p_value < alpha,
+        effect_sizes=(),
+        check=None,
+        conclusion="",
+    )
+
+
+class Share(NamedTuple):
+    """A share from 0 to 1, and the number of runs that it is as precise as."""
+
+    value: float
+    runs: float
+
+
+@dataclass(frozen=True, slots=True)
+class Strata:
+    """How many runs and how many yes each treatment of a factor has among runs that are otherwise alike.
+
+    Attributes:
+        runs: (strata, treatments).
+        yes: (strata, treatments).
+    """
+
+    runs: Integers
+    yes: Integers
+
+    @classmethod
+    def of(cls, data: MeasureData, factor: str, levels: Sequence[str]) -> Strata:
+        """Count the runs with these treatments of a factor."""
+        frame = data.frame[data.frame[factor].isin(levels)]
+        alike = frame[data.strata_columns(but=factor)].astype(str)
+        numbers = alike.groupby(list(alike.columns)).ngroup() if len(alike.columns) else alike.index * 0
+        runs = np.zeros((int(numbers.max()) + 1, len(levels)), dtype=np.int64)
+        yes = np.zeros_like(runs)
+        places = frame[factor].astype(str).map({level: place for place, level in enumerate(levels)})
+        np.add.at(runs, (np.asarray(numbers), np.asarray(places)), 1)
+        np.add.at(yes, (np.asarray(numbers), np.asarray(places)), np.asarray(frame[VALUE], dtype=np.int64))
+        return cls(runs, yes)
+
+    def statistic(self) -> tuple[float, int]:
+        """Return the generalised statistic of Mantel and Haenszel, and its degrees of freedom; 0 where none is left."""
+        inverse, rank = self._spread()
+        excess = (self.yes - self._expected()).sum(axis=0)
+        return float(excess @ inverse @ excess), rank
+
+    def p_value(self, draws: int = _DRAWS) -> float:
+        """Return how probable tables are that are at least as uneven, with runs and yes of each stratum as they are.
+
+        Args:
+            draws: how many tables are drawn, where there are three and more treatments.
+        """
+        return self._exact() if self.runs.shape[1] == _PAIR else self._permuted(draws)
+
+    def _expected(self) -> NDArray[np.float64]:
+        totals = self.runs.sum(axis=1, keepdims=True)
+        return np.asarray(self.runs * self.yes.sum(axis=1, keepdims=True) / totals, dtype=np.float64)
+
+    def _spread(self) -> tuple[NDArray[np.float64], int]:
+        """Return the generalised inverse of the covariances of yes that chance deals out, and its rank."""
+        covariance = np.zeros((self.runs.shape[1],) * 2)
+        for sizes, count in zip(self.runs.astype(np.float64), self.yes.sum(axis=1), strict=True):
+            n = sizes.sum()
+            if n > 1:
+                covariance += count * (n - count) / (n * n * (n - 1)) * (np.diag(sizes) * n - np.outer(sizes, sizes))
+        inverse = np.asarray(np.linalg.pinv(covariance, hermitian=True), dtype=np.float64)
+        return inverse, int(np.linalg.matrix_rank(covariance, hermitian=True))
+
+    def _exact(self) -> float:
+        """Return the probability of all tables that are no more probable than the one that was seen."""
+        chances, least = np.ones(1), 0
+        for sizes, count in zip(self.runs, self.yes.sum(axis=1), strict=True):
+            n, first = int(sizes.sum()), int(sizes[0])
+            low, high = max(0, int(count) - n + first), min(int(count), first)
+            chances = np.convolve(chances, stats.hypergeom.pmf(np.arange(low, high + 1), n, int(count), first))
+            least += low
+        seen = chances[int(self.yes[:, 0].sum()) - least]
+        return float(min(1.0, chances[chances <= seen * (1 + _ROUNDING)].sum()))
+
+    def _permuted(self, draws: int) -> float:
+        random = np.random.default_rng(_SEED)
+        inverse, _ = self._spread()
+        excess = np.zeros((draws, self.runs.shape[1]))
+        for sizes, count, expected in zip(self.runs, self.yes.sum(axis=1), self._expected(), strict=True):
+            if 0 < count < sizes.sum():
+                excess += random.multivariate_hypergeometric(sizes, int(count), size=draws) - expected
+        drawn = np.einsum("ij,jk,ik->i", excess, inverse, excess)
+        return float((1 + np.sum(drawn >= self.statistic()[0] * (1 - _ROUNDING))) / (1 + draws))
+
+    def shares(self) -> tuple[Share, Share] | None:
+        """Return the share of yes of each of two treatments; None where no stratum has runs of both.
+
+        Strata count as Mantel and Haenszel weigh them, so that treatments are compared among like runs where their
+        numbers differ. Where these are the same in all strata, all runs count the same.
+        """
+        both = self.runs[(self.runs > 0).all(axis=1)]
+        yes = self.yes[(self.runs > 0).all(axis=1)]
+        if not len(both):
+            return None
+        weights = both.prod(axis=1) / both.sum(axis=1)
+        weights = weights / weights.sum()
+        first, second = (float(weights @ (yes[:, at] / both[:, at])) for at in (0, 1))
+        worth = [float(1 / (weights**2 @ (1 / both[:, at]))) for at in (0, 1)]
+        return Share(min(1.0, first), worth[0]), Share(min(1.0, second), worth[1])
+
+
+# Pairs of treatments.
+
+
+def compare_proportions(data: MeasureData, choices: Choices, most_pairs: int) -> Iterator[PostHoc | NotComputed]:
+    """Compare the treatments of each factor pair by pair."""
+    for factor in data.factors:
+        pairs = list(combinations(data.levels(factor), 2))
+        if len(pairs) > most_pairs:
+            why = f"{counted(len(data.levels(factor)), 'treatment')} make {len(pairs):,} pairs: compare chosen ones."
+            yield NotComputed(f"pairwise comparisons of {factor}", why)
+            continue
+        shares = {pair: Strata.of(data, factor, pair).shares() for pair in pairs}
+        every = [_comparison(pair, *known, choices.alpha) for pair, known in shares.items() if known is not None]
+        after = adjusted([p_value for _, p_value in every], choices.correction)
+        told = tuple(
+            replace(each, adjusted_p_value=value, is_significant=value < choices.alpha)
+            for (each, _), value in zip(every, after, strict=True)
+        )
+        if told:
+            yield PostHoc((factor,), "Newcombe's score method", choices.correction, QUANTITY, told)
+        if apart := [" and ".join(pair) for pair, known in shares.items() if known is None]:
+            why = f"no run of one differs from a run of the other in nothing but {factor}."
+            yield NotComputed(f"comparisons of {listed(apart)}", why)
+
+
+def _comparison(pair: tuple[str, str], first: Share, second: Share, alpha: float) -> tuple[Comparison, float]:
+    """Return two treatments compared, and the p-value."""
+    difference = first.value - second.value
+    low, high = difference_ends(first, second, float(stats.norm.isf(alpha / 2)))
+    z = score_of(first, second)
+    p_value = min(1.0, 2 * float(stats.norm.sf(abs(z))))
+    compared = Comparison(
+        *pair,
+        difference=100 * difference,
+        interval=Interval(100 * low, 100 * high, 1 - alpha, "Newcombe's score interval"),
+        statistic_name="z",
+        statistic=z,
+        degrees_of_freedom=None,
+        p_value=p_value,
+        adjusted_p_value=None,
+        is_significant=None,
+        check_p_value=None,
+        effect_sizes=(),
+    )
+    return compared, p_value
+
+
+def difference_ends(first: Share, second: Share, z: float) -> tuple[float, float]:
+    """Return the ends of the interval of a difference: method 10 of Newcombe, Statistics in Medicine 17, 1998.
+
+    Args:
+        first: one share.
+        second: the other one.
+        z: how many standard deviations the interval reaches.
+    """
+    one, other = first.value, second.value
+    (low, high), (other_low, other_high) = _score_ends(*first, z), _score_ends(*second, z)
+    below, above = math.hypot(one - low, other_high - other), math.hypot(high - one, other - other_low)
+    return one - other - below, one - other + above
+
+
+#: No interval of shares reaches further than that of so many standard deviations.
+_FURTHEST = 1e4
+
+
+def score_of(first: Share, second: Share, null: float = 0.0) -> float:
+    """Return how many standard deviations a difference lies above a null: what its interval reaches to end there.
+
+    Args:
+        first: one share.
+        second: the other one, which is taken away.
+        null: the difference that is tested against.
+    """
+    difference = first.value - second.value
+    if difference == null:
+        return 0.0
+    if difference < null:
+        return -score_of(second, first, -null)
+    if difference_ends(first, second, _FURTHEST)[0] >= null:
+        return math.inf
+    return float(optimize.brentq(lambda z: difference_ends(first, second, z)[0] - null, 0.0, _FURTHEST))

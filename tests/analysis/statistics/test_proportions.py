@@ -1,0 +1,201 @@
+"""Measures that are yes or no are described, tested and drawn as proportions."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scipy import stats
+from statsmodels.stats.contingency_tables import StratifiedTable
+from statsmodels.stats.proportion import confint_proportions_2indep
+from tests.analysis.made_experiment import make_experiment
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.disclosed import Reason
+from robot_runner.core.design.factor import Factor
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
+
+PLANNER = Factor("Planner", ["DWB", "TEB"])
+ROOM = Factor("Room", ["lab", "hall", "yard"])
+
+
+def analysed(
+    folder: Path, factors: Sequence[Factor], yes: dict[tuple[str, ...], list[bool | None]], **more: Any
+) -> ExperimentStatistics:
+    """Analyse an experiment whose runs of each combination say these, one a repetition; None is missing."""
+    experiment = make_experiment(
+        folder / "made",
+        factors,
+        lambda treatments, repetition: {"Success": yes[tuple(map(str, treatments.values()))][repetition - 1]},
+        repetitions=max(map(len, yes.values())),
+        measures=("Success",),
+        **more,
+    )
+    return analyse(load_results(experiment.root))
+
+
+def said(count: int, n: int) -> list[bool | None]:
+    """Return the answers of `n` runs, of which so many say yes."""
+    return [True] * count + [False] * (n - count)
+
+
+#: Runs that say yes, of ten each; tested in R 4.2.2 by mantelhaen.test(exact=TRUE), without it, and fisher.test.
+IN_ROOMS = {
+    ("DWB", "lab"): said(8, 10),
+    ("DWB", "hall"): said(5, 10),
+    ("DWB", "yard"): said(9, 10),
+    ("TEB", "lab"): said(3, 10),
+    ("TEB", "hall"): said(1, 10),
+    ("TEB", "yard"): said(6, 10),
+}
+
+
+def test_a_proportion_has_the_score_interval_of_wilson(tmp_path: Path) -> None:
+    found = analysed(tmp_path, [PLANNER], {("DWB",): said(8, 10), ("TEB",): [*said(3, 9), None]}).measure("Success")
+    assert found.proportions is not None
+    one, other = found.proportions.by_treatment
+    assert (one.n, one.missing, one.count, one.percent) == (10, 0, 8, 80)
+    assert one.interval is not None
+    # R: prop.test(8, 10, correct = FALSE)$conf.int
+    assert (one.interval.low, one.interval.high) == pytest.approx((49.0162471537, 94.3317848546))
+    assert (other.n, other.missing, other.count) == (9, 1, 3)
+    assert found.overall is None, "nothing of it is a mean"
+    assert found.unit == "%"
+
+
+def test_two_treatments_are_compared_by_fishers_exact_test(tmp_path: Path) -> None:
+    found = analysed(tmp_path, [PLANNER], {("DWB",): said(8, 10), ("TEB",): said(3, 10)}).measure("Success")
+    assert found.test is not None
+    (effect,) = found.test.effects
+    assert effect.test == "Fisher's exact"
+    assert effect.p_value == pytest.approx(0.0697785186949)  # R: fisher.test
+    assert effect.p_value == pytest.approx(stats.fisher_exact([[8, 2], [3, 7]]).pvalue)
+    (pair,) = found.post_hoc[0].comparisons
+    assert pair.difference == pytest.approx(50)
+    low, high = confint_proportions_2indep(8, 10, 3, 10, method="newcomb", compare="diff")
+    assert pair.interval is not None
+    assert (pair.interval.low, pair.interval.high) == pytest.approx((100 * low, 100 * high))
+    assert pair.adjusted_p_value == effect.p_value
+
+
+def test_runs_are_compared_that_differ_in_nothing_else(tmp_path: Path) -> None:
+    found = analysed(tmp_path, [PLANNER, ROOM], IN_ROOMS).measure("Success")
+    assert found.test is not None
+    planner, room = found.test.effects
+    assert planner.test == "exact Cochran-Mantel-Haenszel"
+    assert planner.p_value == pytest.approx(0.00214069941867)  # R
+    strata = [np.array([[8, 2], [3, 7]]), np.array([[5, 5], [1, 9]]), np.array([[9, 1], [6, 4]])]
+    assert planner.statistic == pytest.approx(StratifiedTable(strata).test_null_odds().statistic)
+    # R: mantelhaen.test of the three rooms, by planner; its p-value, 0.00905, is that of very many runs.
+    assert (room.statistic, room.degrees_of_freedom) == (pytest.approx(9.4095744680851), (2.0,))
+    assert room.p_value == pytest.approx(0.00905, rel=0.25)
+    assert "Interactions of proportions are not tested" in found.test.notes[0]
+
+
+def test_three_treatments_have_the_probability_of_all_tables_as_uneven(tmp_path: Path) -> None:
+    counts, sizes = (4, 1, 0), (4, 5, 3)
+    answers = {(room,): [*said(count, n), None, None][:5] for room, count, n in zip(ROOM.treatments, counts, sizes)}  # noqa: B905
+    found = analysed(tmp_path, [ROOM], answers).measure("Success")
+    assert found.test is not None
+    statistics, chances = [], []
+    for table in itertools.product(*(range(n + 1) for n in sizes)):
+        if sum(table) == sum(counts):
+            chances.append(math.prod(map(math.comb, sizes, table)))
+            statistics.append(sum((k - n * 5 / 12) ** 2 / n for k, n in zip(table, sizes, strict=True)))
+            if table == counts:
+                seen = statistics[-1]
+    exact = sum(p for p, each in zip(chances, statistics, strict=True) if each >= seen - 1e-9) / sum(chances)
+    p_value = found.test.effects[0].p_value
+    assert p_value == pytest.approx(exact, abs=4 * math.sqrt(exact * (1 - exact) / 49_999))
+
+
+def test_runs_are_compared_within_their_block(tmp_path: Path) -> None:
+    answers = {("DWB",): [True, True, True, True, False, True], ("TEB",): [False, True, False, False, False, False]}
+    found = analysed(tmp_path, [PLANNER], answers, blocks="Repetition").measure("Success")
+    assert found.test is not None
+    # Of pairs that differ, 4 speak for one and none for the other: the test of McNemar.
+    assert found.test.effects[0].p_value == pytest.approx(stats.binomtest(4, 4).pvalue)
+    assert "of one block" in found.test.reason
+
+
+def test_a_treatment_that_always_succeeds_is_no_obstacle(tmp_path: Path) -> None:
+    found = analysed(tmp_path, [PLANNER], {("DWB",): said(8, 8), ("TEB",): said(0, 8)}).measure("Success")
+    assert found.test is not None
+    (effect,) = found.test.effects
+    assert effect.p_value == pytest.approx(2 / math.comb(16, 8))
+    assert effect.conclusion == (
+        "Planner has an effect on Success: the proportion of DWB is higher than that of TEB by 100.0 percentage points "
+        "(Mantel-Haenszel χ²(1) = 15, p < 0.001)."
+    )
+    (pair,) = found.post_hoc[0].comparisons
+    assert pair.interval is not None
+    assert 0 < pair.interval.low < pair.interval.high <= 100
+
+
+@pytest.mark.parametrize(("answers", "why"), [(said(6, 6), "all runs say yes."), (said(0, 6), "all runs say no.")])
+def test_where_all_say_the_same_nothing_is_tested(tmp_path: Path, answers: list[bool | None], why: str) -> None:
+    found = analysed(tmp_path, [PLANNER], {("DWB",): answers, ("TEB",): answers}).measure("Success")
+    assert found.test is None
+    assert [each.why for each in found.not_computed] == [why]
+    assert found.proportions is not None
+    assert found.proportions.overall.n == 12
+
+
+def test_intervals_belong_to_the_p_value_beside_them(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    for number in range(12):
+        n = int(random.integers(3, 12))
+        answers = {(room,): said(int(random.binomial(n, 0.6)), n) for room in ROOM.treatments}
+        found = analysed(tmp_path / str(number), [ROOM], answers).measure("Success")
+        for pair in found.post_hoc[0].comparisons if found.post_hoc else ():
+            assert pair.interval is not None
+            assert pair.p_value is not None
+            assert (pair.p_value < 0.05) is not (pair.interval.low <= 0 <= pair.interval.high)
+
+
+def test_hypotheses_families_and_doubtful_runs_are_as_the_plan_has_them(tmp_path: Path) -> None:
+    hypotheses = [
+        {"statement": "Planners differ.", "measure": "Success", "factors": ["Planner"]},
+        {
+            "statement": "DWB is better.",
+            "measure": "Success",
+            "factors": ["Planner"],
+            "contrast": {"DWB": 1, "TEB": -1},
+        },
+    ]
+    found = analysed(
+        tmp_path,
+        [PLANNER, ROOM],
+        IN_ROOMS,
+        analysis={"measures": ["Success"], "hypotheses": hypotheses, "doubtful": "leave out"},
+        doubts={"r_1": "a person carried the robot"},
+    )
+    measure = found.measure("Success")
+    assert [(each.run_id, each.reason) for each in measure.left_out] == [("r_1", Reason.DOUBTFUL)]
+    assert measure.proportions is not None
+    assert measure.proportions.overall.n == 59
+    differ, better = found.hypotheses
+    assert measure.test is not None
+    assert differ.is_supported
+    assert differ.adjusted_p_value == measure.test.effects[0].adjusted_p_value
+    assert better.is_supported is None
+    assert "contrasts and bounds are of means" in better.conclusion
+
+
+def test_a_factor_that_goes_along_with_another_one_is_not_tested(tmp_path: Path) -> None:
+    answers = {(planner, room): said(0, 0) for planner in PLANNER.treatments for room in ROOM.treatments}
+    answers |= {("DWB", "lab"): said(5, 6), ("TEB", "hall"): said(1, 6)}
+    padded = {key: [*of, *[None] * 6][:6] for key, of in answers.items()}
+    found = analysed(tmp_path, [PLANNER, ROOM], padded).measure("Success")
+    assert found.test is not None
+    assert [each.p_value for each in found.test.effects] == [None, None]
+    assert "differ in nothing but Planner and Room" in " ".join(found.test.notes)
+    assert found.post_hoc == ()
