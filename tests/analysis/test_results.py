@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pandas as pd
 import pytest
+from tests.analysis.experiment_folders import two_tasks
 from tests.analysis.made_experiment import make_experiment, write_phases, write_samples
 
 from robot_runner.analysis import load_results
@@ -219,3 +220,9 @@ def test_samples_of_any_plugin_are_found_by_their_times(tmp_path, run_count):
         write_samples(folder, f"r_{number}", "a,b\n1,2\n", name="notes.csv")
     (file,) = load_results(folder.root).sample_files
     assert (file.label, file.columns, len(file.run_ids)) == ("Meter/samples.csv", ("power_W",), run_count)
+
+
+@pytest.mark.parametrize("number", [2**63, 10**25])
+def test_whole_numbers_beyond_64_bits_are_numbers(tmp_path, number):
+    root = two_tasks(tmp_path / "trial", (number, number + 1), (2, 3)).root
+    assert load_results(root).runs["Energy"].tolist() == [float(number), float(number + 1), 2.0, 3.0]

@@ -13,13 +13,14 @@ import json
 import os
 import re
 import shutil
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import pyarrow as pa
 from pyarrow import parquet
 
 from robot_runner.analysis.sample_files import split_unit
+from robot_runner.analysis.samples import read_samples
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.storage.guarded_files import make_folder, open_to_read, open_to_write, read_text, replace
 from robot_runner.core.storage.system_refusals import storage_error
@@ -29,59 +30,28 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from robot_runner.analysis.raw_data import RawData
+    from robot_runner.analysis.run_frame import ExperimentFacts
     from robot_runner.analysis.sample_files import SampleFile
 
 _RUNS_AT_ONCE = 50  # so that an export takes no more memory than the samples of so many runs
 _UNIT = b"unit"
 
 
-class Exported(Protocol):
-    """What is written of an experiment: `Results` has it."""
-
-    @property
-    def folder(self) -> Path:
-        """The experiment's folder."""
-        ...
-
-    @property
-    def name(self) -> str:
-        """The experiment's name."""
-        ...
-
-    @property
-    def all_runs(self) -> pd.DataFrame:
-        """The whole run table."""
-        ...
-
-    @property
-    def sample_files(self) -> tuple[SampleFile, ...]:
-        """The kinds of files with raw samples."""
-        ...
-
-    def unit(self, name: str) -> str:
-        """Return the unit of a column."""
-        ...
-
-    def phases(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
-        """Return the phases of missions."""
-        ...
-
-    def events(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
-        """Return the events of runs."""
-        ...
-
-    def samples(self, plugin: str, *, file: str, runs: Sequence[str]) -> pd.DataFrame:
-        """Return raw samples of one kind."""
-        ...
-
-
 def export_results(
-    results: Exported, folder: Path | None = None, *, for_spreadsheets: bool = False
+    results: ExperimentFacts,
+    tables: Mapping[str, pd.DataFrame],
+    raw: RawData,
+    folder: Path | None = None,
+    *,
+    for_spreadsheets: bool = False,
 ) -> tuple[Path, ...]:
     """Write everything into `folder` (None: `export/` in the experiment's folder), replacing an earlier export.
 
     Args:
-        results: the experiment, all of whose runs are written.
+        results: the experiment.
+        tables: of all its runs, by the names of their files.
+        raw: its raw samples.
         folder: where to.
         for_spreadsheets: whether the run table, and the report's tables where there is one, are written into
             `spreadsheets/`, too, without cells that a spreadsheet would execute.
@@ -101,23 +71,21 @@ def export_results(
         raise storage_error(target, "made", error) from error
     make_folder(target / "samples", results.folder if folder is None else target)
     written = list(_copied_table(results, target))
-    everything = list(results.all_runs[RUN_ID])
-    tables = {"run_table": results.all_runs, "phases": results.phases(everything), "events": results.events(everything)}
     for table, frame in tables.items():
         name = f"{table}.parquet"
         _write_parquet(target / name, [arrow_table(frame, _units(results, frame))])
         written.append(target / name)
-    for kind in results.sample_files:
+    for kind in raw.sample_files:
         path = target / "samples" / f"{kind.plugin}.{kind.name.removesuffix('.csv')}.parquet"
         try:
-            _write_parquet(path, _sample_tables(results, kind))
+            _write_parquet(path, _sample_tables(results, raw, kind))
         except pa.ArrowInvalid:  # whole numbers in some runs, fractions or missing values in others
-            _write_parquet(path, _sample_tables(results, kind, as_floats=True))
+            _write_parquet(path, _sample_tables(results, raw, kind, as_floats=True))
         written.append(path)
     copies = tuple(_copies_for_spreadsheets(results.folder, target)) if for_spreadsheets else ()
     package = target / "datapackage.json"
-    text = json.dumps(_package(results, target, written), indent=2, ensure_ascii=False) + "\n"
-    replace(package, text)
+    listed = [_resource(target, path) for path in written if path.name != "run_table.schema.json"]
+    replace(package, json.dumps(data_package(results.name, listed), indent=2, ensure_ascii=False) + "\n")
     return (*written, *copies, package)
 
 
@@ -144,7 +112,7 @@ def _field(field: pa.Field, unit: str) -> pa.Field:
     return described.with_metadata({_UNIT: unit.encode()}) if unit else described
 
 
-def _copied_table(results: Exported, target: Path) -> Iterator[Path]:
+def _copied_table(results: ExperimentFacts, target: Path) -> Iterator[Path]:
     for name in ("run_table.csv", "run_table.schema.json"):
         source = results.folder / name
         if source.exists():
@@ -164,14 +132,15 @@ def _copies_for_spreadsheets(folder: Path, target: Path) -> Iterator[Path]:
         yield into / source.name
 
 
-def _units(results: Exported, frame: pd.DataFrame) -> dict[str, str]:
+def _units(results: ExperimentFacts, frame: pd.DataFrame) -> dict[str, str]:
     return {name: results.unit(name) or split_unit(name)[1] for name in frame.columns}
 
 
-def _sample_tables(results: Exported, kind: SampleFile, *, as_floats: bool = False) -> Iterator[pa.Table]:
+def _sample_tables(
+    results: ExperimentFacts, raw: RawData, kind: SampleFile, *, as_floats: bool = False
+) -> Iterator[pa.Table]:
     for start in range(0, len(kind.run_ids), _RUNS_AT_ONCE):
-        runs = kind.run_ids[start : start + _RUNS_AT_ONCE]
-        frame = results.samples(kind.plugin, file=kind.name, runs=runs)
+        frame = read_samples(raw.request(kind, kind.run_ids[start : start + _RUNS_AT_ONCE], None))
         whole = frame[list(kind.columns)].select_dtypes("integer").columns
         frame = frame.astype(dict.fromkeys(whole, "float64")) if as_floats else frame
         yield arrow_table(frame, _units(results, frame))
@@ -188,11 +157,6 @@ def _write_parquet(path: Path, tables: Iterator[pa.Table] | Sequence[pa.Table]) 
         finally:
             if writer is not None:
                 writer.close()
-
-
-def _package(results: Exported, target: Path, files: Sequence[Path]) -> dict[str, Any]:
-    listed = [_resource(target, path) for path in files if path.name != "run_table.schema.json"]
-    return data_package(results.name, listed)
 
 
 def _resource(target: Path, path: Path) -> dict[str, Any]:

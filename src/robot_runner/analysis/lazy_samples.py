@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from robot_runner.analysis.samples import are_within, checked_columns, places_of_phases, sample_source
+from robot_runner.analysis.samples import are_within, checked_columns, csv_options, places_of_phases, sample_source
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.system_refusals import storage_error
 
@@ -138,17 +138,8 @@ class LazySamples:
 
     def _opened(self, run_id: str, source: Any, types: Mapping[str, pa.DataType]) -> arrow_csv.CSVStreamingReader:
         with _refusals(self.request.file.paths[run_id]):
-            return arrow_csv.open_csv(
-                source,
-                read_options=arrow_csv.ReadOptions(block_size=_BLOCK),
-                parse_options=arrow_csv.ParseOptions(invalid_row_handler=lambda _: "skip"),
-                convert_options=arrow_csv.ConvertOptions(
-                    include_columns=[self.request.file.time, *self.request.columns],
-                    include_missing_columns=True,
-                    column_types=dict(types),
-                    strings_can_be_null=True,
-                ),
-            )
+            options = csv_options(self.request, types)
+            return arrow_csv.open_csv(source, read_options=arrow_csv.ReadOptions(block_size=_BLOCK), **options)
 
 
 class _Labels:

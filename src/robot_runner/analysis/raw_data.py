@@ -13,12 +13,12 @@ import pandas as pd
 from robot_runner.analysis.alignment import AlignedColumn, AlignedSamples, align_values, grid_of, median_period
 from robot_runner.analysis.lazy_samples import LazySamples
 from robot_runner.analysis.sample_files import (
+    PHASES,
     PhaseSpans,
     SampleFile,
     choose_file,
     find_sample_files,
     noted,
-    phase_files,
     phase_spans,
     read_phases,
     split_unit,
@@ -63,7 +63,7 @@ class RawData:
     @cached_property
     def phases(self) -> pd.DataFrame:
         """The phases of missions, on the runs' clocks."""
-        return read_phases(phase_files(self.files))
+        return read_phases({plugin: paths for (plugin, name), paths in self.files.items() if name == PHASES})
 
     @cached_property
     def phase_spans(self) -> dict[str, PhaseSpans]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -321,7 +322,10 @@ class Results(ExperimentFacts):
         Raises:
             StorageError: a file cannot be written.
         """
-        return export_results(self, None if folder is None else Path(folder), for_spreadsheets=for_spreadsheets)
+        runs = list(self.all_runs[RUN_ID])
+        tables = {"run_table": self.all_runs, "phases": self.phases(runs), "events": self.events(runs)}
+        target = None if folder is None else Path(folder)
+        return export_results(self, tables, self._raw, target, for_spreadsheets=for_spreadsheets)
 
     @property
     def _files(self) -> ExperimentFolder:
@@ -373,7 +377,7 @@ def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_u
     root = Path(folder).expanduser().resolve()
     files = ExperimentFolder.found_at(root)
     if not files.manifest.exists() and files.run_table.exists():
-        fix = f"Adopt it: robot-runner import {folder}"
+        fix = f"Adopt it: robot-runner import {shlex.quote(str(folder))}"
         raise StorageError("there is a run table here, but no manifest.json", where=str(folder), fix=fix)
     manifest = read_manifest(files.manifest)
     columns = {column.name: column for column in column_descriptions(files, manifest)}

@@ -114,6 +114,7 @@ class ExperimentFacts:
 
 _ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
 _TYPED_TREATMENTS = frozenset({"integer", "number", "boolean"})
+_LARGEST = 2**63 - 1  # that a column of whole numbers holds
 _DTYPES = {"integer": "Int64", "boolean": "boolean", "string": "str"}
 
 
@@ -133,15 +134,14 @@ class RunFrame:
 
     def without_warm_ups(self) -> RunFrame:
         """Return the table without the rows of warm-up runs."""
-        if not self.warm_ups:
-            return self
-        kept = self.frame[~self.frame[RUN_ID].isin(self.warm_ups)].reset_index(drop=True)
-        kept.attrs = self.frame.attrs
-        return replace(self, frame=kept)
+        return self._with(~self.frame[RUN_ID].isin(self.warm_ups)) if self.warm_ups else self
 
     def of_batches(self, batch: str, numbers: Sequence[int]) -> RunFrame:
         """Return the table with the runs of these batches alone."""
-        kept = self.frame[self.frame[batch].isin(numbers)].reset_index(drop=True)
+        return self._with(self.frame[batch].isin(numbers))
+
+    def _with(self, rows: pd.Series) -> RunFrame:
+        kept = self.frame[rows].reset_index(drop=True)
         kept.attrs = self.frame.attrs
         return replace(self, frame=kept)
 
@@ -300,6 +300,8 @@ def _values(values: Sequence[Any], kind: str) -> Any:
     found = type_of_values(values)
     if found == "any" and is_missing:
         found = kind
+    if found == "integer" and any(abs(value) > _LARGEST for value in values if value is not None):
+        found = "number"
     if found in _DTYPES:
         return pd.array(values, dtype=_DTYPES[found])
     return np.array(values, dtype=np.float64 if found == "number" or is_missing else object)

@@ -220,13 +220,8 @@ class PhaseSpans:
     names: tuple[str, ...]
 
 
-def phase_files(files: Mapping[tuple[str, str], Mapping[str, Path]]) -> dict[str, Mapping[str, Path]]:
-    """Return the phases' files of each plugin that writes any: by plugin, then by run."""
-    return {plugin: paths for (plugin, name), paths in files.items() if name == PHASES}
-
-
 def read_phases(files: Mapping[str, Mapping[str, Path]]) -> pd.DataFrame:
-    """Read phases, on the runs' clocks.
+    """Read the phases' files of each plugin, by plugin, then by run; times stay on the runs' clocks.
 
     Returns:
         One row a phase: `run_id`, `plugin`, `number`, `phase`, `start_s`, `end_s` (s on the run's clock), and whatever

@@ -19,7 +19,7 @@ from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -212,6 +212,21 @@ def sample_source(request: SampleRequest, run_id: str) -> Any:
     return io.BytesIO(content[: content.rfind(b"\n") + 1])
 
 
+def csv_options(
+    request: SampleRequest, types: Mapping[str, pa.DataType], skip: Callable[[object], str] = lambda _: "skip"
+) -> dict[str, Any]:
+    """Return how Arrow parses and converts the files of a request; `skip` is told of rows that are none."""
+    return {
+        "parse_options": arrow_csv.ParseOptions(invalid_row_handler=skip),
+        "convert_options": arrow_csv.ConvertOptions(
+            include_columns=[request.file.time, *request.columns],
+            include_missing_columns=True,
+            column_types=dict(types),
+            strings_can_be_null=True,
+        ),
+    }
+
+
 def _gather(reader: _Reader) -> tuple[NDArray[np.int64], dict[str, Any]]:
     """Copy each table into the columns as soon as it is read; only a few tables are held at once."""
     lengths: list[int] = []
@@ -231,7 +246,11 @@ def _columns(request: SampleRequest, lengths: NDArray[np.int64], columns: dict[s
     slices = _slices(request.run_ids, lengths)
     times = np.asarray(columns.pop(request.file.time), dtype=np.float64)
     labels = _labels(request, lengths)
-    phases = {} if request.phases is None else _phases(request.phases, times, slices)
+    phases: dict[str, Any] = {}
+    if request.phases is not None:
+        names = list(dict.fromkeys(name for spans in request.phases.values() for name in spans.names))
+        codes, numbers = places_of_phases(request.phases, names, times, slices)
+        phases = {"phase": pd.Categorical.from_codes(codes, names), "phase_number": numbers}
     within = {} if request.windows is None else {"in_window": are_within(request.windows, times, slices)}
     for run, place in slices.items():
         if place.stop > place.start:
@@ -309,17 +328,8 @@ class _Reader:
 
         self.skipped.pop(run_id, None)
         with sample_source(self._request, run_id) as source:
-            return arrow_csv.read_csv(
-                source,
-                read_options=arrow_csv.ReadOptions(use_threads=False),
-                parse_options=arrow_csv.ParseOptions(invalid_row_handler=skip),
-                convert_options=arrow_csv.ConvertOptions(
-                    include_columns=self.wanted,
-                    include_missing_columns=True,
-                    column_types=dict(types),
-                    strings_can_be_null=True,
-                ),
-            )
+            options = csv_options(self._request, types, skip)
+            return arrow_csv.read_csv(source, read_options=arrow_csv.ReadOptions(use_threads=False), **options)
 
 
 def _labels(request: SampleRequest, lengths: NDArray[np.int64]) -> dict[str, Any]:
@@ -332,15 +342,6 @@ def _labels(request: SampleRequest, lengths: NDArray[np.int64]) -> dict[str, Any
         codes = np.repeat(np.asarray(treatments.codes), lengths)
         labels[name] = pd.Categorical.from_codes(codes, treatments.categories, ordered=True)
     return labels
-
-
-def _phases(
-    phases: Mapping[str, PhaseSpans], times: NDArray[np.float64], slices: Mapping[str, slice]
-) -> dict[str, Any]:
-    """Return the columns of phases."""
-    names = list(dict.fromkeys(name for spans in phases.values() for name in spans.names))
-    codes, numbers = places_of_phases(phases, names, times, slices)
-    return {"phase": pd.Categorical.from_codes(codes, names), "phase_number": numbers}
 
 
 def places_of_phases(

@@ -97,6 +97,18 @@ def p_in_words(p_value: float) -> str:
     return f"p {'' if p_value < _SMALLEST_P else '= '}{shown_p(p_value)}"
 
 
+def p_values_in_words(p_value: float, adjusted: float | None) -> str:
+    """Return a p-value as it stands in a sentence, with that after correction where it is another.
+
+    Example:
+        >>> p_values_in_words(0.0159, 0.0318), p_values_in_words(0.3, 0.3)
+        ('p = 0.016, p = 0.032 after correction', 'p = 0.300')
+    """
+    if adjusted is None or adjusted == p_value:
+        return p_in_words(p_value)
+    return f"{p_in_words(p_value)}, {p_in_words(adjusted)} after correction"
+
+
 def shown_statistic(value: float) -> str:
     """Return a statistic as it stands in a sentence.
 

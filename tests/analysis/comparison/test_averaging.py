@@ -407,3 +407,27 @@ def test_experiments_of_different_lengths_are_weighted_by_what_they_know(lab):
         (effect.experiments[0].estimate - effect.experiments[1].estimate) ** 2 / (errors[0] ** 2 + errors[1] ** 2)
     )
     assert stats.chi2.sf(effect.difference.heterogeneity.q, 1) <= effect.difference.heterogeneity.p_value + 1e-12
+
+
+def test_contrasts_of_two_factors_whose_treatments_have_the_same_names_are_both_combined(make_folder):
+    weights = {"low": -1, "middle": 0.5, "high": 0.5}
+    plan = {
+        "measures": ["Energy"],
+        "hypotheses": [
+            {"statement": f"{name} matters.", "measure": "Energy", "factors": [name], "contrast": weights}
+            for name in ("Speed", "Load")
+        ],
+    }
+    folders = []
+    for place in (1, 2):
+        random = np.random.default_rng(place)
+        rows = [
+            (speed, load, float(random.normal()))
+            for speed, load in itertools.product(weights, weights)
+            for _ in range(2)
+        ]
+        factors = {"Speed": list(weights), "Load": list(weights)}
+        settings = {"name": f"lab_{place}", "day": f"201{place}-01-31", "manifest": {"analysis": plan}}
+        folders.append(make_folder(factors=factors, rows=rows, measures={"Energy": "J"}, **settings).root)
+    labels = [each.label for each in meta_analyse(*folders).measure("Energy").effects]
+    assert set(labels[-2:]) == {"Speed matters.", "Load matters."}

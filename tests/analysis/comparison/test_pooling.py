@@ -147,3 +147,11 @@ def test_experiments_that_find_exactly_the_same_have_no_interval_of_the_average(
     assert found.random.p_value is None
     assert found.common.interval.low < 2 < found.common.interval.high
     assert (found.heterogeneity.q, found.heterogeneity.tau_squared, found.heterogeneity.i_squared) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("offset", [1.0, 1e6])
+def test_estimates_that_are_the_same_but_for_rounding_tell_no_chance(offset):
+    estimates = [(offset + 0.4) - offset, (7.7 * offset + 0.4) - 7.7 * offset]
+    assert estimates[0] != estimates[1]
+    found = combine(estimates, [0.1, 0.2], [6.0, 6.0], alpha=0.05)
+    assert (found.random.p_value, found.random.interval) == (None, None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -241,3 +242,12 @@ def test_the_same_figure_is_the_same_file_in_each_process():
         for _ in range(2)
     )
     assert one == other
+
+
+def test_an_event_after_the_last_sample_leaves_the_axes_their_room():
+    run = course_of_run("r_1", np.arange(3.0), np.arange(3.0), 0.5)
+    figure = draw_single_courses(MissionCourses("Power (W)", "W", ("a",), {"a": [run]}, 0.5, (), {"stop": 95.0}))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        figure_bytes(figure, FigureFormat.SVG)
+    assert figure.axes[0].get_position().width > 0.7

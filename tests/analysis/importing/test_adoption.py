@@ -16,7 +16,7 @@ from robot_runner.analysis.importing.recomputation import agreements
 from robot_runner.analysis.importing.understanding import understand
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
-from robot_runner.core.errors import StorageError
+from robot_runner.core.errors import AnalysisError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 
 
@@ -288,3 +288,54 @@ def test_the_repetition_can_be_the_block(tmp_path):
     write(tmp_path / "r" / "run_table.csv", f"task,repetition,energy_J\n{rows}")
     adopted(tmp_path / "r", tmp_path / "ours", block="repetition")
     assert load_results(tmp_path / "ours").block == "Repetition"
+
+
+def _metered(root, *traces):
+    write(root / "run_table.csv", "run_id,energy_J\n" + "".join(f"r{place},10.0\n" for place in range(len(traces))))
+    for place, trace in enumerate(traces):
+        write(root / f"r{place}" / "power.csv", f"time_s,power_mW\n{trace}", "cp1252")
+    return root
+
+
+def test_a_cell_without_a_number_is_missing_and_told_and_changes_no_unit(tmp_path):
+    root = _metered(tmp_path / "theirs", "0,10000\n1,10000\n", "0,10000\n0.5,ERROR\n1,10000\n")
+    adoption = adopted(root, tmp_path / "ours")
+    assert [each.recomputed for each in adoption.differences] == [10.0, 10.0]
+    assert load_results(tmp_path / "ours").samples("power", runs=["r1"])["power_W"].dropna().tolist() == [10.0, 10.0]
+    assert [each for each in adoption.warnings if "no number" in each] == [
+        "1 cell of power.csv holds no number and is missing here, in 1 of 2 runs (r1)"
+    ]
+
+
+def test_a_measure_of_a_column_without_numbers_is_refused(tmp_path):
+    root = write(tmp_path / "theirs" / "run_table.csv", "run_id,n,task\nr0,1,a\n").parent
+    write(root / "r0" / "log.csv", "time_s,what\n0,begin\n1,end\n")
+    with pytest.raises(AnalysisError, match="'what' holds no numbers"):
+        adopted(root, tmp_path / "ours", recipes=(parse_recipe("n=mean(log.csv:what)"),))
+
+
+def test_letters_of_another_character_set_are_read_far_down_in_samples(tmp_path):
+    rows = "".join(f"{place / 1000},Munchen\n" for place in range(9000))
+    root = write(tmp_path / "theirs" / "run_table.csv", "run_id,n,task\nr0,1,a\n").parent
+    write(root / "r0" / "places.csv", f"time_s,where\n{rows}9.5,München\n", "cp1252")
+    adopted(root, tmp_path / "ours")
+    assert load_results(tmp_path / "ours").samples("places")["where"].iloc[-1] == "München"
+
+
+def test_a_file_of_no_character_set_is_left_as_it_is(tmp_path):
+    root = _metered(tmp_path / "theirs", "0,10000\n1,10000\n")
+    (root / "r0" / "odd.csv").write_bytes(b"time_s,what\n0,\x81\xe9\n1,b\n")
+    found = understand(root, ImportDescription())
+    assert [note for note in found.notes if note.startswith("odd.csv is left as it is")]
+    assert [each.file for each in found.samples] == ["power.csv"]
+
+
+@pytest.mark.parametrize(
+    "table", ["energy_J,host\n1.5,pc\n2.5,pc\n", "ta\x7fsk,energy_J\na,1.5\nb,2.5\na,3.5\nb,4.5\n"]
+)
+def test_an_import_without_factors_or_with_odd_headings_can_be_repeated_too(tmp_path, table):
+    root = write(tmp_path / "theirs" / "run_table.csv", table).parent
+    adopted(root, tmp_path / "ours")
+    first = understand(root, ImportDescription()).roles
+    again = understand(root, read_description(tmp_path / "ours" / "import" / "description.toml")).roles
+    assert (again.factors, again.measures, again.extras) == (first.factors, first.measures, first.extras)

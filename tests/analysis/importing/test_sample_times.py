@@ -3,11 +3,35 @@
 from __future__ import annotations
 
 import pyarrow as pa
+import pytest
 
-from robot_runner.analysis.importing.sample_times import nanoseconds_of
+from robot_runner.analysis.importing.sample_times import TimeKind, nanoseconds_of, time_kind, time_unit
 
 
 def test_a_time_of_day_that_is_missing_begins_no_other_day():
     times, valid = nanoseconds_of(pa.chunked_array([["23:59:58", None, "23:59:59", "00:00:01"]]), "clock", "meter.csv")
     assert valid.tolist() == [True, False, True, True]
     assert ((times[valid] - times[0]) / 1e9).tolist() == [0.0, 1.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("heading", "first", "unit", "kind"),
+    [
+        ("time_ns", 5_000_000_000_000, "ns", TimeKind.COUNTED),  # since the computer was switched on
+        ("timestamp_us", 500_000_000_000, "us", TimeKind.COUNTED),
+        ("time_ms", 200_000_000, "ms", TimeKind.COUNTED),
+        ("time_ns", 1_700_000_000_000_000_000, "ns", TimeKind.MOMENT),
+        ("t_ms", 1_700_000_000_000, "ms", TimeKind.MOMENT),
+        (
+            "time_s",
+            1_700_000_000_000,
+            "ms",
+            TimeKind.MOMENT,
+        ),  # in seconds it would be the year 55,841
+        ("timestamp", 1_700_000_000_000_000, "us", TimeKind.MOMENT),
+    ],
+)
+def test_times_are_in_the_unit_of_their_heading_however_long_the_computer_has_been_on(heading, first, unit, kind):
+    times = pa.chunked_array([[first, first + 1]])
+    assert time_unit(heading, times, "power.csv") == unit
+    assert time_kind(unit, times) is kind

@@ -419,3 +419,25 @@ def test_what_cannot_be_understood_is_refused_with_a_fix(tmp_path, files, said, 
         understand(root, ImportDescription(**said))
     assert problem in refused.value.problem
     assert refused.value.fix
+
+
+def test_letters_of_another_character_set_are_read_wherever_they_stand(tmp_path):
+    rows = "".join(f"r{number},{('Muller', 'Moller')[number % 2]},{number}.5\n" for number in range(5000))
+    text = f"run_id,ort,energy_J\n{rows}x1,Müller,1.5\nx2,Möller,2.5\nx3,Café"
+    assert [run.treatments["ort"] for run in table_only(tmp_path, text, "cp1252").runs[-3:]] == [
+        "Müller",
+        "Möller",
+        "Café",
+    ]
+
+
+def test_a_column_that_is_said_and_is_not_there_is_refused_with_the_nearest_name(tmp_path):
+    for said in ({"measures": ("enrgy_J",)}, {"units": {"enrgy_J": "mJ"}}):
+        with pytest.raises(AnalysisError, match="there is no column 'enrgy_J'") as caught:
+            table_only(tmp_path, "task,energy_J\na,1.5\nb,2.5\n", **said)
+        assert "energy_J" in (caught.value.fix or "")
+
+
+def test_numbers_that_are_written_plainly_are_said_to_be_written_in_no_other_way(tmp_path):
+    found = table_only(tmp_path, "task,energy_J\na,1.5\nb,1e400\n")
+    assert not any("thousands" in note for note in found.notes)

@@ -6,11 +6,21 @@ import csv
 import io
 import re
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_runner.analysis.report.blocks import Cell, Column, Place, Table
-from robot_runner.analysis.report.rendering import SafeNames, csv_of, latex_of, latex_text, markdown_text
+from robot_runner.analysis.report.blocks import Cell, Chart, Column, Document, Paragraph, Place, Section, Table
+from robot_runner.analysis.report.rendering import (
+    SafeNames,
+    csv_of,
+    html_of,
+    latex_label,
+    latex_of,
+    latex_text,
+    markdown_of,
+    markdown_text,
+)
 from robot_runner.analysis.wording import MISSING
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
@@ -19,10 +29,12 @@ texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
 @given(texts)
 def test_latex_commands_are_only_ours(text):
     written = latex_text(text)
-    commands = r"\\(textbackslash|textasciitilde|textasciicircum|textless|textgreater|textbar|textquotedbl|ldots)\{\}"
+    commands = (
+        r"\\(textbackslash|textasciitilde|textasciicircum|textless|textgreater|textbar|textasciigrave|char34|ldots)\{\}"
+    )
     rest = re.sub(commands, "", written)
     rest = re.sub(r"\\(textsuperscript\{2\}|textdegree\{\}|[{}$&#_%])", "", rest)
-    rest = re.sub(r"\$(-|\\[a-z]+)\$", "", rest)
+    rest = re.sub(r"\$(-|\\[A-Za-z]+)\$|(?<=[-',])\{\}|^\{\}(?=[\[*])", "", rest)
     assert not set(rest) & set("\\{}$&#_%~^")
 
 
@@ -44,8 +56,8 @@ def test_columns_for_programs_are_in_files_and_columns_for_readers_on_the_page()
     columns = (Column("n"), Column("CI", place=Place.PAGE), Column("CI, low", place=Place.FILE))
     table = Table("t", "c", columns, ((Cell(1, "1"), Cell.of_text("[2, 3]"), Cell(2.0, "2")),))
     assert csv_of(table).splitlines() == ["n,CI, low".replace("CI, low", '"CI, low"'), "1,2.0"]
-    assert "[2, 3]" in latex_of(table)
-    assert "low" not in latex_of(table)
+    assert "[2, 3]" in latex_of(table, latex_label)
+    assert "low" not in latex_of(table, latex_label)
 
 
 def test_missing_values_are_empty_in_csv():
@@ -67,3 +79,48 @@ def test_no_two_names_become_one(names):
     given_names = [safe(name) for name in names]
     assert len({name.casefold() for name in given_names}) == len(names)
     assert given_names == [safe(name) for name in names]
+
+
+def test_latex_takes_the_beginning_of_a_row_for_no_argument_and_two_hyphens_for_no_dash():
+    names = ("[0, 1]", "*", "--fast", "a''b")
+    table = Table("t", "c", (Column("[s]"),), tuple((Cell.of_text(name),) for name in names))
+    lines = [line.strip().removesuffix(r" \\") for line in latex_of(table, latex_label).splitlines()]
+    assert [line for line in lines if line.startswith("{}")] == ["{}[s]", "{}[0, 1]", "{}*"]
+    assert {"-{}-fast", "a'{}'b"} <= set(lines)
+
+
+def test_tables_whose_names_differ_in_signs_alone_have_labels_of_their_own():
+    labels = SafeNames(latex_label)
+    assert [labels(name) for name in ("describe a_b", "describe a-b", "describe a_b")] == [
+        "describe-a-b",
+        "describe-a-b-2",
+        "describe-a-b",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        ("- item", r"\- item"),
+        ("1. item", r"1\. item"),
+        ("---", r"\---"),
+        ("===", r"\==="),
+        ("    x", "x"),
+        ("0.5 to 1. or -2", "0.5 to 1. or -2"),
+    ],
+)
+def test_markdown_takes_the_beginning_of_a_text_for_no_list_heading_or_code(text, written):
+    assert markdown_text(text) == written
+
+
+def test_a_name_turns_the_direction_of_no_number_beside_it():
+    section = Section("s", "S", (Paragraph("\u202eabc: 17 J"), Chart("c", "points", "", {"name": "\u202eabc"})))
+    page = html_of(Document("k", "t", "", (), (section,)), {})
+    assert "\u202e" not in page
+    assert " abc: 17 J" in page
+
+
+def test_a_table_in_markdown_is_one():
+    table = Table("t", "c", (Column("a"), Column("b", is_number=True)), ((Cell.of_text("- x"), Cell(1, "1")),))
+    text = markdown_of(Document("k", "t", "", (), (Section("s", "S", (table,)),)), str)
+    assert "| a | b |\n|---|---:|\n| \\- x | 1 |\n" in text

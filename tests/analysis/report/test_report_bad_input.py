@@ -12,7 +12,7 @@ import pytest
 from tests.analysis.experiment_folders import Folder
 
 from robot_runner.analysis.figures.style import FigureFormat
-from robot_runner.analysis.report.rendering import csv_of, latex_of
+from robot_runner.analysis.report.rendering import csv_of, latex_label, latex_of
 from robot_runner.analysis.report.writing import ReportFormat, write_report
 
 if TYPE_CHECKING:
@@ -265,4 +265,11 @@ def test_tables_have_as_many_cells_as_columns_everywhere(hostile):
     for table in document.tables:
         assert {len(row) for row in table.rows} <= {len(table.columns)}
         assert csv_of(table)
-        assert latex_of(table)
+        assert latex_of(table, latex_label)
+
+
+def test_values_that_a_person_entered_are_not_said_to_be_a_model_s(two_tasks):
+    text = text_of(two_tasks(origin="entered by hand"))
+    assert "Energy was entered by a person" in text
+    assert "estimating model" not in text
+    assert "simulated or estimated" not in text

@@ -79,7 +79,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--no-guess",
         action="store_true",
-        help="take nothing for samples, and no column for a factor, that was not named",
+        help="take nothing for samples that was not named, and, with --factor, no other column for a factor",
     )
     parser.add_argument("--dry-run", action="store_true", help="show what was understood, and write nothing")
     parser.add_argument("--yes", action="store_true", help="write without asking, unless something is not sure")
@@ -99,7 +99,7 @@ def execute(arguments: Namespace) -> int:
     understanding = understand(Path(arguments.folder).expanduser(), _said(arguments))
     target = Path(arguments.to or f"{understanding.name}_imported").expanduser()
     if arguments.save_description:
-        _save_description(Path(arguments.save_description), understanding)
+        _save_description(Path(arguments.save_description).expanduser(), understanding)
     if not arguments.json:
         print_understanding(output(), understanding, target)
     if arguments.dry_run:
@@ -128,7 +128,9 @@ def _said(arguments: Namespace) -> ImportDescription:
         read_description,
     )
 
-    described = read_description(Path(arguments.description)) if arguments.description else ImportDescription()
+    described = (
+        read_description(Path(arguments.description).expanduser()) if arguments.description else ImportDescription()
+    )
     return described.with_options(
         ImportDescription(
             **{name: getattr(arguments, name) for name in _TEXTS},

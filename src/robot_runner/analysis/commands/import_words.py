@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import Column, UserConsole, aligned, print_facts, shown_path, width_of
@@ -127,7 +128,7 @@ def print_adoption(console: UserConsole, adoption: Adoption) -> None:
         [
             ("Results", folder),
             ("All differences", f"{folder}/import/differences.csv" if found else ""),
-            ("Next", f"robot-runner report {folder}"),
+            ("Next", f"robot-runner report {shlex.quote(folder)}"),
         ],
     )
 

@@ -178,7 +178,9 @@ def _questions(
             continue
         yield from (_Question(factor, ((one, 1.0), (other, -1.0))) for one, other in combinations(levels, 2))
     asked = {
-        frozenset(each.weights): each for experiment in reversed(experiments) for each in _planned(experiment, choice)
+        (each.factor, frozenset(each.weights)): each
+        for experiment in reversed(experiments)
+        for each in _planned(experiment, choice)
     }
     yield from (question for question in reversed(asked.values()) if question.factor in shared)
 

@@ -206,6 +206,8 @@ class MetaAnalysis:
 
 
 _CLOSE = 1e-13
+#: Estimates that lie closer together than this share of their errors are the same but for rounding.
+_SAME = 1e-6
 _PROFILE = "profile of Q"
 _FEWEST_TO_PREDICT = 3
 
@@ -236,6 +238,8 @@ def combine(estimates: Sequence[float], errors: Sequence[float], freedom: Sequen
     common_error = math.sqrt((1 + 4 * np.sum(unknown * (1 - common_weights))) / np.sum(1 / variances))
     known = float(np.sum(unknown * common_weights))
     random_error = math.sqrt(np.sum(random_weights * (values - random) ** 2) / (count - 1))
+    if random_error <= _SAME / math.sqrt(np.sum(1 / variances)):
+        random_error = 0.0
     wald_error = math.sqrt(1 / np.sum(1 / (variances + tau_squared)))
     return Combined(
         common=_pooled(float(common), common_error, 1 / known if known else math.inf, alpha),

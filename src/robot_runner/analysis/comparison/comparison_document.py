@@ -116,6 +116,8 @@ def _why_undecided(measure: MeasureComparison) -> str:
         return f"nothing could be tested. {untested[0].not_computed}"
     if measure.bound is None:
         return "no difference was found, and without a bound nothing can be called equivalent."
+    if without := [each.label for each in undecided if each.bound == 0]:
+        return f"the bound is a percentage of the first mean, which is 0 for {listed(without)}: give it in its unit."
     return (
         f"for {listed(each.label for each in undecided)} the runs suffice neither to show a difference nor to show "
         f"that the difference is within the bound of {shown_bound(measure)} "
@@ -136,7 +138,8 @@ def _largest(measure: MeasureComparison) -> str:
     largest = max(known, key=lambda each: abs(each.difference or 0.0))
     where = f" ({largest.label})" if len(measure.differences) > 1 else ""
     size = with_unit(largest.difference, difference_unit(measure.unit))
-    return f" The largest difference is {size}, {_percentage(largest.relative)}{where}."
+    share = "" if largest.relative is None else f", {_percentage(largest.relative)}"
+    return f" The largest difference is {size}{share}{where}."
 
 
 def _percentage(value: float | None) -> str:

@@ -199,6 +199,7 @@ def draw_events(axes: Axes, events: Mapping[str, float], seconds: float) -> None
             xycoords=("data", "axes fraction"),
             xytext=(1.5 if is_early else -1.5, 0),
             textcoords="offset points",
+            annotation_clip=True,  # an event after the last sample lies outside, and would take the room of the axes
             rotation=90,
             ha="left" if is_early else "right",
             va="bottom" if is_high else "top",

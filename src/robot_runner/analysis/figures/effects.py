@@ -24,7 +24,7 @@ from robot_runner.analysis.figures.style import (
     shortened,
     verbatim,
 )
-from robot_runner.analysis.wording import shown_interval, shown_number
+from robot_runner.analysis.wording import MINUS, shown_interval, shown_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.figures.distribution import Group
     from robot_runner.analysis.statistics.tested import Interval
 
-_MINUS = "\N{MINUS SIGN}"
 _ROW = 0.24  # height of a combination, inches
 
 
@@ -128,7 +127,7 @@ def draw_agreement(
         if level is not None:
             axes.axhline(level, color=INK, linewidth=0.9, linestyle="-" if word == "bias" else DASHED)
             axes.annotate(
-                f"{word} {level:+.4g} {verbatim(unit)}".rstrip().replace("-", _MINUS),
+                f"{word} {level:+.4g} {verbatim(unit)}".rstrip().replace("-", MINUS),
                 (1.0, level),
                 xycoords=("axes fraction", "data"),
                 xytext=(0, 1.5),

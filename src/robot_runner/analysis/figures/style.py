@@ -182,8 +182,14 @@ def add_legend(figure: Figure, count: int, *, most: int | None = None, columns: 
 
 
 def shortened(label: str, longest: int = 28) -> str:
-    """Return a name on one line that fits beside an axis."""
-    return verbatim(label if len(label) <= longest else f"{label[: longest - 1]}…")
+    """Return a name on one line that fits beside an axis: with its end, by which long names often differ.
+
+    Example:
+        >>> shortened("planner with recovery, cautious", 24)
+        'planner with…y, cautious'
+    """
+    end = (longest - 1) // 2
+    return verbatim(label if len(label) <= longest else f"{label[: longest - 1 - end]}…{label[-end:]}")
 
 
 def wrapped(text: str) -> str:
@@ -196,14 +202,14 @@ def wrapped(text: str) -> str:
     return textwrap.fill(verbatim(text), _LINE)
 
 
-def verbatim(text: str) -> str:
-    r"""Return a text on one line, without characters that no font has.
+def verbatim(text: str, kept: str = "") -> str:
+    r"""Return a text on one line, without characters that no font has, such as those that turn the reading direction.
 
     Example:
         >>> verbatim("two\nlines")
         'two lines'
     """
-    return "".join(character if character.isprintable() else " " for character in text)
+    return "".join(character if character.isprintable() or character in kept else " " for character in text)
 
 
 _LONGEST = 80  # letters of a file's name

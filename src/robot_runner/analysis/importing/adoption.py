@@ -113,7 +113,7 @@ def _adopted(understanding: Understanding, folder: Path, run: ForeignRun) -> Ado
 def _span(samples: ForeignSamples, run: RunSamples) -> TraceSpan:
     first, last = (int(run.nanoseconds[0]), int(run.nanoseconds[-1])) if len(run.nanoseconds) else (0, 0)
     is_moment = samples.time_kind is TimeKind.MOMENT
-    return TraceSpan(samples.file, first, last, is_moment, len(run.nanoseconds), run.left_out)
+    return TraceSpan(samples.file, first, last, is_moment, len(run.nanoseconds), run.left_out, run.without_number)
 
 
 def _zeros(samples: Sequence[tuple[ForeignSamples, RunSamples]]) -> dict[TimeKind, int]:

@@ -329,7 +329,7 @@ class ColumnEvidence:
                 left.remove(name)
                 yield name, Confidence.LIKELY, f"it names the combination of {' and '.join(parts)}"
         for name in sorted(
-            (each for each in left if each in free), key=lambda each: (not _is_id(each), -left.index(each))
+            (each for each in left if each in free), key=lambda each: (not NUMBERING.fullmatch(each), -left.index(each))
         ):
             for other in left:
                 repeats = 2 * self.levels(other) <= self.count
@@ -344,10 +344,6 @@ class ColumnEvidence:
                     left.remove(name)
                     yield name, Confidence.LIKELY, f"each {other} has one {name}"
                 break
-
-
-def _is_id(name: str) -> bool:
-    return bool(NUMBERING.fullmatch(name))
 
 
 def _distinct(codes: Codes) -> int:

@@ -97,11 +97,12 @@ def roles_of(table: ForeignTable, said: ImportDescription) -> ColumnRoles:
 
 
 def _check(table: ForeignTable, said: ImportDescription) -> None:
-    # A measure that the table lacks may come from a recipe.
     single = (said.run_id, said.status, said.repetition, said.block)
     designed = said.design.names if said.design is not None else ()
     of_factors = (*said.design.base, *said.design.ranges) if said.design is not None else ()
-    for name in filter(None, (*single, *(said.factors or ()), *said.ignore, *designed, *of_factors)):
+    computed = {recipe.measure for recipe in said.recipes}  # the table may lack these
+    measures = {*(said.measures or ()), *said.units} - computed
+    for name in filter(None, (*single, *(said.factors or ()), *measures, *said.ignore, *designed, *of_factors)):
         if name not in table.headings:
             fix = did_you_mean(name, table.headings)
             raise AnalysisError(f"there is no column {name!r}", where=table.path.name, fix=fix)

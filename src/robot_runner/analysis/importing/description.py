@@ -315,9 +315,9 @@ def _design(design: DeclaredDesign) -> list[str]:
 
 
 def _lines(entries: Mapping[str, Any]) -> list[str]:
-    return [f"{key} = {_toml(value)}" for key, value in entries.items() if value is not None and value != ()]
+    return [f"{key} = {_toml(value)}" for key, value in entries.items() if value is not None]
 
 
 def _toml(value: Any) -> str:
-    # Texts, lists of texts and truth values are written in TOML as in JSON, for all that a heading can hold.
-    return json.dumps(value, ensure_ascii=False)
+    # Texts, lists of texts and truth values are written in TOML as in JSON, but for DEL.
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
@@ -21,7 +22,7 @@ from robot_runner.analysis.importing.sample_times import (
     time_unit,
     unit_words,
 )
-from robot_runner.analysis.importing.units import TIME_UNITS, Unit, si_heading, split_heading, unit_of
+from robot_runner.analysis.importing.units import MISSING, TIME_UNITS, Unit, si_heading, split_heading, unit_of
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.words import counted
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _NUMBER = re.compile(r"\d+")
-_MISSING = ["", " ", "NA", "N/A", "NaN", "nan", "null", "None", "-"]
+_MISSING = [" ", "NaN", *(written for word in MISSING for written in {word, word.upper(), word.capitalize()})]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +85,14 @@ class RunSamples:
         values: the columns under their own headings, numbers in SI.
         was_sorted: whether the file was in order already.
         left_out: rows with another number of cells than the heading.
+        without_number: cells that hold no number, in columns that hold numbers in the first run.
     """
 
     nanoseconds: NDArray[np.int64]
     values: Mapping[str, Any]
     was_sorted: bool
     left_out: int = 0
+    without_number: int = 0
 
     @property
     def times(self) -> NDArray[np.float64]:
@@ -233,8 +236,15 @@ def read_run_samples(samples: ForeignSamples, path: Path) -> RunSamples:
     times, valid = nanoseconds_of(table.column(samples.time), samples.time_unit, str(path))
     order = np.flatnonzero(valid)[np.argsort(times[valid], kind="stable")]
     was_sorted = bool(len(order) == len(times) and np.all(np.diff(times) >= 0))
+    without_number = 0
+    for place, name in enumerate(table.column_names):
+        column = table.column(place)
+        if name in samples.numeric and not is_number(column.type):  # some word among its numbers
+            numbers = pa.array(pd.to_numeric(column.to_pandas(), errors="coerce"), pa.float64(), from_pandas=True)
+            without_number += numbers.null_count - column.null_count
+            table = table.set_column(place, name, numbers)
     values = {name: _values(table, name, samples.units.get(name), order) for name in samples.columns}
-    return RunSamples(times[order], values, was_sorted, len(left_out))
+    return RunSamples(times[order], values, was_sorted, len(left_out), without_number)
 
 
 def _read(path: Path, types: Mapping[str, pa.DataType] | None = None, left_out: list[object] | None = None) -> pa.Table:
@@ -263,7 +273,7 @@ def _read(path: Path, types: Mapping[str, pa.DataType] | None = None, left_out: 
                 strings_can_be_null=True,
             ),
         )
-    except pa.ArrowInvalid as error:
+    except (pa.ArrowInvalid, UnicodeDecodeError) as error:
         if types:
             skipped.clear()
             return _read(path, None, skipped)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from robot_runner.core.storage.system_refusals import storage_error
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
+    from typing import BinaryIO
 
     from robot_runner.analysis.importing.units import Unit
 
@@ -29,7 +31,6 @@ _BOOLEANS = frozenset({"true", "false"})
 _HEAD = 1 << 16
 #: More rows are no experiment: at a second a run these take two days, and nobody could look at the report.
 _MOST_RUNS = 200_000
-_LONGEST_CHARACTER = 4  # bytes in UTF-8
 _LINES_LOOKED_AT = 50
 
 
@@ -177,24 +178,29 @@ def dialect_of(path: Path) -> CsvDialect:
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD)
+            encoding = _encoding(head, file)
     except OSError as error:
         raise storage_error(path, "read", error) from error
-    encoding = _encoding(head)
-    if encoding != "utf-16" and b"\0" in head:
+    text = head.decode(encoding, "replace")
+    if "\0" in text:
         fix = "Name the CSV file that holds the runs: --table FILE."
         raise AnalysisError("the file is not text: it holds zero bytes", where=str(path), fix=fix)
-    lines = head.decode(encoding, "replace").splitlines()
+    lines = text.splitlines()
     blank = next((place for place, line in enumerate(lines) if line.strip(" ,;\t|")), len(lines))
     heading, *body = lines[blank : blank + _LINES_LOOKED_AT] or [""]
     delimiter = max(_DELIMITERS, key=lambda each: len(next(csv.reader([heading], delimiter=each), [])))
     return CsvDialect(encoding, delimiter, delimiter != "," and bool(_DECIMAL_COMMA.search("\n".join(body))), blank)
 
 
-def _encoding(head: bytes) -> str:
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+def _encoding(head: bytes, rest: BinaryIO) -> str:
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    try:
-        head[: len(head) - _LONGEST_CHARACTER].decode("utf-8-sig")  # the last character may be incomplete
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    try:  # all of it: the first letter that tells may stand in the last row
+        while head:
+            decoder.decode(head)
+            head = rest.read(_HEAD)
+        decoder.decode(b"", final=True)
     except UnicodeDecodeError:
         return "cp1252"
     return "utf-8-sig"

@@ -57,13 +57,21 @@ def recompute(recipe: Recipe, run: RunSamples) -> float | None:
     """Return a measure of one run in SI; None where the samples do not suffice.
 
     Samples without a value are left out. `mean` is the plain mean, as most tools compute it.
+
+    Raises:
+        AnalysisError: the column holds text.
     """
     times = run.times
     if recipe.how is Aggregation.COUNT:
         return float(len(times))
     if recipe.how is Aggregation.DURATION:
         return float(times[-1] - times[0]) if len(times) > 1 else None
-    values = np.asarray(run.values[recipe.column], dtype=np.float64)
+    try:
+        values = np.asarray(run.values[recipe.column], dtype=np.float64)
+    except ValueError as error:
+        fix = "Name a column of numbers."
+        problem = f"column {recipe.column!r} holds no numbers"
+        raise AnalysisError(problem, where=f"recompute {recipe.measure} = {recipe.words}", fix=fix) from error
     valid = np.isfinite(values)
     return _aggregated(recipe.how, times[valid], values[valid])
 

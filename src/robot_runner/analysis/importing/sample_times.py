@@ -30,6 +30,7 @@ _HEADINGS = ("timestamp", "time", "datetime", "date_time", "date", "t", "elapsed
 _EPOCHS = {"ns": 1e17, "us": 1e14, "ms": 1e11, "s": 1e8}
 _NANOSECONDS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1, "min": 60 * 10**9, "h": 3600 * 10**9}
 _DAY = 24 * _NANOSECONDS["h"]
+_LATEST = 2**63  # ns since 1970 that 64 bits hold, until 2262: a heading that says later is mistaken
 _CLOCK = re.compile(r"\d{1,2}:\d\d:\d\d(\.\d+)?")
 _LOOKED_AT = 20  # texts that show what all texts of a column are
 
@@ -77,8 +78,9 @@ def time_unit(heading: str, column: pa.ChunkedArray, where: str) -> str:
     if is_number(column.type) and len(values):
         first = values[0].as_py()
         named = split_heading(heading)[1]
-        counted = named.symbol if named and named.symbol in TIME_UNITS else "s"
-        return next((unit for unit, least in _EPOCHS.items() if first >= least), counted)
+        if named and named.symbol in TIME_UNITS and first * _NANOSECONDS[named.symbol] < _LATEST:
+            return named.symbol
+        return next((unit for unit, least in _EPOCHS.items() if first >= least), "s")
     parsed = pd.to_datetime(_texts(values), errors="coerce", format="ISO8601")
     if not len(parsed) or parsed.isna().any():
         raise AnalysisError(f"the times in {heading} cannot be read", where=where, fix="Give time_unit.")
@@ -171,6 +173,7 @@ class TraceSpan:
         is_moment: whether they are counted since 1970.
         count: the number of samples.
         left_out: rows that have another number of cells than the heading, as where a file was cut off.
+        without_number: cells of columns of numbers that hold none.
     """
 
     file: str
@@ -179,6 +182,7 @@ class TraceSpan:
     is_moment: bool
     count: int
     left_out: int
+    without_number: int
 
     @property
     def seconds(self) -> float:
@@ -206,6 +210,10 @@ def _of_file(
         rows = sum(span.left_out for _, span in found)
         words = f"{counted(rows, 'row')} left out of {file}, cut off or with other cells than its heading"
         yield f"{words}, in {_of(cut, found)}"
+    if odd := [run.run_id for run, span in found if span.without_number]:
+        cells = sum(span.without_number for _, span in found)
+        verbs = "holds no number and is" if cells == 1 else "hold no number and are"
+        yield f"{counted(cells, 'cell')} of {file} {verbs} missing here, in {_of(odd, found)}"
     late: list[tuple[float, str]] = []
     early: list[tuple[float, str]] = []
     short: list[tuple[float, str]] = []

@@ -310,7 +310,7 @@ def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas
     readings = _readings(numbers.values(), has_decimal_commas or decimal == ",")
     if decimal is not None and len(readings) > 1:
         readings = [each for each in readings if (each[0] == "decimal commas") == (decimal == ",")] or readings
-    if not readings or (unit is None and not readings[0][0]):
+    if not readings or (unit is None and readings[0][1] == numbers):
         return PlainCells(cells)
     words, plain = readings[0]
     doubt = f"{min(plain)} may be {' or '.join(str(each[1][min(plain)]) for each in readings)}" if readings[1:] else ""

@@ -246,6 +246,8 @@ def _of_table(study: Study, table: pd.DataFrame, name: str, spreads: Mapping[str
     own = f"{name}{_SPREAD}"
     if own in table:
         found = {cell: _number(table[own][row], where, f"{own} of {_AND.join(cell)}") for cell, row in rows}
+        if below := [_AND.join(cell) for cell, spread in found.items() if spread < 0]:
+            raise AnalysisError(f"{own} of {listed(below)} is below 0", where=where, fix="Give standard deviations.")
     elif name in spreads:
         found = dict.fromkeys(study.cells, spreads[name])
     else:
@@ -257,15 +259,21 @@ def _rows_of_cells(study: Study, table: pd.DataFrame, where: str) -> Iterator[tu
     """Yield the row that tells of each combination."""
     told = [name for name in study.factors if name in table]
     rows: dict[Cell, int] = {}
-    for row, texts in enumerate(table[told].itertuples(index=False) if told else [()]):
-        rows[tuple(map(str, texts))] = row
+    for row in range(len(table)):
+        texts = tuple(str(table[name][row]) for name in told)
+        if texts in rows:
+            problem = f"rows {rows[texts] + 1} and {row + 1} are both of {' / '.join(texts) or 'all combinations'}"
+            untold = [name for name in study.varied if name not in told]
+            fix = f"Leave one out{f', or add the column {untold[0]}' if untold else ''}."
+            raise AnalysisError(problem, where=where, fix=fix)
+        rows[texts] = row
     missing = []
     for cell in study.cells:
         own = tuple(text for name, text in zip(study.factors, cell, strict=True) if name in told)
         if own in rows:
             yield cell, rows[own]
         else:
-            missing.append(" / ".join(own))
+            missing.append(" / ".join(own) or "all combinations")
     if missing:
         problem = (
             f"{counted(len(missing), 'combination')} of the design {'has' if len(missing) == 1 else 'have'} no row"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -14,7 +13,7 @@ from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from robot_runner.analysis.figures.courses import Course, MissionCourses
     from robot_runner.analysis.figures.style import Look
@@ -27,23 +26,40 @@ _DIGITS = 4
 
 def course_chart(name: str, mission: MissionCourses) -> Chart:
     """Return a chart of a sampled measure over the time of the mission; its name is unique in the document."""
-    grid = _Grid.of(mission.means)
     share = max(1, -(-sum(map(len, mission.runs.values())) // _MOST_RUNS))
     by_name = looks_by(mission.order)
+    edges = [edge for mean in mission.means for edge in (mean.middle, mean.low, mean.high)]
+    shown = [float(value) for edge in edges for value in edge if math.isfinite(value)]
+    spread = max(shown, default=0.0) - min(shown, default=0.0)
+    # Of what differs, and not of the value: of 1,013.25 and 1,013.31 hPa four digits are the same.
+    digits = _DIGITS - 1 - math.floor(math.log10(spread)) if spread else None
+
+    def place(course: Course) -> int:
+        return round(float(course.time[0]) / mission.width - 0.5)
+
+    there = [mean for mean in mission.means if len(mean.time)]
+    first = min(map(place, there), default=0)
+    count = max((place(mean) + len(mean.time) for mean in there), default=0) - first
+
+    def values(course: Course, edge: str) -> list[float | None]:
+        """Return a course's `middle`, `low` or `high` at each time of the chart; None where it has none."""
+        before = [None] * (place(course) - first if len(course.time) else 0)
+        cells = [*before, *_plain(getattr(course, edge), digits)]
+        return [*cells, *[None] * (count - len(cells))]
+
     data = {
         "label": mission.label,
         "unit": mission.unit,
-        "time": [round(grid.first + place * grid.width, 4) for place in range(grid.count)],
+        "time": [round((first + number + 0.5) * mission.width, 9) for number in range(count)],
         "groups": [
             {
                 "name": mean.label,
                 "colour": by_name[mean.label].colour,
                 "dash": _dash(by_name[mean.label]),
                 "runs": mean.runs,
-                **{edge: grid.values(mean, edge) for edge in ("middle", "low", "high")},
+                **{edge: values(mean, edge) for edge in ("middle", "low", "high")},
                 "each": [
-                    {"name": run.label, "values": grid.values(run, "middle")}
-                    for run in mission.runs[mean.label][::share]
+                    {"name": run.label, "values": values(run, "middle")} for run in mission.runs[mean.label][::share]
                 ],
             }
             for mean in mission.means
@@ -65,9 +81,13 @@ def points_chart(material: Material) -> Chart | None:
     done = material.done
     if not numeric or done.empty:
         return None
-    places = _places(material)
+    begun = list(material.last_attempts.dropna(subset=["started_at"]).sort_values("started_at")["run_id"])
+    is_known = set(done[RUN_ID]) <= set(begun)
+    places = {run_id: place for place, run_id in enumerate(begun if is_known else material.runs[RUN_ID], start=1)}
+    order = "order of execution" if is_known else "order of the table"
     ordered = done.assign(place=done[RUN_ID].map(places)).sort_values("place", kind="stable")
     data = {
+        "place": f"Place in the {order}",
         "order": [int(place) for place in ordered["place"]],
         "runs": list(map(str, ordered[RUN_ID])),
         "groups": [
@@ -80,52 +100,20 @@ def points_chart(material: Material) -> Chart | None:
                 "name": name,
                 "label": material.results.label(name),
                 "unit": material.results.unit(name),
-                "values": _plain(pd.to_numeric(ordered[name], errors="coerce").to_numpy(dtype="float64"), digits=6),
+                "values": _plain(pd.to_numeric(ordered[name], errors="coerce").to_numpy(dtype="float64")),
             }
             for name in numeric
         ],
     }
-    caption = f"{counted(len(ordered), 'run')} in the order of execution. Point at one for its id and its value."
+    caption = f"{counted(len(ordered), 'run')} in the {order}. Point at one for its id and its value."
     return Chart("chart-runs", "points", caption, data)
-
-
-def _places(material: Material) -> dict[str, int]:
-    """Return the place of each run in the order of execution, from 1: by its last attempt, else as in the table."""
-    order = list(material.last_attempts.sort_values("started_at")["run_id"])
-    return {run_id: place for place, run_id in enumerate(dict.fromkeys((*order, *material.runs[RUN_ID])), start=1)}
 
 
 def _dash(look: Look) -> list[float]:
     return [] if isinstance(look.line, str) else [round(each * 1.6, 1) for each in look.line[1]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Grid:
-    """The times that all courses of a chart share: so many, from the first, a width apart."""
-
-    first: float
-    width: float
-    count: int
-
-    @classmethod
-    def of(cls, courses: Sequence[Course]) -> _Grid:
-        """Return the grid that holds all courses."""
-        width = next((float(course.time[1] - course.time[0]) for course in courses if len(course.time) > 1), 0.0)
-        first = min((float(course.time[0]) for course in courses if len(course.time)), default=0.0)
-        last = max((float(course.time[-1]) for course in courses if len(course.time)), default=0.0)
-        return cls(first, width, round((last - first) / width) + 1 if width else 0)
-
-    def values(self, course: Course, edge: str) -> list[float | None]:
-        """Return a course's `middle`, `low` or `high` at each time; None where it has none."""
-        cells: list[float | None] = [None] * self.count
-        if len(course.time) and self.width:
-            offset = round((float(course.time[0]) - self.first) / self.width)
-            for place, value in enumerate(_plain(getattr(course, edge)), start=offset):
-                if 0 <= place < self.count:
-                    cells[place] = value
-        return cells
-
-
-def _plain(values: Iterable[float], digits: int = _DIGITS) -> list[float | None]:
-    """Return numbers as JSON has them, in as many digits as a screen shows."""
-    return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in map(float, values)]
+def _plain(values: Iterable[float], digits: int | None = None) -> list[float | None]:
+    """Return numbers as JSON has them, rounded to so many decimals; in full for None."""
+    finite = (value if math.isfinite(value) else None for value in map(float, values))
+    return [value if value is None or digits is None else round(value, digits) for value in finite]

@@ -77,6 +77,14 @@ def read_qualities(folder: ExperimentFolder, run_ids: Iterable[str]) -> tuple[Ru
     return tuple(_quality(run_id, plugin, facts) for run_id, plugin, facts in notes if isinstance(facts, dict))
 
 
+def by_plugin(qualities: Iterable[RunQuality]) -> dict[str, list[RunQuality]]:
+    """Return what is known of the samples of each plugin."""
+    found: dict[str, list[RunQuality]] = {}
+    for each in qualities:
+        found.setdefault(each.plugin, []).append(each)
+    return found
+
+
 def _quality(run_id: str, plugin: str, facts: Mapping[str, Any]) -> RunQuality:
     samples, is_simulated = facts.get("samples"), facts.get("is_simulated")
     known = {**(samples if isinstance(samples, dict) else {}), "saturated": facts.get("saturated")}
@@ -229,7 +237,8 @@ class Material:
     @cached_property
     def is_simulated(self) -> bool:
         """Whether some of its measures come from simulated sensors or estimating models."""
-        return any(origin_badges(column.origin) for column in self.results.columns.values())
+        badges = origin_badges(*(column.origin for column in self.results.columns.values()))
+        return any(badge.text in {"simulated", "estimated"} for badge in badges)
 
     def manifest(self, *keys: str, default: Any = None) -> Any:
         """Return what the manifest says under these keys, one within the other."""

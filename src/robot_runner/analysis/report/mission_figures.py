@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 from matplotlib.image import imread
 
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    import numpy as np
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
@@ -137,7 +137,7 @@ def mission_courses(material: Material, measure: SampledMeasure, groups: Sequenc
 def _samples(
     material: Material, measure: SampledMeasure, groups: Sequence[str]
 ) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Return times and values of each run that has two samples of its mission at least."""
+    """Return times, ascending, and values of each run that has two samples of its mission at least."""
     file, labels = measure.file, material.labels
     samples = material.results.samples(
         file.plugin,
@@ -147,7 +147,9 @@ def _samples(
         with_factors=False,
         with_phases=False,
     )
-    samples = samples[samples["in_window"]]
+    # A clock that was set back, or a plugin with several threads, writes samples in another order.
+    samples = samples[samples["in_window"] & np.isfinite(samples["time_s"])]
+    samples = samples.sort_values(["run_id", "time_s"], kind="stable")
     times = samples["time_s"].to_numpy(dtype="float64")
     values = pd.to_numeric(samples[measure.column], errors="coerce").to_numpy(dtype="float64")
     by_run = samples.groupby("run_id", observed=True, sort=False).indices

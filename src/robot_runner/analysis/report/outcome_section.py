@@ -23,6 +23,7 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
+from robot_runner.analysis.report.material import by_plugin
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
 from robot_runner.analysis.wording import MISSING, NUMBER, listed
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
@@ -154,15 +155,14 @@ def _values(heading: str, name: str, *, is_number: bool = True) -> Field:
 
 
 def _quality_table(qualities: Sequence[RunQuality]) -> Table:
-    by_plugin: dict[str, list[RunQuality]] = {}
-    for each in qualities:
-        by_plugin.setdefault(each.plugin, []).append(each)
+    mine = by_plugin(qualities)
 
-    def known(mine: Sequence[RunQuality], name: str) -> list[Any]:
-        return [value for each in mine if (value := getattr(each, name)) is not None]
+    def of_all(combine: Callable[..., Any], name: str) -> Callable[[str], Any]:
+        def combined(plugin: str) -> Any:
+            known = [value for each in mine[plugin] if (value := getattr(each, name)) is not None]
+            return combine(known) if known else None
 
-    def of_all(combine: Callable[[list[Any]], Any], name: str) -> Callable[[str], Any]:
-        return lambda plugin: combine(found) if (found := known(by_plugin[plugin], name)) else None
+        return combined
 
     def gap(plugin: str) -> Cell:
         seconds = of_all(max, "largest_gap")(plugin)
@@ -170,7 +170,7 @@ def _quality_table(qualities: Sequence[RunQuality]) -> Table:
 
     fields = (
         text("Plugin", str),
-        number("Runs", lambda plugin: len(by_plugin[plugin])),
+        number("Runs", lambda plugin: len(mine[plugin])),
         number("Samples", of_all(sum, "got")),
         number("Least coverage (%)", of_all(min, "coverage")),
         number("Lost", of_all(sum, "lost"), warns=True),
@@ -178,10 +178,10 @@ def _quality_table(qualities: Sequence[RunQuality]) -> Table:
         number("Twice", of_all(sum, "duplicates")),
         field("Longest gap (s)", gap, is_number=True),
         number("Saturated", of_all(sum, "saturated")),
-        text("Sensor", lambda plugin: _sensor(by_plugin[plugin])),
+        text("Sensor", lambda plugin: _sensor(mine[plugin])),
     )
     caption = "Completeness of the raw samples, all runs together."
-    return build_table("quality", caption, by_plugin, fields).without_blank("Twice", "Saturated")
+    return build_table("quality", caption, mine, fields).without_blank("Twice", "Saturated")
 
 
 def _sensor(qualities: Sequence[RunQuality]) -> str:

@@ -19,7 +19,7 @@ from urllib.parse import quote
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from robot_runner.analysis.figures.style import file_name
+from robot_runner.analysis.figures.style import file_name, verbatim
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -34,16 +34,20 @@ _SCALE = 1.87
 _SIZE = re.compile(rb'<svg[^>]*? viewBox="0 0 ([\d.]+) ([\d.]+)"', re.DOTALL)
 _PATH = re.compile(rb' d="[^"]*"')
 _LONG_DECIMALS = re.compile(rb"(\d\.\d\d)\d+")
+#: What shows nothing itself and is kept on a page: the ends of lines, and what joins letters and parts of a sign.
+_KEPT = "\n\u200c\u200d"
 _BLANK_LINES = re.compile(r"\n{3,}")
-_MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$!&])")
+#: Signs that mean something anywhere, and those that begin a list or underline a heading.
+_MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$!&]|(?:^|(?<=^[0-9])|(?<=^[0-9]{2}))[-+=.)](?=[-=\s]|$))")
 _LATEX = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
-    "|": r"\textbar{}", '"': r"\textquotedbl{}", "\N{MINUS SIGN}": "$-$", "\N{EN DASH}": "--",
+    "|": r"\textbar{}", '"': r"\char34{}", "`": r"\textasciigrave{}", "\N{MINUS SIGN}": "$-$", "\N{EN DASH}": "--",
     "\N{MULTIPLICATION SIGN}": r"$\times$", "±": r"$\pm$", "≤": r"$\leq$", "≥": r"$\geq$",
     "\N{GREEK SMALL LETTER ALPHA}": r"$\alpha$", "\N{GREEK SMALL LETTER RHO}": r"$\rho$", "η": r"$\eta$",
     "ω": r"$\omega$", "δ": r"$\delta$", "χ": r"$\chi$", "²": r"\textsuperscript{2}", "°": r"\textdegree{}",
-    "·": r"$\cdot$", "…": r"\ldots{}",
+    "·": r"$\cdot$", "…": r"\ldots{}", "\N{GREEK CAPITAL LETTER OMEGA}": r"$\Omega$", "\N{OHM SIGN}": r"$\Omega$",
+    "\N{GREEK SMALL LETTER MU}": r"$\mu$",
 }  # fmt: skip
 
 
@@ -56,14 +60,15 @@ class SafeNames:
         ['a_b', 'a_b-2', 'a_b']
     """
 
-    def __init__(self) -> None:
+    def __init__(self, plain: Callable[[str], str] = file_name) -> None:
+        self._plain = plain
         self._given: dict[str, str] = {}
         self._taken: set[str] = set()
 
     def __call__(self, name: str) -> str:
         """Return the safe name."""
         if name not in self._given:
-            safe = base = file_name(name)
+            safe = base = self._plain(name)
             number = 1
             while safe.casefold() in self._taken:
                 number += 1
@@ -86,6 +91,7 @@ def html_of(document: Document, drawings: Mapping[str, bytes]) -> str:
             drawings={name: _drawing(svg) for name, svg in drawings.items()},
             anchor=anchors,
             safe_name=SafeNames(),
+            labels=SafeNames(latex_label),
             most_rows=_MOST_ROWS,
         )
     )
@@ -97,10 +103,14 @@ def markdown_of(document: Document, figure_path: Callable[[str], str]) -> str:
     return _BLANK_LINES.sub("\n\n", template.render(document=document, figure_path=figure_path))
 
 
-def latex_of(table: Table) -> str:
-    """Return a table as LaTeX, for `booktabs`, with numbers as a reader sees them."""
-    label = re.sub(r"[^A-Za-z0-9]+", "-", table.name).strip("-").lower()
-    return _papers().get_template("table.tex.j2").render(table=table.for_readers, label=label)
+def latex_of(table: Table, labels: Callable[[str], str]) -> str:
+    """Return a table as LaTeX, for `booktabs`, with numbers as a reader sees them; `labels` names it for references."""
+    return _papers().get_template("table.tex.j2").render(table=table.for_readers, label=labels(table.name))
+
+
+def latex_label(name: str) -> str:
+    """Return a name as references in LaTeX have it."""
+    return file_name(name).replace("_", "-").lower()
 
 
 def csv_of(table: Table) -> str:
@@ -120,8 +130,15 @@ def latex_text(text: str) -> str:
     Example:
         >>> latex_text("50% of $x_1$ \\input{a}")
         '50\\% of \\$x\\_1\\$ \\textbackslash{}input\\{a\\}'
+        >>> latex_text("--fast"), latex_text("[0, 1]")  # neither a dash nor the argument of the line that ends before
+        ('-{}-fast', '{}[0, 1]')
     """
-    return "".join(_LATEX.get(character, character if character.isprintable() else " ") for character in text)
+    line = verbatim(text)
+    signs = (
+        _LATEX.get(sign, sign) + "{}" * (sign == after and sign in "-',")
+        for sign, after in zip(line, f"{line[1:]} ", strict=False)
+    )
+    return "{}" * line.startswith(("[", "*")) + "".join(signs)
 
 
 def markdown_text(text: str) -> str:
@@ -131,8 +148,7 @@ def markdown_text(text: str) -> str:
         >>> markdown_text("a|b *c* <d>")
         'a\\|b \\*c\\* \\<d\\>'
     """
-    line = "".join(character if character.isprintable() else " " for character in text)
-    return _MARKDOWN.sub(r"\\\1", line)
+    return _MARKDOWN.sub(r"\\\1", verbatim(text).strip())
 
 
 def templates_of(package: str, finalize: Callable[[object], object], **settings: Any) -> Environment:
@@ -153,8 +169,10 @@ def _environment(escape: Callable[[str], str] | None = None, **settings: str) ->
     """Return templates of a format: what they print is escaped by `escape`, or as HTML, unless it is `Markup`."""
 
     def finalize(value: object) -> object:
-        if escape is None or hasattr(value, "__html__"):
+        if hasattr(value, "__html__"):
             return value
+        if escape is None:
+            return verbatim(str(value), _KEPT)
         return Markup(escape(str(value)))  # noqa: S704 - that it is escaped for another format is the point
 
     environment = templates_of(_PACKAGE, finalize, autoescape=True, **settings)
@@ -197,8 +215,8 @@ def _shared_asset(name: str) -> Markup:
 
 def _json_of(data: Mapping[str, Any]) -> Markup:
     """Return JSON that cannot end the element that it stands in."""
-    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-    for character in "<>&\u2028\u2029":
+    text = verbatim(json.dumps(data, ensure_ascii=False, separators=(",", ":"), allow_nan=False), _KEPT)
+    for character in "<>&":
         text = text.replace(character, f"\\u{ord(character):04x}")
     return Markup(text)  # noqa: S704 - every character that HTML knows was escaped
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.report.blocks import Block, Gallery, Paragraph, Remark, Remarks, Section, Tone
 from robot_runner.analysis.report.design_section import shown_stamp
 from robot_runner.analysis.report.machine_threats import machine_threats
-from robot_runner.analysis.report.material import origin_badges
+from robot_runner.analysis.report.material import by_plugin, origin_badges
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
 from robot_runner.analysis.statistics.analysed_design import has_known_order
@@ -23,9 +23,9 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from robot_runner.analysis.report.material import Material, RunQuality
+    from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
 
     #: Title, text and weight of a threat.
@@ -311,7 +311,7 @@ def _odd(material: Material) -> Threats:
 
 
 def _gaps(material: Material) -> Threats:
-    for plugin, mine in _by_plugin(each for each in material.qualities if not each.is_complete):
+    for plugin, mine in by_plugin(each for each in material.qualities if not each.is_complete).items():
         least = min((each.coverage for each in mine if each.coverage is not None), default=None)
         lost, damaged = (sum(getattr(each, name) or 0 for each in mine) for name in ("lost", "corrupt"))
         covered = "" if least is None else f"; at the least {shown_number(least, 3)} % of the time is covered"
@@ -320,17 +320,10 @@ def _gaps(material: Material) -> Threats:
 
 
 def _saturation(material: Material) -> Threats:
-    for plugin, mine in _by_plugin(each for each in material.qualities if each.saturated):
+    for plugin, mine in by_plugin(each for each in material.qualities if each.saturated).items():
         count = counted(sum(each.saturated or 0 for each in mine), "sample")
         text = f"{count} reached the end of the sensor's range ({listed(each.run_id for each in mine)})."
         yield f"{plugin} was saturated", text, Tone.WARNING
-
-
-def _by_plugin(qualities: Iterable[RunQuality]) -> Iterable[tuple[str, list[RunQuality]]]:
-    found: dict[str, list[RunQuality]] = {}
-    for each in qualities:
-        found.setdefault(each.plugin, []).append(each)
-    return found.items()
 
 
 def _unread(material: Material) -> Threats:
@@ -352,13 +345,12 @@ def _origins(material: Material) -> Threats:
         for badge in origin_badges(material.results.columns[name].origin):
             by_word.setdefault(badge.text, []).append(name)
     for word, names in by_word.items():
-        whose = "simulated sensors" if word == "simulated" else "an estimating model"
-        come = "comes" if len(names) == 1 else "come"
-        yield (
-            f"Values are {word}",
-            f"{listed(names)} {come} from {whose}: not evidence about a real robot.",
-            Tone.WARNING,
-        )
+        come, were = ("comes", "was") if len(names) == 1 else ("come", "were")
+        text = {
+            "simulated": f"{come} from simulated sensors: not evidence about a real robot.",
+            "estimated": f"{come} from an estimating model: not evidence about a real robot.",
+        }.get(word, f"{were} entered by a person: a slip is not told from what was seen.")
+        yield f"Values are {word}", f"{listed(names)} {text}", Tone.WARNING
 
 
 def _constant_factors(material: Material) -> Threats:

@@ -14,7 +14,7 @@ from robot_runner.analysis.figures.pdf_worker import PdfWorker
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.analysis.report.document import json_of_report, report_document
 from robot_runner.analysis.report.material import Material
-from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_of, markdown_of
+from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_label, latex_of, markdown_of
 from robot_runner.analysis.results import Results, load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.storage.guarded_files import make_folder, replace
@@ -191,10 +191,9 @@ def _write_figures(
 
 
 def _write_tables(document: Document, place: _Place) -> tuple[Path, ...]:
-    names = SafeNames()
-    formats = {"csv": csv_of, "tex": latex_of}
+    names, labels = SafeNames(), SafeNames(latex_label)
     return tuple(
-        place.write(f"tables/{names(table.name)}.{ending}", render(table).encode("utf-8"))
+        place.write(f"tables/{names(table.name)}.{ending}", text.encode("utf-8"))
         for table in document.tables
-        for ending, render in formats.items()
+        for ending, text in (("csv", csv_of(table)), ("tex", latex_of(table, labels)))
     )

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.analysis.statistics.analysed_design import VALUE
+from robot_runner.analysis.statistics.contrasts import rounding_of
 from robot_runner.analysis.statistics.covariate_design import AdjustmentError, CovariateDesign
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
     from robot_runner.analysis.statistics.robust_covariance import RobustFit
 
     Floats = NDArray[np.float64]
-
-#: Residuals smaller than this, beside the values, are what rounding leaves behind.
-_NO_VARIATION = 1e-10
 
 #: What each kind of test is called.
 HOTELLING, BOX = "approximate Hotelling", "ANOVA-type"
@@ -157,7 +155,7 @@ def _fitted(design: CovariateDesign, statistic: Statistic) -> AdjustedMeans:
     spread, left = design.spread(design.fit(design.columns[:, :0])), design.spread(fit)
     if not (math.isfinite(spread) and math.isfinite(left)):
         raise AdjustmentError("there are too few runs for the number of treatments and covariates.")
-    if left <= _NO_VARIATION * max(float(np.max(np.abs(values - values.mean()))), 1e-300):
+    if left <= rounding_of(values):
         raise AdjustmentError("beside treatments and covariates all values are equal, so that chance has no measure.")
     adjusted = values - design.columns @ fit.beta[design.base.shape[1] :]
     first, count = (0 if design.is_within else 1), design.effects.shape[1] - 1

@@ -7,6 +7,7 @@ chance that effects are compared with.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -275,7 +276,7 @@ def layout_of(data: MeasureData) -> Layout | None:
     Then a model has to share what is known: of combinations without runs or with a single one, of incomplete blocks.
     """
     factors = {name: data.levels(name) for name in data.factors}
-    if np.prod([len(levels) for levels in factors.values()]) > _MOST_CELLS:
+    if _size(factors, tuple(factors)) > _MOST_CELLS:
         return None
     codes = {
         name: data.frame[name].astype(str).map({level: place for place, level in enumerate(levels)}).to_numpy(int)
@@ -294,7 +295,7 @@ def _code(factors: dict[str, list[str]], codes: dict[str, Numbers], names: Seque
 
 
 def _size(factors: dict[str, list[str]], names: Sequence[str]) -> int:
-    return int(np.prod([len(factors[name]) for name in names], dtype=np.int64))
+    return math.prod(len(factors[name]) for name in names)
 
 
 def _independent(

@@ -14,6 +14,7 @@ from robot_runner.analysis.statistics.contrasts import (
     Moments,
     Tested,
     along,
+    beyond_rounding,
     bootstrapped,
     box,
     can_be_bootstrapped,
@@ -37,9 +38,6 @@ if TYPE_CHECKING:
 
 #: Errors smaller than this, beside the values, are what rounding leaves behind.
 _ROUNDING = 1e-12
-
-#: The same of standard deviations, which are differences of such.
-_NO_VARIATION = 1e-10
 
 _PAIR = 2
 
@@ -117,7 +115,7 @@ class CellMeans:
     @property
     def has_variation(self) -> bool:
         """Whether chance has a measure, in some combination at least; of blocks, in how they respond to treatments."""
-        return bool(np.all(self.spread > _NO_VARIATION * np.max(np.abs(self.moments.means), axis=(-2, -1))))
+        return bool(np.all(self.spread > 0))
 
     @property
     def spread(self) -> Floats:
@@ -130,8 +128,9 @@ class CellMeans:
         covariances = self.moments.errors * sizes[:, None, None]
         count = covariances.shape[-1]
         if count > 1 and not self.layout.between:
-            own = np.einsum("...gcc->...", covariances) - np.einsum("...gcd->...", covariances) / count
-            return np.asarray(np.sqrt(np.maximum(own, 0.0) / ((count - 1) * len(sizes))))
+            whole = np.einsum("...gcc->...", covariances)
+            own = beyond_rounding(whole - np.einsum("...gcd->...", covariances) / count, whole)
+            return np.asarray(np.sqrt(own / ((count - 1) * len(sizes))))
         return np.asarray(np.sqrt(np.einsum("...gcc->...", covariances) / (len(sizes) * count)))
 
     def effects(self) -> Iterator[EffectTest]:

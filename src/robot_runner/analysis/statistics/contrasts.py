@@ -50,6 +50,9 @@ _ORDER = -1 / 3
 #: Larger matrices take too long to invert thousands of times.
 _MOST_INVERTED = 12
 
+#: Of the variance that a sum of cells would have if these were independent: what is less is left behind by rounding.
+_ROUNDED = 1e-13
+
 #: A covariance worse conditioned than this cannot be inverted: two and more cells have no spread at all.
 _SINGULAR = 1e12
 
@@ -99,6 +102,25 @@ class Tested(NamedTuple):
     p_value: Floats
 
 
+def rounding_of(values: Floats) -> float:
+    """Return how large deviations from a model are that rounding leaves behind of values, (..., values).
+
+    They are seen beside the range of the values, and beside the values themselves: these may be far from 0.
+    """
+    range_of = float(np.max(np.abs(values - values.mean(axis=-1, keepdims=True))))
+    return max(1e-10 * range_of, 1e-13 * float(np.max(np.abs(values))), 1e-300)
+
+
+def beyond_rounding(variances: Floats, independent: Floats) -> Floats:
+    """Return the variances of sums of cells, 0 where rounding alone makes them: all units respond alike.
+
+    Args:
+        variances: as their covariances have them.
+        independent: what they would be if the cells were independent.
+    """
+    return np.where(variances <= _ROUNDED * independent, 0.0, variances)
+
+
 def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -> Contrast:
     """Estimate a weighted sum of means (Welch 1947; with Satterthwaite's degrees of freedom).
 
@@ -110,6 +132,7 @@ def contrast(moments: Moments, weights: Floats, *, is_corrected: bool = False) -
     """
     estimate = np.einsum("gc,...gc->...", weights, moments.means)
     parts = np.einsum("gc,...gcd,gd->...g", weights, moments.errors, weights)
+    parts = beyond_rounding(parts, np.einsum("gc,...gcc->...g", weights**2, moments.errors))
     variance = parts.sum(axis=-1)
     freedom = variance**2 / np.sum(parts**2 / moments.freedom, axis=-1)
     if is_corrected:
@@ -251,7 +274,8 @@ def box(moments: Moments, between: Floats, within: Floats, *, is_corrected: bool
     differences = np.einsum("ag,...gc,bc->...ab", between, moments.means, within)
     spread = np.einsum("ac,...gcd,bd->...gab", within, moments.errors, within)
     shares = between.T @ between
-    traces = np.diag(shares) * np.einsum("...gaa->...g", spread)
+    alone = np.einsum("ac,...gcc->...g", within**2, moments.errors)
+    traces = np.diag(shares) * beyond_rounding(np.einsum("...gaa->...g", spread), alone)
     squares = np.diag(shares) ** 2 * np.einsum("...gab,...gba->...g", spread, spread)
     own = traces.sum(axis=-1)
     total, crossed = own**2, np.einsum("gh,...gab,...hba->...", shares**2, spread, spread)

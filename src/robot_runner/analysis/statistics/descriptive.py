@@ -29,8 +29,8 @@ def quiet() -> Iterator[None]:
         yield
 
 
-#: The squares of larger values, summed up, come near the end of floating-point numbers; those of smaller ones vanish.
-_LARGEST, _SMALLEST = 1e100, 1e-100
+#: The squared variances of larger values are beyond floating-point numbers; those of smaller ones vanish.
+_LARGEST, _SMALLEST = 1e70, 1e-70
 
 #: A bootstrap draws from so few values hardly more than their ends: its intervals would be far too narrow.
 _LEAST_FOR_BOOTSTRAP = 5

@@ -6,6 +6,7 @@ a marginal mean takes no list of all combinations: what it leaves open sums up t
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +32,7 @@ def kron(parts: Sequence[Floats], start: Floats) -> Floats:
 
 def term_size(factors: Mapping[str, Sequence[str]], term: Sequence[str]) -> int:
     """Return how many columns, or degrees of freedom, an effect has."""
-    return int(np.prod([len(factors[name]) - 1 for name in term], dtype=np.int64))
+    return math.prod(len(factors[name]) - 1 for name in term)
 
 
 def marginal_row(

@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_runner.analysis.statistics.contrasts import Contrast
+from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
+from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_coding import marginal_row
-from robot_runner.analysis.statistics.tested import EffectTest, TestMethod
+from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -123,6 +124,11 @@ class LenthModel:
         """Half of each effect, (..., effects): how far a treatment's mean is from that of all."""
         return np.asarray(self.values @ self.columns / len(self.columns))
 
+    @property
+    def error(self) -> Floats:
+        """The pseudo standard error of each effect."""
+        return pseudo_error(2 * self._halves)
+
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect."""
         for place, term in enumerate(self.terms):
@@ -139,14 +145,13 @@ class LenthModel:
         return found._replace(error=found.error * float(np.abs(row).max()) / 2 if is_one else found.error * math.nan)
 
     def _contrast(self, estimate: Floats) -> LenthContrast:
-        effects = 2 * self._halves
-        freedom = np.full(estimate.shape, effects.shape[-1] / 3)
-        return LenthContrast(np.asarray(estimate), pseudo_error(effects), freedom)
+        freedom = np.full(estimate.shape, self.columns.shape[1] / 3)
+        return LenthContrast(np.asarray(estimate), self.error, freedom)
 
 
 def fit_lenth(
     factors: Mapping[str, Sequence[str]], codes: Mapping[str, Numbers], terms: Sequence[Term], values: Floats
-) -> LenthModel | None:
+) -> LenthModel | NotComputed | None:
     """Return the effects of a fraction whose combinations have one value each; None where that is not what it is."""
     count = values.shape[-1]
     if any(len(levels) != _TWO for levels in factors.values()) or count - 1 < max(_LEAST, len(terms)):
@@ -170,4 +175,8 @@ def fit_lenth(
         "that look like chance, and p-values are simulated."
     )
     notes = ("Lenth's method takes most effects to be none. Confirm what it finds in runs that are repeated.",)
-    return LenthModel(factors, tuple(terms), np.stack(columns, axis=1), values, reason, notes)
+    found = LenthModel(factors, tuple(terms), np.stack(columns, axis=1), values, reason, notes)
+    with quiet():  # NaN where most effects are exactly 0
+        if not np.any(found.error > rounding_of(values)):
+            return NotComputed("the test", "most effects are none at all, so that chance has no measure.")
+    return found

@@ -18,7 +18,7 @@ from scipy import stats
 
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
-from robot_runner.analysis.statistics.contrasts import Contrast
+from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 
 #: A mean for each of more combinations takes long to fit, and nobody can read them.
 _MOST_CELLS = 500
-
-#: Residuals smaller than this, beside the values, are what rounding leaves behind.
-_NO_VARIATION = 1e-10
 
 _BLOCK = " block"
 
@@ -190,12 +187,13 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
         why = "the factors go together so closely that their effects cannot be told apart."
         return NotComputed("the test", why)
     with quiet():  # blocks that do not differ: their variance is at its bound, 0
-        plain = OLS(values, exog).fit()
-        if np.max(np.abs(plain.resid)) <= _NO_VARIATION * max(float(np.max(np.abs(values - values.mean()))), 1e-300):
-            why = "within each combination all values are equal, so that chance has no measure."
-            return NotComputed("the test", why)
+        beside = exog if blocks is None else np.column_stack([exog, pd.get_dummies(blocks).to_numpy(dtype=np.float64)])
+        left = values - beside @ np.linalg.lstsq(beside, values)[0]
+        if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(beside) < len(values):
+            of = "within each combination all values are equal" if blocks is None else "all blocks respond alike"
+            return NotComputed("the test", f"{of}, so that chance has no measure.")
         if blocks is None:
-            return FittedModel(factors, terms, None, plain, note, shifts + 1)
+            return FittedModel(factors, terms, None, OLS(values, exog).fit(), note, shifts + 1)
         try:
             results = MixedLM(values, exog, groups=blocks).fit(reml=True, gtol=_PRECISION)
         except np.linalg.LinAlgError:
@@ -221,7 +219,7 @@ def estimable_terms(
     """Return the effects that the values suffice to estimate, and why others are left out."""
     names = tuple(factors)
     cells = frame.groupby(list(names)).ngroups
-    possible = int(np.prod([len(levels) for levels in factors.values()]))
+    possible = math.prod(map(len, factors.values()))
     if cells == possible <= _MOST_CELLS and len(frame) - blocks > cells:
         most = min(len(names), MOST_FACTORS)
         note = "" if most == len(names) else f"Interactions of more than {most} factors are left out."

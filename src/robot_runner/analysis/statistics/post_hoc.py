@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     Group = Mapping[str, str]
 
 #: More pairs can neither be read nor tested with any power left: 15 treatments make 105.
-_MOST_PAIRS = 105
+MOST_PAIRS = 105
 
 _QUANTITIES = {Estimand.MEAN: "means", Estimand.TRIMMED_MEAN: "trimmed means", Estimand.RANK: "relative ranks"}
 _T = "t distribution"
@@ -74,7 +74,7 @@ def compare_pairs(
         groups = [group.treatments for group in data.groups(factors)]
         chosen = list(_chosen_pairs(data, groups))
         pairs = len(chosen)
-        if pairs > _MOST_PAIRS:
+        if pairs > MOST_PAIRS:
             what = f"pairwise comparisons of {' x '.join(factors)}"
             missing.append(NotComputed(what, f"{len(groups)} groups make {pairs:,} pairs: compare chosen ones."))
             continue
@@ -275,13 +275,9 @@ def _strata(
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Yield the values of both, for each combination of the other factors, in each batch by itself."""
     factors = (*data.factors, BATCH) if data.is_extended else data.factors
-    by_treatments = {tuple(group.treatments.values()): group.values for group in data.groups(factors)}
-    nothing = np.empty(0)
-    others = [name for name in factors if name not in pair[0]]
-    for levels in product(*(data.levels(name) for name in others)):
-        rest = dict(zip(others, levels, strict=True))
-        one, other = (
-            by_treatments.get(tuple((dict(treatments) | rest)[name] for name in factors), nothing)
-            for treatments in pair
-        )
-        yield one, other
+    groups = data.groups(factors)  # those that have runs: all combinations of many factors are too many to be looked at
+    by_treatments = {tuple(group.treatments.values()): group.values for group in groups}
+    for group in groups:
+        other = by_treatments.get(tuple((group.treatments | dict(pair[1])).values()))
+        if other is not None and pair[0].items() <= group.treatments.items():
+            yield group.values, other

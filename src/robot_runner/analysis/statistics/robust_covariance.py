@@ -18,7 +18,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import stats
 
 from robot_runner.analysis.statistics.contrasts import Contrast, Tested
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 #: A run whose residual varies by less than this share of chance is told by the model alone: it says nothing of errors.
 _NO_FREEDOM = 1e-8
+#: Of the largest variance of a sum: what is less cannot be told from the others' rounding.
+_SINGULAR = 1e-12
 
 
 class RobustFit(NamedTuple):
@@ -73,10 +75,10 @@ class RobustFit(NamedTuple):
             weights: (sums, coefficients).
         """
         count = len(weights)
-        expected, _ = self._moments(weights)
-        if np.linalg.matrix_rank(expected, hermitian=True) < count:
+        values, vectors = np.linalg.eigh(self._moments(weights)[0])
+        if not values[0] > _SINGULAR * values[-1]:
             return None
-        root = np.asarray(linalg.inv(linalg.sqrtm(expected).real), dtype=np.float64)
+        root = vectors / np.sqrt(values) @ vectors.T
         _, told = self._moments(root @ weights)
         freedom = count * (count + 1) / told if told > 0 else np.nan
         spread = weights @ self.covariance @ weights.T

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.statistics.disclosed import Beside
 from robot_runner.analysis.statistics.outcome import Standing
-from robot_runner.analysis.wording import listed, p_in_words
+from robot_runner.analysis.wording import listed, p_in_words, p_values_in_words
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.words import counted, enumerated
 
@@ -111,7 +111,8 @@ def _standing_effect(
     else:
         turned = _turned(measure, without, effect)
         stands = effect.is_significant == then.is_significant and not (then.is_significant and turned)
-        text = f"the {what} is {_changed(effect, then, turned=turned)} ({p_in_words(p_value)})"
+        figures = p_values_in_words(p_value, then.adjusted_p_value)
+        text = f"the {what} is {_changed(effect, then, turned=turned)} ({figures})"
     runs = tuple(otherwise.left_out.get(measure.name, ()))
     conclusion = f"{otherwise.in_words(measure.name)} {text}{_verdict(stands)}"
     return Standing(

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import stats
 
-from robot_runner.analysis.statistics.contrasts import Contrast
+from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import marginal_row
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 #: Of a column: less than this share of it is what rounding leaves.
 _ROUNDING = 1e-9
-#: Residuals smaller than this, beside the values, are what rounding leaves behind.
-_NO_VARIATION = 1e-10
 
 
 class Hypothesis(NamedTuple):
@@ -243,8 +241,7 @@ def fit_strata(
         return NotComputed(
             "the test", "there are too few runs for the number of effects, so that chance has no measure."
         )
-    largest = np.max(np.abs(values - values.mean(axis=-1, keepdims=True)))
-    if np.all(np.sqrt(fits[-1].mean_square) <= _NO_VARIATION * max(float(largest), 1e-300)):
+    if np.all(np.sqrt(fits[-1].mean_square) <= rounding_of(values)):
         return NotComputed("the test", "beside the effects all values are equal, so that chance has no measure.")
     size = 1 if plots is None else len(plots) // (int(plots.max()) + 1)
     return StrataModel(factors, hypotheses, stratum_of, tuple(fits), size, *told)

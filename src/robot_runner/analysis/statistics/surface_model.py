@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import stats
 
-from robot_runner.analysis.statistics.contrasts import Contrast
+from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.strata_model import StratumFit, fit_stratum
 from robot_runner.analysis.statistics.tested import EffectTest, Interval, NotComputed, TestMethod
 
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-#: Residuals smaller than this, beside the values, are what rounding leaves behind.
-_NO_VARIATION = 1e-10
 _THREE = 3
 _LEVEL = 0.95
 #: The stationary point is looked at where the region that was explored ends, in coded units, but for rounding.
@@ -240,9 +238,10 @@ class SurfaceModel:
         _, cell = np.unique(np.column_stack([self.cells, self.blocks]), axis=0, return_inverse=True)
         counts = np.bincount(cell.ravel())
         means = np.bincount(cell.ravel(), self.values) / counts
-        pure = float(np.sum((self.values - means[cell.ravel()]) ** 2))
+        deviations = self.values - means[cell.ravel()]
+        pure = float(np.sum(deviations**2))
         freedom = (self.fit.freedom - float(np.sum(counts - 1)), float(np.sum(counts - 1)))
-        if min(freedom) < 1 or pure <= 0:
+        if min(freedom) < 1 or np.max(np.abs(deviations)) <= rounding_of(self.values):
             return None
         f_value = (left - pure) / freedom[0] / (pure / freedom[1])
         return LackOfFit(f_value, freedom, float(stats.f.sf(f_value, *freedom)))
@@ -257,7 +256,7 @@ class SurfaceModel:
         for one, other in combinations(range(len(names)), 2):
             bend[one, other] = bend[other, one] = beta.get((names[one], names[other]), 0.0) / 2
         curvatures, axes = np.linalg.eigh(bend)
-        if np.min(np.abs(curvatures)) <= _NO_VARIATION * max(float(np.max(np.abs(self.values))), 1e-300):
+        if np.min(np.abs(curvatures)) <= rounding_of(self.values):
             return None
         coded = -np.linalg.solve(bend, slopes) / 2
         intervals = self._intervals_of_curvatures(axes, curvatures, alpha)
@@ -334,7 +333,7 @@ def fit_surface(
             break
     else:
         return NotComputed("the test", "there are too few runs for a surface of these factors.")
-    if np.all(np.sqrt(fit.mean_square) <= _NO_VARIATION * max(float(np.max(np.abs(values))), 1e-300)):
+    if np.all(np.sqrt(fit.mean_square) <= rounding_of(values)):
         return NotComputed("the test", "the surface leaves nothing unexplained, so that chance has no measure.")
     starts = np.cumsum([len(terms), *(each.shape[1] for each in others.values())])
     places = {

@@ -279,7 +279,7 @@
       const chart = new uPlot({
         width: width, height: Math.round(height * 0.8),
         series: [{}, { label: measure.label, stroke: "transparent", width: 0, points: { show: false } }],
-        axes: axes("Place in the order of execution", measure.label),
+        axes: axes(data.place, measure.label),
         scales: {
           x: { time: false, range: function (u, low, high) { return [low - 0.6, high + 0.6]; } },
           y: { range: function (u, low, high) { const by = (high - low || Math.abs(high) || 1) * 0.12; return low === null ? [0, 1] : [low - by, high + by]; } },

@@ -1,0 +1,48 @@
+"""A file of means says of each combination one thing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.analysis.planning.assumed_values import means_file
+from robot_runner.analysis.planning.planned_study import Study
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import AnalysisError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STUDY = Study.of_model(
+    "study",
+    RunTableModel([Factor("Task", ["Video", "Network"]), Factor("Map", ["lab", "hall"])], repetitions=3),
+    None,
+    {"Energy": "J"},
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("Task,Energy\nVideo,1\nNetwork,2\nVideo,9\n", "rows 1 and 3 are both of Video"),
+        ("Energy\n1\n9\n", "rows 1 and 2 are both of all combinations"),
+        ("Energy\n", "4 combinations of the design have no row"),
+        ("Task,Energy,Energy.sd\nVideo,1,1\nNetwork,2,-3\n", "Energy.sd of Network x lab, Network x hall is below 0"),
+    ],
+)
+def test_a_file_that_says_two_things_or_nothing_is_refused(tmp_path: Path, text: str, problem: str) -> None:
+    path = tmp_path / "means.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(AnalysisError) as refused:
+        means_file(STUDY, path, {"Energy": 1.0})
+    assert problem in refused.value.problem
+
+
+def test_a_row_too_many_names_the_column_that_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / "means.csv"
+    path.write_text("Task,Energy\nVideo,1\nVideo,2\nNetwork,3\n", encoding="utf-8")
+    with pytest.raises(AnalysisError) as refused:
+        means_file(STUDY, path, {"Energy": 1.0})
+    assert refused.value.fix == "Leave one out, or add the column Map."

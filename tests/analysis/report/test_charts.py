@@ -1,0 +1,43 @@
+"""The charts that answer to a pointer show what was measured, whatever its size."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+from tests.analysis.experiment_folders import two_tasks
+
+from robot_runner.analysis.figures.courses import Course, MissionCourses
+from robot_runner.analysis.report.charts import course_chart
+from robot_runner.analysis.report.writing import write_report
+
+PRESSURES = (101325.01, 101325.02, 101325.03, 101325.05)
+
+
+def _points(root):
+    page = write_report(root, figures=()).document.read_text(encoding="utf-8")
+    return json.loads(re.search(r'<script type="application/json">(.*?)</script>', page)[1])
+
+
+def test_large_values_that_differ_little_differ_in_the_chart_of_runs(tmp_path):
+    points = _points(two_tasks(tmp_path / "trial", PRESSURES, (123456789, 2.0)).root)
+    assert points["measures"][0]["values"] == [*PRESSURES, 123456789, 2.0]
+    assert points["place"] == "Place in the order of execution"
+
+
+def test_without_known_times_nobody_speaks_of_an_order_of_execution(tmp_path):
+    folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
+    folder.files.journal.unlink()
+    assert _points(folder.root)["place"] == "Place in the order of the table"
+
+
+def test_a_course_is_rounded_by_its_spread():
+    time = np.array([0.5, 1.5, 2.5])
+    run = Course("r_1", time, *(np.array(PRESSURES[:3]) + shift for shift in (0.0, -0.001, 0.001)), runs=1)
+    later = Course("r_2", time[1:], *[np.array([101325.04, np.nan])] * 3, runs=1)
+    chart = course_chart("c", MissionCourses("Pressure", "Pa", ("a",), {"a": [run, later]}, 1.0))
+    group = chart.data["groups"][0]
+    assert group["each"][0]["values"] == list(PRESSURES[:3])
+    assert group["each"][1]["values"] == [None, 101325.04, None]
+    assert chart.data["time"] == [0.5, 1.5, 2.5]

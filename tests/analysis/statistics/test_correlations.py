@@ -1,0 +1,73 @@
+"""How measures go together and over the order: of few runs, of values that are alike, and of those that hardly vary."""
+
+from __future__ import annotations
+
+from itertools import permutations
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy import stats
+from tests.analysis.made_experiment import make_experiment
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.correlations import spearman
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
+
+
+def statistics(folder: Path, energy: Sequence[float], seconds: Sequence[float]) -> ExperimentStatistics:
+    """Return the statistics of two treatments in turn, with these values in the order of execution."""
+    values = iter(zip(energy, seconds, strict=True))
+    made = make_experiment(
+        folder / "made",
+        values=lambda *_: dict(zip(("Energy", "Time"), next(values), strict=True)),
+        repetitions=len(energy) // 2,
+        measures=("Energy", "Time"),
+    )
+    return analyse(load_results(made.root))
+
+
+def test_four_runs_that_rise_together_are_no_proof(tmp_path: Path) -> None:
+    [found] = statistics(tmp_path, [1.0, 2.0, 3.0, 4.0], [1.0, 4.0, 9.0, 16.0]).correlations
+    assert found.spearman == pytest.approx(1.0)
+    assert found.p_value == pytest.approx(2 / 24)
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 7])
+def test_of_few_values_all_orders_are_looked_at(count: int) -> None:
+    random = np.random.default_rng(count)
+    for x, y in (
+        (random.normal(size=count), random.normal(size=count)),
+        random.integers(0, 3, (2, count)).astype(float),
+    ):
+        if np.ptp(x) == 0 or np.ptp(y) == 0:
+            continue
+        rho, p_value = spearman(x, y)
+        others = [stats.spearmanr(x, each).statistic for each in permutations(y)]
+        assert p_value == pytest.approx(np.mean(np.abs(others) >= abs(rho) - 1e-9))
+
+
+def test_of_more_values_the_p_value_is_that_of_scipy() -> None:
+    x, y = np.random.default_rng(9).normal(size=(2, 9))
+    assert spearman(x, y) == pytest.approx(tuple(stats.spearmanr(x, y)))
+
+
+def test_values_that_differ_by_rounding_alone_go_together_with_nothing(tmp_path: Path) -> None:
+    rounded = [0.1 + 0.2, 0.3, 0.3, 0.1 + 0.2, 0.3, 0.1 + 0.2, 0.3, 0.3]
+    found = statistics(tmp_path, [1.0, 3.0, 2.0, 5.0, 4.0, 7.0, 6.0, 8.0], rounded)
+    assert found.correlations == ()
+    assert any(each.why == "all values of one of them are equal." for each in found.not_computed)
+
+
+def test_a_drift_of_counts_has_the_direction_of_rho_though_most_pairs_do_not_differ(tmp_path: Path) -> None:
+    counts = [0.0] * 24 + [1.0, 1.0, 0.0, 1.0, 1.0, 1.0]
+    drift = statistics(tmp_path, counts, counts).measure("Energy").drift
+    assert drift is not None
+    assert drift.slope == 0
+    assert drift.correlation > 0
+    assert drift.warning.startswith("Energy rises over the order of execution (rho = 0.44, p = 0.015)")

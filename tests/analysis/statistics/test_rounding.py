@@ -1,0 +1,142 @@
+"""What rounding leaves behind is no chance that effects could be compared with, and does not hide what varies."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from tests.analysis.made_experiment import make_experiment
+from tests.analysis.statistics.designed_data import designed
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.effect_coding import coded_columns
+from robot_runner.analysis.statistics.robust_covariance import fit_robustly
+from robot_runner.core.design.factor import Factor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from robot_runner.analysis.statistics.outcome import MeasureStatistics
+
+TASKS = Factor("Task", ["Video", "Network", "Idle"])
+MAPS = Factor("Map", ["lab", "hall", "street"])
+ADDED = {"Video": 0.0, "Network": 0.3, "Idle": 0.7, "lab": 0.2, "hall": 0.5, "street": 0.0}
+#: What a block adds to all of its values.
+BLOCKS = (5.1, 8.6, 2.2, 8.6, 3.5, 4.4, 7.6, 4.3)
+
+
+def energy(
+    folder: Path, value: Callable[[Mapping[str, Any], int], float | None], factors: list[Factor], **made: Any
+) -> MeasureStatistics:
+    """Return the statistics of an experiment with these values; None is a run that is not done."""
+
+    def values(treatments: Mapping[str, Any], repetition: int) -> dict[str, Any] | None:
+        found = value(treatments, repetition)
+        return None if found is None else {"Energy": float(found)}
+
+    return analyse(load_results(make_experiment(folder / "made", factors, values, **made).root)).measure("Energy")
+
+
+@pytest.mark.parametrize("treatments", [2, 3])
+def test_blocks_that_respond_alike_tell_no_chance(tmp_path: Path, treatments: int) -> None:
+    task = Factor("Task", TASKS.treatments[:treatments])
+    plan = {"measures": ["Energy"], "blocks": "Repetition"}
+    found = energy(
+        tmp_path,
+        lambda of, repetition: BLOCKS[repetition - 1] + ADDED[of["Task"]],
+        [task],
+        repetitions=8,
+        analysis=plan,
+    )
+    assert found.test is None
+    assert "all blocks respond to the treatments in the same way" in found.not_computed[0].why
+
+
+def test_a_difference_that_is_the_same_in_all_blocks_has_no_p_value(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).normal(size=8)
+
+    def value(of: Mapping[str, Any], repetition: int) -> float:
+        added: float = {"lab": 0.2, "hall": 0.5, "street": float(noise[repetition - 1])}[of["Map"]]
+        return BLOCKS[repetition - 1] + added
+
+    found = energy(tmp_path, value, [MAPS], repetitions=8, analysis={"measures": ["Energy"], "blocks": "Repetition"})
+    pairs = {(pair.first, pair.second): pair for pair in found.post_hoc[0].comparisons}
+    assert pairs["lab", "hall"].p_value is None
+    assert pairs["lab", "street"].p_value is not None
+
+
+def test_incomplete_blocks_that_respond_alike_tell_no_chance(tmp_path: Path) -> None:
+    def value(of: Mapping[str, Any], repetition: int) -> float | None:
+        is_lacking = (TASKS.treatments.index(of["Task"]) + MAPS.treatments.index(of["Map"]) + repetition) % 3 == 0
+        return None if is_lacking else BLOCKS[repetition - 1] + ADDED[of["Task"]] + ADDED[of["Map"]]
+
+    plan = {"measures": ["Energy"], "blocks": "Repetition"}
+    found = energy(tmp_path, value, [TASKS, MAPS], repetitions=3, analysis=plan)
+    assert found.test is None
+    assert found.not_computed[0].why == "all blocks respond alike, so that chance has no measure."
+
+
+def test_single_runs_that_add_up_exactly_tell_no_chance_however_far_from_0_they_are(tmp_path: Path) -> None:
+    found = energy(tmp_path, lambda of, _: 1e6 + ADDED[of["Task"]] + ADDED[of["Map"]], [TASKS, MAPS], repetitions=1)
+    assert found.test is None
+    assert "chance has no measure" in found.not_computed[0].why
+
+
+@pytest.mark.parametrize(("offset", "spread"), [(1e9, 0.05), (1.7e12, 100.0)])
+def test_values_far_from_0_that_vary_are_compared(tmp_path: Path, offset: float, spread: float) -> None:
+    noise = np.random.default_rng(2).normal(size=(2, 6))
+    found = energy(
+        tmp_path,
+        lambda of, repetition: (
+            offset + spread * (noise[int(of["Task"] == "Video"), repetition - 1] + 4 * (of["Task"] == "Video"))
+        ),
+        [Factor("Task", ["Video", "Network"])],
+        repetitions=6,
+    )
+    assert found.test is not None
+    assert found.test.effects[0].is_significant
+    assert found.test.spread == pytest.approx(spread, rel=0.5)
+
+
+@pytest.mark.parametrize("size", [3e98, 3e-98])
+def test_values_whose_squared_variances_cannot_be_computed_are_told(tmp_path: Path, size: float) -> None:
+    noise = iter(np.random.default_rng(3).normal(size=10))
+    found = energy(tmp_path, lambda *_: size * next(noise), [Factor("Task", ["Video", "Network"])], repetitions=5)
+    assert found.test is None
+    assert "to compute with" in found.not_computed[0].why
+
+
+def test_a_fraction_of_which_most_effects_are_none_is_not_tested() -> None:
+    rows = [
+        (*of, "-+"[of.count("+") % 2 == 0], 12.1 + 0.7 * (of[0] == "+") + 0.2 * (of[1] == "+"))
+        for of in product("-+", repeat=3)
+    ]
+    [found] = analyse(designed(rows, ["A", "B", "C", "D"], {"kind": "fractional_factorial"})).measures
+    assert found.test is None
+    assert found.not_computed[0].why == "most effects are none at all, so that chance has no measure."
+
+
+def test_repeated_runs_that_are_the_same_show_no_lack_of_fit() -> None:
+    corners = [(float(x), float(y)) for x, y in product((-1, 0, 1), repeat=2) if (x, y) != (0, 0)]
+    rows = [(x, y, round(3.1 + 0.3 * x + 0.2 * y + 0.11 * x * x + 0.1 * (x * y > 0), 1)) for x, y in corners]
+    rows += [(0.0, 0.0, value) for value in (3.1, 3.1, 3.1, 3.1, 3.1 + 4e-16)]
+    facts = {"kind": "response_surface", "model": "quadratic", "ranges": {"X": [-1, 1], "Y": [-1, 1]}}
+    [found] = analyse(designed(rows, ["X", "Y"], facts)).measures
+    assert found.surface is not None
+    assert found.surface.lack_of_fit is None
+
+
+def test_sums_that_are_singular_but_for_rounding_are_not_tested_together() -> None:
+    """Slopes that differ between treatments, of fourteen runs and thirteen coefficients, in several orders."""
+    a = np.array([1, 3, 2, 1, 3, 2, 2, 0, 0, 3, 1, 1, 0, 2])
+    b = np.array([0, 0, 0, 1, 1, 1, 0, 1, 0, 0, 0, 1, 1, 1])
+    x = np.array([5.5, -3.5, -0.5, 3.5, -2.5, -6.5, 0.5, 6.5, 4.5, 2.5, -1.5, -5.5, 1.5, -4.5]) / 4.18
+    codes, sizes = {"A": a, "B": b}, {"A": 4, "B": 2}
+    one, other, both = (coded_columns(codes, sizes, term) for term in (("A",), ("B",), ("A", "B")))
+    exog = np.column_stack([np.ones(14), one, other, both, x, x[:, None] * one, x[:, None] * other])
+    for seed in range(100):
+        order = np.random.default_rng(seed).permutation(14)
+        assert fit_robustly(exog[order], np.arange(14.0)[order]).hotelling(np.eye(13)[-4:]) is None
