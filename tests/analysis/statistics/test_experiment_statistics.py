@@ -131,7 +131,7 @@ def test_unequal_groups(tmp_path):
 def test_a_measure_that_is_a_text(tmp_path):
     measure = statistics(tmp_path, values=lambda treatments, repetition: {"Energy": "fast"}).measure("Energy")
     assert measure.overall is None
-    assert [each.why for each in measure.not_computed] == ["the measure is neither a number nor yes or no."]
+    assert [each.why for each in measure.not_computed] == ["its values are neither numbers nor True and False."]
 
 
 def test_a_factor_of_a_hundred_treatments(tmp_path):

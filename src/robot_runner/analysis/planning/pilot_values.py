@@ -82,7 +82,8 @@ def _notes(study: Study, design: Design, shared: Sequence[str]) -> Iterator[str]
 def _measure(study: Study, design: Design, name: str, shared: Sequence[str], where: str) -> AssumedMeasure:
     data = design.data(name)
     if data is None:
-        raise AnalysisError(f"{name} is no number in the pilot", where=where, fix="Name another with --measure.")
+        what = "no number" if design.answers(name) is None else "yes or no, of which no power is simulated,"
+        raise AnalysisError(f"{name} is {what} in the pilot", where=where, fix="Name another with --measure.")
     frame = _with_cells(data.frame, shared)
     means = frame.groupby(_CELL)[VALUE].mean().to_dict()
     counts = frame[_CELL].value_counts().to_dict()

@@ -91,7 +91,7 @@ def measure_statistics(
     odd = out_of_range(data.values) if data is not None else ""
     if data is None or not len(data.frame) or odd:
         is_text = data is None and answers is None
-        why = "the measure is neither a number nor yes or no." if is_text else "no run that is done has a value."
+        why = "its values are neither numbers nor True and False." if is_text else "no run that is done has a value."
         why = f"the measure {odd}" if odd else why
         missing = (NotComputed(f"statistics of {name}", why),)
         return MeasureStatistics(
