@@ -11,7 +11,8 @@ from scipy import stats
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.design.precise_estimates import Observed, is_number, judge
+from robot_runner.core.design.numeric_range import is_number
+from robot_runner.core.design.precise_estimates import Observed, judge
 from robot_runner.core.design.precision import PreciseOf, Precision, most_repetitions, rule_in_words, rules_of_mapping
 from robot_runner.core.design.repeated_intervals import CONFIDENCE, METHOD, level_at_each_look
 from robot_runner.core.storage.cells import RunStatus

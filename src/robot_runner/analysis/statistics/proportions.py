@@ -127,7 +127,8 @@ def _problem(data: MeasureData) -> str:
     if np.ptp(data.values) == 0:
         return f"all runs say {'yes' if data.values[0] else 'no'}."
     if not data.known.is_plain:
-        return f"proportions are tested of runs by themselves or in blocks, and not of {data.known.in_words}."
+        fit = "proportions are tested in factorials, of runs by themselves or in blocks"
+        return f"{fit}, and this is another design ({data.known.in_words})."
     return ""
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.batches import REPEATED, missing_runs
 from robot_runner.core.design.growing import GrownDesign
-from robot_runner.core.design.numeric_range import is_number as is_number  # noqa: PLC0414 - for `analysis` as well
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.precision import PreciseOf, most_repetitions
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
 from robot_runner.core.words import counted
