@@ -339,3 +339,15 @@ def test_an_import_without_factors_or_with_odd_headings_can_be_repeated_too(tmp_
     first = understand(root, ImportDescription()).roles
     again = understand(root, read_description(tmp_path / "ours" / "import" / "description.toml")).roles
     assert (again.factors, again.measures, again.extras) == (first.factors, first.measures, first.extras)
+
+
+def test_a_measure_of_yes_and_no_is_compared_as_a_proportion(tmp_path):
+    rows = "\n".join(f"{n},{'AB'[n % 2]},{('Yes', 'no', 'n/a')[n % 3]},{n + 0.5}" for n in range(12))
+    write(tmp_path / "theirs" / "run_table.csv", f"run,planner,reached,energy\n{rows}\n")
+    adoption = adopted(tmp_path / "theirs", tmp_path / "ours", factors=("planner",), measures=("reached", "energy"))
+    results = load_results(adoption.folder)
+    assert results.done["reached"].tolist()[:2] == [True, False]
+    told = analyse(results).measure("reached").proportions.overall
+    assert (told.n, told.missing, told.count) == (8, 4, 4)
+    notes = json.loads((tmp_path / "ours" / "manifest.json").read_text("utf-8"))["imported"]["notes"]
+    assert any("yes and no of reached are True and False" in note for note in notes)

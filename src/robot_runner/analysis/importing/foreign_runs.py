@@ -11,7 +11,7 @@ from robot_runner.analysis.importing.column_evidence import STATUSES, repetition
 from robot_runner.analysis.importing.units import MISSING
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.cells import CellValue, RunStatus
-from robot_runner.core.words import counted, listed
+from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -74,10 +74,14 @@ def read_runs(
     patterns = [pattern] if pattern else ["{run_id}", "runs/{run_id}"]
     run_ids, repetitions = _run_ids(source_ids, table, notes), _repetitions(table, roles, source_ids, notes)
     treatments = {name: _treatments(name, table) for name in roles.design}
+    said = [name for name in roles.measures if table.says_yes_or_no(name)]
+    if said:
+        notes.append(f"yes and no of {enumerated(said)} are True and False here, so that proportions are compared")
+    words = {name: _ANSWERS if name in said else _TRUTH for name in roles.measures}
     runs = []
     for place, (row, source_id) in enumerate(zip(table.rows, source_ids, strict=True)):
         cells = dict(zip(table.headings, row, strict=True))
-        measures = {name: _value(cells[name], table) for name in roles.measures}
+        measures = {name: _value(cells[name], table, words[name]) for name in roles.measures}
         folders = [root / each.replace("{run_id}", source_id) for each in patterns if times[source_id] == 1]
         runs.append(
             ForeignRun(
@@ -179,11 +183,16 @@ def _status(cells: Mapping[str, str], roles: ColumnRoles, measures: Mapping[str,
     return STATUSES[word.casefold()]
 
 
-def _value(cell: str, table: ForeignTable) -> CellValue:
+#: What texts of measures mean, in any case of letters; yes and no only where a column has nothing else.
+_TRUTH = {"true": True, "false": False}
+_ANSWERS = {"yes": True, "no": False}
+
+
+def _value(cell: str, table: ForeignTable, words: Mapping[str, bool]) -> CellValue:
     if cell.casefold() in MISSING:
         return None
     number = table.number(cell)
-    return number if number is not None else {"true": True, "false": False}.get(cell.casefold(), cell)
+    return number if number is not None else words.get(cell.casefold(), cell)
 
 
 def _treatments(factor: str, table: ForeignTable) -> dict[str, str]:

@@ -99,6 +99,11 @@ class ForeignTable:
         """Return whether the column has `true` and `false` in any case of letters, and nothing else."""
         return heading in self._boolean
 
+    def says_yes_or_no(self, heading: str) -> bool:
+        """Return whether the column has `yes` and `no` in any case of letters, and nothing else beside missing values."""
+        cells = self._distinct.get(heading)
+        return cells is not None and {cell.casefold() for cell in cells} <= {"yes", "no"}
+
     def unit(self, heading: str) -> Unit | None:
         """Return the unit that stands behind each number of a column, or in its heading; None where neither is."""
         return self.cell_units.get(heading) or split_heading(heading)[1]
