@@ -92,7 +92,7 @@ class ForeignTable:
         return self._numbers.get(cell)
 
     def is_numeric(self, heading: str) -> bool:
-        """Return whether the column has numbers, and nothing else beside missing values."""
+        """Return whether the column has numbers, and nothing else."""
         return heading in self._numeric
 
     def is_boolean(self, heading: str) -> bool:
@@ -100,7 +100,7 @@ class ForeignTable:
         return heading in self._boolean
 
     def says_yes_or_no(self, heading: str) -> bool:
-        """Return whether the column has `yes` and `no` in any case of letters, and nothing else beside missing values."""
+        """Return whether the column has `yes` and `no` in any case of letters, and nothing else."""
         cells = self._distinct.get(heading)
         return cells is not None and {cell.casefold() for cell in cells} <= {"yes", "no"}
 
