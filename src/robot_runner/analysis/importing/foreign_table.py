@@ -92,7 +92,7 @@ class ForeignTable:
         return self._numbers.get(cell)
 
     def is_numeric(self, heading: str) -> bool:
-        """Return whether the column has numbers, and nothing else."""
+        """Return whether the column has numbers, and nothing else beside missing values."""
         return heading in self._numeric
 
     def is_boolean(self, heading: str) -> bool:
