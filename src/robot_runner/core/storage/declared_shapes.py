@@ -81,7 +81,7 @@ def with_short_texts(value: Any) -> Any:
 
     Example:
         >>> with_short_texts({"problem": "x" * 20_000})["problem"][-30:]
-        'xx… (10,000 more characters)'
+        'xxxx… (10,000 more characters)'
     """
     if isinstance(value, dict):
         return {name: with_short_texts(each) for name, each in value.items()}
