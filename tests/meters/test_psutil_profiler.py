@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+from subprocess import CompletedProcess
 
 import pytest
 
@@ -154,7 +155,8 @@ def test_without_psutil_the_check_says_how_to_get_it(monkeypatch):
 
 
 def test_a_host_that_ssh_cannot_reach_is_refused_by_the_check(monkeypatch):
-    monkeypatch.setattr(ssh_command, "_tried", lambda _: "ssh: Could not resolve hostname turtle")
+    refused = CompletedProcess([], 255, b"", b"ssh: Could not resolve hostname turtle")
+    monkeypatch.setattr(ssh_command, "execute", lambda _, timeout: refused)
     monkeypatch.setattr(ssh_command.shutil, "which", lambda _: "/usr/bin/ssh")
     (finding,) = PsUtil(host="pi@turtle").check(Circumstances())
     assert finding.is_error

@@ -156,7 +156,9 @@ def _of_check(what: str, effect: dict[str, Any], alpha: float) -> Iterator[str]:
         return
     agrees = (check["p_value"] < alpha) == (effect["p_value"] < alpha)
     told = "The same test of " in effect["conclusion"]
-    if check["agrees"] is not agrees or told is agrees:
+    # The check is not corrected: where nothing is left of the effect after correction, neither shows anything.
+    is_worth_telling = not agrees and (effect["is_significant"] or check["p_value"] < alpha)
+    if check["agrees"] is not agrees or told is not is_worth_telling:
         yield f"{what}: the check has p = {check['p_value']}, and the sentence says: {effect['conclusion']}"
 
 
