@@ -23,7 +23,7 @@ from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.known_design import PLAIN
-from robot_runner.analysis.statistics.lenth_test import fit_lenth
+from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
 from robot_runner.analysis.statistics.listed_cells import incomplete_layout
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import NotComputed
@@ -148,7 +148,7 @@ def _wrongly(data: MeasureData, values: Floats) -> tuple[str, Floats] | None:
     levels = {name: data.levels(name) for name in data.factors}
     codes = {name: (data.frame[name].astype(str) == of[1]).to_numpy(dtype=int) for name, of in levels.items()}
     model = fit_lenth(levels, codes, data.known.terms, values)
-    if model is None:
+    if not isinstance(model, LenthModel):
         raise TypeError("the fraction is not orthogonal")
     effects = values @ model.columns
     half = effects.shape[1] // 2
