@@ -199,3 +199,23 @@ def test_a_factor_that_goes_along_with_another_one_is_not_tested(tmp_path: Path)
     assert [each.p_value for each in found.test.effects] == [None, None]
     assert "differ in nothing but Planner and Room" in " ".join(found.test.notes)
     assert found.post_hoc == ()
+
+
+def test_a_run_without_a_covariate_is_in_the_proportions_all_the_same(tmp_path: Path) -> None:
+    experiment = make_experiment(
+        tmp_path / "made",
+        [PLANNER],
+        lambda treatments, repetition: {
+            "Success": repetition > 2 or treatments["Planner"] == "DWB",
+            "Voltage": None if repetition == 1 else 11.0 + repetition / 10,
+        },
+        repetitions=6,
+        measures=("Success", "Voltage"),
+        analysis={"measures": ["Success"], "covariates": ["Voltage"]},
+    )
+    found = analyse(load_results(experiment.root)).measure("Success")
+    assert found.proportions is not None
+    assert found.proportions.overall.n == 12
+    assert found.test is not None
+    assert found.test.effects[0].p_value == pytest.approx(stats.fisher_exact([[6, 0], [4, 2]]).pvalue)
+    assert [each.what for each in found.not_computed] == ["adjustment for covariates"]

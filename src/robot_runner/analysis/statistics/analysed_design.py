@@ -232,17 +232,17 @@ class Design:
     def data(self, measure: str) -> MeasureData | None:
         """Return the data of a measure, or None where its values are no numbers."""
         values = self._numbers(measure)
-        return None if values is None else self._data(measure, values)
+        covariates = () if measure in self.covariates else self.covariates
+        return None if values is None else self._data(measure, values, covariates)
 
     def answers(self, measure: str) -> MeasureData | None:
-        """Return the data of a measure that is yes or no, 1 for yes; None where it is not."""
+        """Return the data of a measure that is yes or no, 1 for yes, which covariates do not adjust; None of others."""
         values = self.results.done[measure]
         if not isinstance(values.dtype, pd.BooleanDtype):
             return None
-        return self._data(measure, values.to_numpy(dtype=np.float64, na_value=np.nan))
+        return self._data(measure, values.to_numpy(dtype=np.float64, na_value=np.nan), ())
 
-    def _data(self, measure: str, values: NDArray[np.float64]) -> MeasureData:
-        covariates = () if measure in self.covariates else self.covariates
+    def _data(self, measure: str, values: NDArray[np.float64], covariates: tuple[str, ...]) -> MeasureData:
         told = {covariate_column(name): self._covariate(name) for name in covariates}
         every = self.frame.assign(**{VALUE: values, **told})
         if self.without:

@@ -151,9 +151,15 @@ def _of_answers(
         if _is_contrast(each, measure.name):
             why = "contrasts and bounds are of means; the pairs of treatments have the differences of proportions."
             gathered.missing.append(NotComputed(f"the contrast of {each.statement!r}", why))
+    if plan is not None and plan.covariates:
+        gathered.missing.append(NotComputed("adjustment for covariates", "it is of means, and not of proportions."))
+    proportions = proportions_of(answers, _MOST_DESCRIBED)
+    if len(answers.factors) > 1 and not proportions.by_combination:
+        why = f"there are more than {_MOST_DESCRIBED} groups."
+        gathered.missing.append(NotComputed(f"descriptions by {' x '.join(answers.factors)}", why))
     return replace(
         measure,
-        proportions=proportions_of(answers, _MOST_DESCRIBED),
+        proportions=proportions,
         test=test,
         post_hoc=tuple(each for each in pairs if each is not None),
         not_computed=tuple(gathered.missing),

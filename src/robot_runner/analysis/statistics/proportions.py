@@ -135,8 +135,6 @@ def _problem(data: MeasureData) -> str:
 def _notes(data: MeasureData, effects: Sequence[Effect]) -> Iterator[str]:
     if len(data.factors) > 1:
         yield "Interactions of proportions are not tested: compare the proportions of the combinations."
-    if data.covariates:
-        yield "Proportions are not adjusted for covariates."
     unknown = [each.factors[0] for each in effects if each.p_value is None]
     if unknown:
         yield f"No runs with different answers differ in nothing but {enumerated(unknown)}: that is not tested."
