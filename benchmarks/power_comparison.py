@@ -116,8 +116,8 @@ def _equal_spreads() -> Iterator[NullDesign]:
     yield from (NullDesign((3,), 1, blocks=blocks) for blocks in (8, 10, 30))
     yield from (NullDesign((4,), 1, blocks=blocks) for blocks in (8, 15))
     yield NullDesign((3, 2), 1, blocks=10)
-    for levels in (5, 6):
-        yield NullDesign((levels,), 1, blocks=8, bounds=(-1.0, 5.0), why="exact p-values of 128 patterns of signs")
+    for levels in (5, 6):  # of 500,000 experiments they lack 3.13 and 3.05 points
+        yield NullDesign((levels,), 1, blocks=8, bounds=(-1.0, 4.0), why="exact p-values of 128 patterns of signs")
     yield NullDesign((6,), 1, blocks=10)
     yield NullDesign((4,), 1, blocks=6, bounds=(-1.0, 15.0), why=_FEW_BLOCKS)
 

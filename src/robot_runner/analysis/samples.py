@@ -215,7 +215,7 @@ def sample_source(request: SampleRequest, run_id: str) -> Any:
 def csv_options(
     request: SampleRequest, types: Mapping[str, pa.DataType], skip: Callable[[object], str] = lambda _: "skip"
 ) -> dict[str, Any]:
-    """Return how Arrow parses and converts the files of a request; `skip` is told of rows that are none."""
+    """Return how Arrow parses and converts files of a request; `skip` gets each row of too many or too few cells."""
     return {
         "parse_options": arrow_csv.ParseOptions(invalid_row_handler=skip),
         "convert_options": arrow_csv.ConvertOptions(

@@ -44,26 +44,35 @@ class Outlier:
     is_extreme: bool
 
 
-def group_label(treatments: Mapping[str, str]) -> str:
-    """Return a group in words: its treatments, with ` / ` between; `all runs` for all of them."""
-    return " / ".join(treatments.values()) or "all runs"
-
-
 @dataclass(frozen=True, slots=True)
-class Description:
-    """Descriptive statistics of one measure over the runs of one group.
+class GroupOfRuns:
+    """The runs of one group, which something is said of.
 
     Attributes:
         treatments: which group, by factor; empty for all runs together.
         n: how many runs have a value.
         missing: how many runs are done and have none.
-        sd: standard deviation with n - 1; None for fewer than two values.
-        mean_interval: confidence interval of the mean.
     """
 
     treatments: Mapping[str, str]
     n: int
     missing: int
+
+    @property
+    def label(self) -> str:
+        """The group in words: its treatments, with ` / ` between; `all runs` for all of them."""
+        return " / ".join(self.treatments.values()) or "all runs"
+
+
+@dataclass(frozen=True, slots=True)
+class Description(GroupOfRuns):
+    """Descriptive statistics of one measure over the runs of one group.
+
+    Attributes:
+        sd: standard deviation with n - 1; None for fewer than two values.
+        mean_interval: confidence interval of the mean.
+    """
+
     mean: float | None
     sd: float | None
     median: float | None
@@ -81,36 +90,20 @@ class Description:
             return None
         return self.third_quartile - self.first_quartile
 
-    @property
-    def label(self) -> str:
-        """The group in words."""
-        return group_label(self.treatments)
-
 
 @dataclass(frozen=True, slots=True)
-class Proportion:
+class Proportion(GroupOfRuns):
     """How often a measure that is yes or no is yes, over the runs of one group.
 
     Attributes:
-        treatments: which group, by factor; empty for all runs together.
-        n: how many runs have a value.
-        missing: how many runs are done and have none.
         count: how many say yes.
         percent: of the runs that have a value; None where none has.
         interval: its confidence interval, percent.
     """
 
-    treatments: Mapping[str, str]
-    n: int
-    missing: int
     count: int
     percent: float | None
     interval: Interval | None
-
-    @property
-    def label(self) -> str:
-        """The group in words."""
-        return group_label(self.treatments)
 
 
 @dataclass(frozen=True, slots=True)
