@@ -125,7 +125,8 @@ class MissionTimes:
         self._open: dict[str, list[_Moment]] = {}
         self._at_edges: list[Callable[[], None]] = []
         self._is_stopped = False
-        self._lock = threading.Lock()  # any thread may stop the mission, or have a phase
+        # Any thread may stop the mission or have a phase, and so may the handler of a signal that comes meanwhile.
+        self._lock = threading.RLock()
 
     def at_edges(self, look: Callable[[], None]) -> None:
         """Have `look` called just before the mission begins, and just after it has ended.
@@ -200,13 +201,15 @@ class MissionTimes:
             raise PluginError(f"a phase cannot be named {name!r}", where="phase", fix=fix)
         self._check_going_on(f"phase {name!r}")
         phases, beginnings = self._phases, self._open.setdefault(name, [])
+        now = self._now()  # not under the lock: a clock may wait for a thread that wants it
         with self._lock:
-            beginnings.append(self._now())
+            beginnings.append(now)
         try:
             yield
         finally:
+            ended = self._now()
             with self._lock:
-                ended, begun = self._now(), beginnings[0]
+                begun = beginnings[0]
                 beginnings.pop()  # the first one stays until all have ended
                 is_over = not beginnings
             if is_over:
