@@ -18,6 +18,9 @@ import pytest
 from tests.process.conftest import MARK, PATIENCE, Experiment, wait_until
 from tests.processor_wait import OWN_WAITS, ProcessorWait
 
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.journal import read_journal
 
 Start = Callable[..., Any]
@@ -40,14 +43,20 @@ def flag(self, name): return Path(__file__).parent / name
 """
 
 
-def resumes(start: Start, experiment: Any) -> bool:
-    done = [row for row in experiment.table if row["status"] == "Done"]
-    again = start(config=experiment.config)
-    code = again.end()
-    assert code == 0, again.output
-    assert again.statuses == ["Done"] * 4
-    assert [row for row in again.table if row["run_id"] in {row["run_id"] for row in done}] == done
-    return again.nobody_is_left()
+def resumes(experiment: Any) -> bool:
+    """Execute what is left in this process, and return whether what was done is as it was."""
+    done = done_rows(experiment)
+    assert execute_experiment(prepare_or_refuse(experiment.config), SilentObserver()).done_count == 4
+    assert experiment.statuses == ["Done"] * 4
+    return keeps(experiment, done)
+
+
+def done_rows(experiment: Any) -> list[dict[str, str]]:
+    return [row for row in experiment.table if row["status"] == "Done"]
+
+
+def keeps(experiment: Any, done: list[dict[str, str]]) -> bool:
+    return [row for row in experiment.table if row["run_id"] in {row["run_id"] for row in done}] == done
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
@@ -62,7 +71,7 @@ def test_told_to_end_the_run_is_closed_and_marked_and_the_experiment_resumes(
     assert experiment.end() == 130
     assert experiment.statuses == ["Done", "-", "-", "-"]
     assert experiment.nobody_is_left()
-    assert resumes(start, experiment)
+    assert resumes(experiment)
 
 
 def test_a_second_ctrl_c_ends_at_once(start: Start) -> None:
@@ -100,15 +109,23 @@ def test_ctrl_c_ends_a_callback_of_the_orchestrator(start: Start) -> None:
     assert experiment.statuses == ["-"] * 4
 
 
-def test_killed_the_run_is_closed_within_a_second_and_the_experiment_resumes(start: Start) -> None:
-    experiment = start(MOVING)
+def test_killed_the_run_is_closed_within_a_second_and_the_experiment_resumes_and_keeps_the_log(start: Start) -> None:
+    printing = "    import time; print('moving off', flush=True)\n    if context"
+    experiment = start(MOVING.replace("    import time\n    if context", printing))
     experiment.wait_for("moving")
     wait = ProcessorWait(experiment.processes())
     sent = experiment.send(signal.SIGKILL)
     assert experiment.stops_within_a_second(sent, wait)
     experiment.end()
     assert experiment.nobody_is_left()
-    assert resumes(start, experiment)
+    assert (experiment.folder / ".lock").read_text(), "the lock of a dead process holds nobody up"
+    done = done_rows(experiment)
+    again = start(config=experiment.config)
+    assert again.end() == 0, again.output
+    assert again.statuses == ["Done"] * 4
+    assert keeps(again, done)
+    assert again.nobody_is_left()
+    assert "moving off" in (experiment.folder / "earlier_attempts" / "r_2" / "1" / "log.txt").read_text()
 
 
 def test_killed_while_the_run_hangs_in_c_nobody_is_left(start: Start) -> None:
@@ -125,20 +142,6 @@ def test_killed_while_the_run_hangs_in_c_nobody_is_left(start: Start) -> None:
     experiment.send(signal.SIGKILL)
     experiment.end()
     assert experiment.nobody_is_left()
-
-
-def test_killed_the_log_of_the_unfinished_attempt_is_kept(start: Start) -> None:
-    experiment = start(
-        MOVING.replace(
-            "    import time\n    if context", "    import time; print('moving off', flush=True)\n    if context"
-        )
-    )
-    experiment.wait_for("moving")
-    experiment.send(signal.SIGKILL)
-    experiment.end()
-    assert experiment.nobody_is_left()
-    assert resumes(start, experiment)
-    assert "moving off" in (experiment.folder / "earlier_attempts" / "r_2" / "1" / "log.txt").read_text()
 
 
 @contextlib.contextmanager
@@ -173,7 +176,7 @@ def at_terminal(config: Any, *wrapper: str) -> Iterator[tuple[Experiment, int]]:
         process.wait(timeout=PATIENCE)
 
 
-def test_a_closed_terminal_ends_the_experiment_cleanly(start: Start, write_config: Any) -> None:
+def test_a_closed_terminal_ends_the_experiment_cleanly(write_config: Any) -> None:
     config = write_config(MOVING)
     with at_terminal(config) as (experiment, terminal):
         wait = ProcessorWait(experiment.processes())
@@ -181,9 +184,7 @@ def test_a_closed_terminal_ends_the_experiment_cleanly(start: Start, write_confi
         os.close(terminal)
         assert experiment.stops_within_a_second(closed, wait)
         experiment.process.wait(timeout=PATIENCE)
-    again = start(config=config)
-    assert again.end() == 0
-    assert again.statuses == ["Done"] * 4
+    assert resumes(experiment)
 
 
 def test_with_nohup_a_closed_terminal_ends_nothing(write_config: Any) -> None:
@@ -203,15 +204,6 @@ def test_a_second_orchestrator_is_refused_and_told_who_holds_the_experiment(star
     assert f"process {experiment.process.pid}" in second.output
     experiment.send(signal.SIGTERM)
     assert experiment.end() == 130
-
-
-def test_the_lock_of_a_dead_process_holds_nobody_up(start: Start) -> None:
-    experiment = start(MOVING)
-    experiment.wait_for("moving")
-    experiment.send(signal.SIGKILL)
-    experiment.end()
-    assert (experiment.folder / ".lock").read_text()
-    assert resumes(start, experiment)
 
 
 def test_a_killed_keeper_fails_its_attempt_and_the_run_is_closed_and_the_experiment_goes_on(start: Start) -> None:
@@ -274,7 +266,7 @@ def note_keeper(self):
     assert experiment.stops_within_a_second(sent, wait)
     experiment.end()
     assert experiment.nobody_is_left()
-    assert resumes(start, experiment)
+    assert resumes(experiment)
 
 
 SUSPENDED = """

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import ConfigError
-from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
+from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents, _leave_forked
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Callable, Iterator
@@ -180,6 +180,17 @@ def test_a_process_that_a_callback_forks_does_not_go_on_as_the_experiment(error:
             os._exit(99)  # it came back: no second pytest
     assert not emission.failures
     assert os.waitstatus_to_exitcode(os.waitpid(children[0], 0)[1]) == (0 if error is None else 1)
+
+
+def test_a_process_that_a_callback_forks_ends_also_where_its_streams_were_taken_away() -> None:
+    child = os.fork()
+    if child == 0:
+        try:
+            sys.stdout = None  # type: ignore[assignment]
+            _leave_forked([])
+        finally:
+            os._exit(99)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 async def _coroutine() -> None:

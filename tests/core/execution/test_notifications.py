@@ -36,7 +36,7 @@ Execute = Callable[..., Any]
 pytest.importorskip("apprise")
 SECRET = "hunter2secret"  # noqa: S105 - it stands for one
 # The runs are not forked from here: a server has threads.
-SPAWNED = "run_process = RunProcess.SPAWN\n"
+HERE = "run_process = RunProcess.IN_PROCESS\n"
 
 
 class Server:
@@ -95,7 +95,7 @@ def test_somebody_is_told_of_failures_progress_and_the_end_and_the_address_stays
     monkeypatch.setenv("ROBOT_RUNNER_NOTIFY", f"# the lab\n{server.address}\n")
     executed = execute(
         f"""
-        {SPAWNED}
+        {HERE}
         notify = Notify(every=2)
         def launch_mission(self, context): assert context.run_id != "r_2", "the lamp is off"
         """
@@ -165,7 +165,7 @@ def test_a_server_that_hangs_holds_no_run_up_and_is_warned_of_once(
         started = time.monotonic()
         executed = execute(
             f"""
-            {SPAWNED}
+            {HERE}
             notify = Notify(every=4)
             def after_experiment(self):
                 (Path(__file__).parent / "runs_over").write_text(str(__import__("time").monotonic()))

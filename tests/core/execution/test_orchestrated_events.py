@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import time
 from collections.abc import Callable
@@ -12,6 +14,7 @@ import pytest
 
 from robot_runner.analysis import load_results
 from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.orchestrator_events import EventDeadline
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,6 +53,17 @@ def test_what_continue_publishes_is_a_measure_of_the_run_that_is_over(execute: E
     assert published.loc[published["measure"] == "Energy", "value"].tolist() == [4.5]
 
 
+def test_the_time_of_a_continue_that_publishes_nothing_is_in_the_journal_as_well(execute: Execute) -> None:
+    body = PUBLISHING[: PUBLISHING.index("    context.publish")] + "    return True\n"
+    executed = execute(body, table=TWO_RUNS, run_process="in_process")
+    table = executed.folder / "run_table.csv"
+    written = table.read_text(encoding="utf-8")
+    assert executed.table[0]["continue_at"]
+    table.unlink()
+    assert execute(body, table=TWO_RUNS, run_process="in_process").finished.done_count == 2
+    assert table.read_text(encoding="utf-8") == written
+
+
 def test_what_continue_publishes_by_a_wrong_name_ends_the_experiment_and_is_kept(execute: Execute) -> None:
     with pytest.raises(ExecutionError, match="measure 'Enrgy' was not declared"):
         execute(PUBLISHING.replace('"Energy", 4.5', '"Enrgy", 4.5'), table=TWO_RUNS)
@@ -70,8 +84,8 @@ def test_continue_is_told_of_the_run_that_is_over_and_of_the_next(execute: Execu
     )
     told = (tmp_path / "told.txt").read_text(encoding="utf-8").splitlines()
     assert told == ["r_1 r_2 2 Network 1", "r_2 r_3 3 Video 2", "r_3 r_4 4 Network 2"]
-    readers = [end["readers"] for end in executed.journal("attempt_finished")]
-    assert readers == [{}, {"Task": ["config"]}, {"Task": ["config"]}, {"Task": ["config"]}]
+    readers = {end["run"]: end["readers"] for end in executed.journal("attempt_finished")}
+    assert list(readers.values()) == [{}, {"Task": ["config"]}, {"Task": ["config"]}, {"Task": ["config"]}]
 
 
 @pytest.mark.parametrize("event", ["before_experiment", "after_experiment"])
@@ -200,3 +214,45 @@ def test_after_experiment_is_told_what_ended_it_before_its_time(execute: Execute
     told = json.loads((tmp_path / "ended.json").read_text(encoding="utf-8"))
     assert "before_experiment of config: ValueError: no robot" in told["failure"]
     assert (told["done"], told["todo"]) == (0, 4)
+
+
+TELLING = """
+quality_columns = True
+def before_run(self, context):
+    token = __import__("os").environ["LAB_TOKEN"]
+    context.doubt(f"the meter took {token}", measures=["Energy"])
+    context.warn(f"the plug took {token}")
+def launch_mission(self, context):
+    token = __import__("os").environ["LAB_TOKEN"]
+    context.doubt(f"the arm took {token}", measures=["Energy"])
+    context.fail(f"refused {token}")
+"""
+
+
+@pytest.mark.parametrize("run_process", ["fork", "in_process"])
+def test_what_the_environment_keeps_secret_is_hidden_in_whichever_process_a_callback_tells_it(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch, run_process: str
+) -> None:
+    monkeypatch.setenv("LAB_TOKEN", "swordfish-77")
+    executed = execute(TELLING, table=TWO_RUNS.replace(', "Network"', ""), run_process=run_process)
+    kept = [each for each in executed.folder.rglob("*") if each.is_file()]
+    assert [each.name for each in kept if b"swordfish" in each.read_bytes()] == []
+    told = [*map(str, executed.finished.findings), *executed.finished.failures]
+    assert [each.count("REDACTED") for each in told] == [1, 1, 1, 1], told
+    assert "swordfish" not in str(executed.notices)
+
+
+def test_a_deadline_that_is_longer_than_the_system_can_wait_is_none() -> None:
+    with EventDeadline("an event", 1e300, 1e300):
+        pass
+
+
+def test_a_watcher_that_fails_does_not_go_on_as_the_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(EventDeadline, "_end_orchestrator_unless_told", lambda *_: 1 / 0)
+    process = os.getpid()
+    try:
+        with EventDeadline("an event", 60.0, 1.0):
+            pass
+    finally:
+        if os.getpid() != process:
+            os.kill(process, signal.SIGKILL)

@@ -96,6 +96,36 @@ def test_doubts_outlast_a_resumption_and_go_with_the_attempt_that_they_were_abou
     }
 
 
+def test_a_doubt_that_names_a_file_which_is_not_in_utf_8_is_kept_as_text(execute: Execute) -> None:
+    body = """
+    quality_columns = True
+    def populate_run_data(self, context):
+        context.doubt("nothing came of caf\\udce9.csv", fix="Look at caf\\udce9.csv.", measures=["Energy"])
+        return {"Energy": None}
+    """
+    table = '    def create_run_table(self): return RunTableModel([Factor("N", [1])], data_columns=["Energy"])'
+    executed = execute(body, table=table)
+    reason = "nothing came of caf\\udce9.csv"
+    assert executed.table[0]["Energy.quality"] == f"missing: {reason}"
+    assert doubts_of(executed.folder) == {"r_1": [reason]}
+
+
+@pytest.mark.parametrize("policy", ["keep", "fail"])
+def test_why_a_value_that_nobody_published_is_missing_is_told(execute: Execute, policy: str) -> None:
+    body = """
+    quality_columns = True
+    operation_type = OperationType.SEMI
+    run_process = RunProcess.IN_PROCESS
+    def before_experiment(self): return True
+    def start_run(self, context): context.doubt("the sensor was silent")
+    def continue_experiment(self, context): return True
+    """
+    executed = execute(body, on_bad_value=policy)
+    assert {row["Energy.quality"] for row in executed.table} == {"missing: the sensor was silent"}
+    if policy == "fail":
+        assert all(each.endswith("Energy has no value: the sensor was silent") for each in executed.finished.failures)
+
+
 def test_a_value_beyond_its_limits_is_kept_and_doubtful(execute: Execute) -> None:
     executed = execute(UNSTEADY, table=LIMITED, head=HEAD)
     assert [row["Energy"] for row in executed.table] == ["11.0", "7.5"]

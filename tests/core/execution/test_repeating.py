@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import csv
+import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -17,11 +16,13 @@ from robot_runner.cli.excluding import exclude_runs
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.growing import Additions
+from robot_runner.core.execution import progress_manager, recovered_table
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import PrecisionJudged
 from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.processes import forked
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.journal import Journal, read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 
@@ -49,32 +50,35 @@ def populate_run_data(self, context):
     mean = 100 if context.combination["Task"] == "Video" else 80
     return {{"Energy": mean + Random(context.run_seed).gauss(0, {spread})}}
 """
-#: Dies by SIGKILL at the step of the given number among those that follow the first decision to repeat.
-DYING = """
-import os, signal, sys
-from pathlib import Path
-from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.execution import progress_manager, recovered_table
-from robot_runner.core.execution.notices import SilentObserver
-from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.storage.journal import Journal
 
-step, steps = int(sys.argv[2]), []
 
-def dying(function, is_step):
-    def called(*given, **named):
-        if steps or is_step(given):
-            if len(steps) == step:
-                os.kill(os.getpid(), signal.SIGKILL)
-            steps.append(function.__name__)
-        return function(*given, **named)
-    return called
+def executed_until(config: Path, step: int) -> int:
+    """Execute an experiment in a process that is killed at this step after its first decision to repeat.
 
-Journal.append = dying(Journal.append, lambda given: given[1] == "repeated")
-recovered_table.write_run_table = dying(recovered_table.write_run_table, lambda given: False)
-progress_manager.write_manifest = dying(progress_manager.write_manifest, lambda given: False)
-execute_experiment(prepare_or_refuse(Path(sys.argv[1])), SilentObserver())
-"""
+    Returns:
+        how it ended.
+    """
+    if process := forked():
+        return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    steps: list[str] = []
+
+    def dying(function: Callable[..., Any], is_step: Callable[..., bool]) -> Callable[..., Any]:
+        def called(*given: Any, **named: Any) -> Any:
+            if steps or is_step(given):
+                if len(steps) == step:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                steps.append(function.__name__)
+            return function(*given, **named)
+
+        return called
+
+    try:
+        Journal.append = dying(Journal.append, lambda given: given[1] == "repeated")  # type: ignore[method-assign]
+        recovered_table.write_run_table = dying(recovered_table.write_run_table, lambda _: False)
+        progress_manager.write_manifest = dying(progress_manager.write_manifest, lambda _: False)
+        resume(config)
+    finally:
+        os._exit(99)
 
 
 def noisy(spread: float = 3.0, at_most: int = 12) -> str:
@@ -156,9 +160,7 @@ def test_killed_at_any_step_of_a_repetition_it_goes_on_as_if_nothing_had_happene
     expected = planned(rows_of(whole / "config.py"))
     config = written_config(tmp_path, noisy(), table=TABLE)
     for step in range(6):  # before the record, after it, in the table, in the manifest, in the first new run
-        command = [sys.executable, "-c", DYING, str(config), str(step)]
-        killed = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
-        assert killed.returncode == -signal.SIGKILL, killed.stderr
+        assert executed_until(config, step) == -signal.SIGKILL
     finished, _ = resume(config)
     assert finished.todo_count == 0
     assert planned(rows_of(config)) == expected

@@ -82,6 +82,25 @@ def test_comments_and_blank_lines_are_no_change(execute: Execute, write_config: 
     assert len(resume(write_config("# a remark\n\n\n" + COUNTING))) == 4
 
 
+@pytest.mark.parametrize(
+    ("before", "encoding"),
+    [("# -*- coding: latin-1 -*-\n", "latin-1"), ("", "utf-8-sig")],
+    ids=["declared", "with a byte order mark"],
+)
+def test_a_config_in_any_encoding_of_python_can_be_resumed_and_is_compared(
+    write_config: Write, before: str, encoding: str
+) -> None:
+    path = write_config("place = 'Café'\nrun_process = RunProcess.IN_PROCESS")
+    text = before + path.read_text(encoding="utf-8")
+    path.write_text(text, encoding=encoding)
+    resume(path)
+    path.write_text(f"{text}    # à Genève\n", encoding=encoding)
+    assert [row["status"] for row in resume(path)] == ["Done"] * 4
+    path.write_text(text.replace("Café", "Musée"), encoding=encoding)
+    with pytest.raises(ExecutionError, match="the line was \"place = 'Café'\" and is \"place = 'Musée'\""):
+        resume(path)
+
+
 def test_another_setting_is_a_change(write_config: Write) -> None:
     config = write_config(COUNTING)
     execute_experiment(prepare_or_refuse(config, {"grace_in_s": "5"}), SilentObserver())

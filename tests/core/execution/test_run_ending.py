@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,15 +13,16 @@ from typing import Any
 import pytest
 
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import MissionStopped, RunFailed
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.execution.processes import leave_after
+from robot_runner.core.storage.journal import Journal, read_journal
 from robot_runner.replication.explanation import explain_run
-from robot_runner.testing import make_context, rehearse
+from robot_runner.testing import make_context
 
 Execute = Callable[..., Any]
 
@@ -262,8 +265,9 @@ def test_without_a_run_around_it_a_context_ends_the_callback_in_place(tmp_path: 
     context = make_context(tmp_path, robot=None)
     with pytest.raises(RunFailed, match="too warm"):
         context.fail("too warm")
+    context.times.begin()
     with pytest.raises(MissionStopped, match="goal reached"):
-        rehearse(context, mission=lambda: context.stop_mission("goal reached"))
+        context.stop_mission("goal reached")
 
 
 def test_the_example_of_the_page_drives_a_metre_and_stops(tmp_path: Path) -> None:
@@ -304,3 +308,83 @@ def test_a_make_safe_whose_decorator_hides_that_nothing_is_executed_is_a_failure
     )
     problems = [failure["problem"] for failure in executed.journal("failure")]
     assert any("make_safe returned a coroutine: its body was never executed" in problem for problem in problems)
+
+
+@pytest.mark.parametrize("reason", ["''", "None"])
+def test_a_mission_may_be_stopped_without_a_reason(execute: Execute, reason: str) -> None:
+    executed = ended(execute, f"context.stop_mission({reason})")
+    assert executed.finished.done_count == 1
+
+
+#: What the system did is in files, as its callbacks cannot print.
+TOUCHING = """
+import sys
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import System
+
+HERE = Path(__file__).parent
+
+class Full:
+    def write(self, text): raise OSError(28, "No space left on device")
+    def flush(self): pass
+
+FULL = Full()
+
+class Arm(System):
+    measures = ()
+    def stop_run(self, context): (HERE / "closed").touch()
+    def make_safe(self, context): (HERE / "safe").touch()
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path("results")
+    plugins = [Arm()]
+"""
+
+
+@pytest.mark.parametrize("run_process", ["fork", "in_process"])
+@pytest.mark.parametrize("deed", ["sys.stderr = None", "sys.stderr.close()", "sys.stderr = FULL"])
+def test_a_log_that_cannot_be_written_hides_no_failure_and_the_robot_is_made_safe(
+    execute: Execute, tmp_path: Path, run_process: str, deed: str
+) -> None:
+    body = f"def launch_mission(self, context):\n    {deed}\n    raise ValueError('a bump')"
+    executed = execute(body, head=TOUCHING, table=TABLE, run_process=run_process)
+    assert executed.finished.failures == ("r_1: launch_mission of config: ValueError: a bump",)
+    assert (tmp_path / "closed").exists()
+    assert (tmp_path / "safe").exists()
+
+
+@pytest.mark.parametrize("event", ["start_run", "launch_mission", "stop_measurement"])
+def test_a_run_in_this_process_is_closed_and_made_safe_before_a_full_disk_ends_the_experiment(
+    execute: Execute, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, event: str
+) -> None:
+    append = Journal.append
+
+    def append_if_there_is_room(journal: Journal, kind: str, **fields: Any) -> None:
+        if (tmp_path / "full").exists():
+            raise StorageError("it cannot be written: no space is left", where="journal", fix="Make room.")
+        append(journal, kind, **fields)
+
+    monkeypatch.setattr(Journal, "append", append_if_there_is_room)
+    body = f"""
+    def {event}(self, context): (HERE / "full").touch()
+    def populate_run_data(self, context): (HERE / "populated").touch()
+    def after_experiment(self): (HERE / "full").unlink()
+    """
+    with pytest.raises(StorageError, match="no space is left"):
+        execute(body, head=TOUCHING, table=TABLE, run_process="in_process")
+    assert (tmp_path / "closed").exists()
+    assert (tmp_path / "safe").exists()
+    assert not (tmp_path / "populated").exists()
+
+
+def test_the_process_of_a_run_ends_also_where_a_callback_took_its_streams_away() -> None:
+    child = os.fork()
+    if child == 0:
+        try:
+            sys.stdout = None  # type: ignore[assignment]
+            leave_after(lambda: None, lambda _kind, _fields: None)
+        finally:
+            os._exit(99)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0

@@ -130,11 +130,44 @@ def test_a_system_is_made_safe_with_the_treatments_of_its_own_run(write_config: 
     assert (experiment.config_path.parent / "made_safe").read_text(encoding="utf-8") == "kitchen kitchen"
 
 
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_where_the_standby_was_killed_while_it_made_a_system_safe_its_work_is_done_again(
+    write_config: Callable[..., Path],
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    began = time.monotonic()
+    with after_death(experiment, began=Care.STANDBY):  # nobody holds its lock
+        assert time.monotonic() - began < standby_module._LONGEST
+    assert (experiment.config_path.parent / "made_safe").read_text(encoding="utf-8") == "kitchen kitchen"
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("__import__('time').sleep(60)", "that took longer than 0.5 s"),
+        (r"raise OSError('caf\udce9 is torn')", r"OSError: caf\udce9 is torn"),
+    ],
+    ids=["hangs", "names a file that is not in UTF-8"],
+)
+def test_why_a_system_could_not_be_made_safe_is_told(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, fault: str, reason: str
+) -> None:
+    head = HEAD.replace('(HERE / "made_safe").write_text', f"{fault}\n        print")
+    experiment = prepare_or_refuse(write_config("", head=head, table=TABLE))
+    if "took longer" in reason:
+        monkeypatch.setattr(standby_module, "_LONGEST", 0.5)
+    with after_death(experiment, care=Care.OUT_OF_REACH) as told:
+        assert told == f"THE ROBOT MAY BE MOVING: Lamp could not be made safe: {reason}"
+
+
 DRIVEN = """\
-    def launch_mission(self, context):
+    from robot_runner.core.links.commanded_topics import tell_commanded
+    def {event}(self, context):
         class Link:
             def close(self): {close}
         context.resources.open("link", Link)
+        {command}
         raise RuntimeError("a bump")
 """
 
@@ -142,11 +175,21 @@ DRIVEN = """\
 @pytest.mark.parametrize(
     ("close", "care"), [("pass", Care.SAFE), ("raise OSError('the network is gone')", Care.RUN)], ids=["closed", "not"]
 )
+@pytest.mark.parametrize(
+    ("event", "command"),
+    [("launch_mission", ""), ("start_run", "RobotRunnerConfig.tell_commanded('/cmd_vel', 'Twist')")],
+)
 def test_a_failed_run_without_systems_leaves_a_safe_robot_only_where_its_links_could_be_closed(
-    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, close: str, care: Care
+    write_config: Callable[..., Path],
+    monkeypatch: pytest.MonkeyPatch,
+    close: str,
+    care: Care,
+    event: str,
+    command: str,
 ) -> None:
     monkeypatch.setattr(commanded_topics, "_listeners", [])  # the process of a run has its own
-    experiment = prepare_or_refuse(write_config(DRIVEN.format(close=close), table=TABLE))
+    body = DRIVEN.format(event=event, close=close, command=command)
+    experiment = prepare_or_refuse(write_config(body, table=TABLE))
     state = SystemsState()
     with ProgressManager(experiment, Resumption()) as progress, closing(state):
         task = replace(progress.task_of(next(iter(progress.pending()))), attempt=1)
@@ -155,8 +198,13 @@ def test_a_failed_run_without_systems_leaves_a_safe_robot_only_where_its_links_c
 
 
 @contextmanager
-def after_death(experiment: Experiment, *commanded: tuple[str, str], care: Care = Care.MADE_SAFE) -> Iterator[None]:
-    """Have the systems of a first run made safe that has died, while a second one has begun beside it."""
+def after_death(
+    experiment: Experiment, *commanded: tuple[str, str], began: Care = Care.RUN, care: Care = Care.MADE_SAFE
+) -> Iterator[str]:
+    """Have the systems of a first run made safe that has died, while a second one has begun beside it.
+
+    Yields what is told of it.
+    """
     with ProgressManager(experiment, Resumption()) as progress:
         first, second = (progress.task_of(run) for run in progress.pending())
         (lamp,) = experiment.systems
@@ -164,7 +212,7 @@ def after_death(experiment: Experiment, *commanded: tuple[str, str], care: Care 
         standby = standby_of(experiment, replace(first, attempt=1))
         assert standby is not None
         bind(lamp, second.combination)  # the next run begins beside it
-        standby.state.set(Care.RUN)
+        standby.state.set(began)
         for each in commanded:
             standby.state.add_commanded(*each)
         dead = subprocess.Popen([sys.executable, "-c", ""])
@@ -172,5 +220,7 @@ def after_death(experiment: Experiment, *commanded: tuple[str, str], care: Care 
         for seconds in standby.looked_after(dead.pid):
             time.sleep(seconds)
         assert standby.state.care is care
+        told = standby.finding()
         standby.state.close()
-        yield
+        assert told is not None
+        yield told["problem"]

@@ -86,6 +86,30 @@ def test_a_lost_schema_or_manifest_is_made_whole(execute: Execute, name: str, co
         assert after == before
 
 
+@pytest.mark.parametrize("is_there", [True, False], ids=["older", "deleted"])
+def test_what_was_found_and_doubted_since_a_schema_was_written_is_taken_from_the_journal(
+    execute: Execute, is_there: bool
+) -> None:
+    body = """
+    run_process = RunProcess.IN_PROCESS
+    def populate_run_data(self, context):
+        if context.run_number + context.attempt < 4:
+            context.doubt(f"attempt {context.attempt} was hot", measures=["Energy"])
+        return {"Energy": 7.5}
+    """
+    executed = execute(body)
+    path = executed.folder / "run_table.schema.json"
+    older = json.loads(text_of(path))
+    (energy,) = (each for each in older["fields"] if each["name"] == "Energy")
+    assert energy["robot_runner:doubts"].keys() == {"r_1", "r_2"}
+    resume(executed, redo=["r_2"])  # which is not doubtful this time
+    newer = text_of(path)
+    del energy["robot_runner:doubts"]["r_1"], energy["robot_runner:findings"][0]  # as before the end of r_1
+    path.write_text(json.dumps(older), encoding="utf-8") if is_there else path.unlink()
+    resume(executed)
+    assert text_of(path) == newer
+
+
 def test_everything_but_the_journal_may_be_lost_at_once(execute: Execute) -> None:
     executed = execute(COUNTING, table=SHUFFLED)
     before = text_of(executed.folder / "run_table.csv")
@@ -93,6 +117,13 @@ def test_everything_but_the_journal_may_be_lost_at_once(execute: Execute) -> Non
         (executed.folder / name).unlink()
     resume(executed)
     assert text_of(executed.folder / "run_table.csv") == before
+
+
+def test_the_status_is_told_also_where_the_beginning_of_the_journal_was_cut_off(execute: Execute) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS")
+    path = executed.folder / "journal.jsonl"
+    path.write_text(text_of(path).splitlines(keepends=True)[-1], encoding="utf-8")
+    assert read_status(executed.folder).done == 4
 
 
 def test_an_edit_of_a_finished_run_is_refused_cell_by_cell(execute: Execute) -> None:

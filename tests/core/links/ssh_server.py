@@ -33,8 +33,11 @@ StrictModes no
 UsePAM no
 PrintMotd no
 UseDNS no
-{extra}
+KexAlgorithms curve25519-sha256
+SetEnv {variables}
 """
+#: A bash that sshd starts reads the user's .bashrc, which may take long; one that takes itself for the second does not.
+_NO_BASHRC = "SHLVL=2"
 
 _CLIENT = """\
 Host robot
@@ -87,9 +90,9 @@ class SshServer:
         for key in ("host_key", "user_key"):
             subprocess.run([keygen, "-q", "-t", "ed25519", "-N", "", "-f", folder / key], check=True, timeout=30)
         self.port = claim_port()
-        variables = " ".join(f'"{name}={value}"' for name, value in (environment or {}).items())
-        extra = f"SetEnv {variables}" if variables else ""
-        (folder / "sshd_config").write_text(_SERVER.format(port=self.port, folder=folder, extra=extra))
+        variables = [_NO_BASHRC, *(f'"{name}={value}"' for name, value in (environment or {}).items())]
+        configured = _SERVER.format(port=self.port, folder=folder, variables=" ".join(variables))
+        (folder / "sshd_config").write_text(configured)
         self.config.write_text(_CLIENT.format(port=self.port, folder=folder, user=getpass.getuser()))
         self.know((folder / "host_key.pub").read_text())
         self._provide_separation()

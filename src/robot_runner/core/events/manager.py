@@ -8,7 +8,7 @@ import sys
 import traceback
 from collections import defaultdict
 from collections.abc import Callable
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import Enum, IntEnum
@@ -387,9 +387,10 @@ def _leave_forked(failures: Sequence[CallbackFailure]) -> NoReturn:
 
     So it does where `os.execvp` finds no program after an `os.fork`.
     """
-    with suppress(OSError, ValueError):  # a full disk, or a stream that is closed
+    try:
         for failure in failures:
             traceback.print_exception(failure.error)
         sys.stdout.flush()
         sys.stderr.flush()
-    os._exit(1 if failures else 0)
+    finally:  # also where the disk is full, or a stream is closed or was taken away
+        os._exit(1 if failures else 0)

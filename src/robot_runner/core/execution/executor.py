@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.claims import worker_count
 from robot_runner.core.config.parameters import Parameters, RunProcess
 from robot_runner.core.entry_points import named_entry_point
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import PluginError, RobotRunnerError
+from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper, reap_keepers
 from robot_runner.core.execution.run_events import execute_run
@@ -19,6 +20,7 @@ from robot_runner.core.execution.run_records import FINISHED, RecordReader
 from robot_runner.core.execution.standby import standby_of
 from robot_runner.core.execution.worker import be_run, become_interpreter
 from robot_runner.core.links.connect import is_simulated, preload_simulation
+from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.layout import LazyLog
 
 if TYPE_CHECKING:
@@ -150,16 +152,24 @@ def _begun_in_process(
 
 
 def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
-    def report(kind: str, fields: dict[str, object]) -> None:
-        builder.take(kind, fields)
-        watch.report(kind, fields)
-        watch.refresh()
+    gate, refused = InterruptGate(), list[RobotRunnerError]()
 
-    with LazyLog(experiment.folder) as log, redirect_stdout(log), redirect_stderr(log):
-        gate = InterruptGate()
-        with watch.interruption.passed_on(gate):
-            execute_run(experiment, task, report, gate)
+    def report(kind: str, fields: dict[str, Any]) -> None:
+        fields = sentences_without_secrets(fields)  # as on the way from another process
+        builder.take(kind, fields)
+        try:
+            watch.report(kind, fields)
+            watch.refresh()
+        except RobotRunnerError as error:  # a full disk: before it ends the experiment, the run is closed and made safe
+            refused.append(error)
+            gate.end_run(RunInterrupted(f"what the run tells cannot be kept: {error.problem}"))
+
+    log, passed_on = LazyLog(experiment.folder), watch.interruption.passed_on(gate)
+    with log, redirect_stdout(log), redirect_stderr(log), passed_on:
+        execute_run(experiment, task, report, gate)
     report(FINISHED, {})
+    if refused:
+        raise refused[0]
     return EndedRun(builder.outcome(interrupted=watch.interruption.is_requested))
 
 
@@ -304,7 +314,7 @@ class _Supervision:
                 self._event_started = time.monotonic()
                 self._leave_by = None
             elif kind == "mission_stopped" or fields.get("ends_event"):
-                reason = fields.get("reason") or fields["problem"]
+                reason = fields["reason" if kind == "mission_stopped" else "problem"]
                 self._leave_by = self._leave_by or (time.monotonic() + self._grace, reason)
             self._take(kind, fields)
 

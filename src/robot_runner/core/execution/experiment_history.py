@@ -190,7 +190,8 @@ class ExperimentHistory:
 
     def _take_experiment_finished(self, record: Mapping[str, Any]) -> None:
         self.finished_at = record["at"]
-        self.sessions[-1] = replace(self.sessions[-1], is_whole=True)
+        if self.sessions:  # else the beginning of the journal was cut off
+            self.sessions[-1] = replace(self.sessions[-1], is_whole=True)
 
     def _take_repeated(self, record: Mapping[str, Any]) -> None:
         self._planned += len(record["runs"])

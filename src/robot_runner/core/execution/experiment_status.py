@@ -74,12 +74,12 @@ class ExperimentStatus:
     done: int
     failed: int
     todo: int
-    current_run: str | None
-    current_event: str | None
-    failures: tuple[str, ...]
-    findings: tuple[Finding, ...]
-    started_at: str | None
-    finished_at: str | None
+    current_run: str | None = None
+    current_event: str | None = None
+    failures: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    started_at: str | None = None
+    finished_at: str | None = None
     seconds_left: float | None = None
     left_is_least: bool = False
     bad_values: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=lambda: MappingProxyType({}))
@@ -180,12 +180,6 @@ def _older_status(files: ExperimentFolder) -> ExperimentStatus:
         done=rows.count(RunStatus.DONE),
         failed=rows.count(RunStatus.FAILED),
         todo=rows.count(RunStatus.TODO) + rows.count(RunStatus.RUNNING),
-        current_run=None,
-        current_event=None,
-        failures=(),
-        findings=(),
-        started_at=None,
-        finished_at=None,
         is_of_older_tool=True,
     )
 

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import traceback
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.errors import RobotRunnerError
@@ -278,7 +278,7 @@ class RunEnding:
 
     def stop_mission(self, owner: str, reason: str) -> None:
         """End the mission, which is going on and was not stopped before."""
-        sys.stderr.write(f"the mission was stopped by {owner}: {reason}\n")  # into the run's log
+        _print_to_log(f"the mission was stopped by {owner}: {reason}\n")
         self._report("mission_stopped", {"owner": owner, "reason": reason})
         self._gate.end_mission(MissionStopped(reason))
 
@@ -303,7 +303,7 @@ class RunEnding:
     def _write(self, event: str, owner: str, fields: dict[str, str], **more: object) -> None:
         self.has_failed = True
         place = " of ".join(part for part in (event, owner) if part) or "the run"
-        sys.stderr.write(f"{place} failed: {fields['problem']}\n{fields['traceback']}")  # into the run's log
+        _print_to_log(f"{place} failed: {fields['problem']}\n{fields['traceback']}")
         self._report("failure", {"event": event, "owner": owner, **fields, **more})
 
     def _take_unhandled(self, raised: threading.ExceptHookArgs) -> None:
@@ -319,9 +319,14 @@ class RunEnding:
     def _find(self, error: BaseException, where: str) -> None:
         """Record that a thread raised something while things are closed: it may have tripped over one of them."""
         problem = f"{where} raised {type(error).__name__}: {_text_of(error)}"
-        sys.stderr.write(f"{problem}\n{failure_fields(error)['traceback']}")
+        _print_to_log(f"{problem}\n{failure_fields(error)['traceback']}")
         fix = "Look at its traceback in the run's log, and end the thread before what it uses is closed."
         self._report("finding", {"owner": where, "problem": problem, "fix": fix})
+
+
+def _print_to_log(text: str) -> None:
+    with suppress(Exception):  # a full disk, or a stream that a callback closed: what comes now stops the robot
+        sys.stderr.write(text)
 
 
 def failure_fields(error: BaseException) -> dict[str, str]:

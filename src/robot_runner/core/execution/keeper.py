@@ -60,6 +60,8 @@ _PIPE_BYTES = 1 << 20
 _REAPING = 5.0
 #: How long it waits until it looks again, s.
 _LOOK = 0.01
+#: A poll cannot wait longer than 24 days: after a day it begins anew, s.
+_LONGEST = 86_400.0
 
 
 #: The keepers whose runs are in flight, in the process that has forked them.
@@ -326,7 +328,7 @@ class _KeeperProcess:
         if not hasattr(os, "pidfd_open"):
             return _LOOK * 1000
         moments = [moment for moment in (self._ask_again_at, self._kill_at) if moment is not None]
-        return max(0.0, min(moments) - time.monotonic()) * 1000 if moments else None
+        return max(0.0, min(min(moments) - time.monotonic(), _LONGEST)) * 1000 if moments else None
 
     def _reap(self) -> int | None:
         """Reap every child that has ended; return how the run ended if it is among them."""

@@ -22,6 +22,7 @@ from robot_runner.core.execution.notices import FindingsNoticed
 from robot_runner.core.execution.processes import forked
 from robot_runner.core.execution.run_events import run_contexts
 from robot_runner.core.execution.task import OutcomeBuilder
+from robot_runner.core.secret_names import sentences_without_secrets
 from robot_runner.core.storage.journal import utc_now
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 #: How many times over `grace_in_s` a callback may take to end once its deadline has passed.
 _PATIENCE = 3
+#: What the system can wait at most is more than this, s: thirty years.
+_LONGEST = 1e9
 #: Of a terminal; the live screen hides it.
 _SHOW_CURSOR = "\x1b[?25h"
 
@@ -76,7 +79,7 @@ class EventDeadline:
         self._watcher = self._watch()
         self._earlier = signal.signal(signal.SIGALRM, self._take_signal)
         self._is_armed = True
-        signal.setitimer(signal.ITIMER_REAL, self._seconds, self._grace)
+        signal.setitimer(signal.ITIMER_REAL, min(_LONGEST, self._seconds), min(_LONGEST, self._grace))
         return self
 
     def __exit__(self, *raised: object) -> None:
@@ -98,8 +101,11 @@ class EventDeadline:
         reader, writer = os.pipe()
         watcher = forked()
         if watcher == 0:
-            os.close(writer)
-            self._end_orchestrator_unless_told(reader)
+            try:
+                os.close(writer)
+                self._end_orchestrator_unless_told(reader)
+            finally:  # whatever goes wrong: it must not execute the experiment, too
+                os._exit(0)
         os.close(reader)
         return watcher, writer
 
@@ -115,12 +121,11 @@ class EventDeadline:
         orchestrator = os.getppid()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)  # the orchestrator decides
-        told, _, _ = select.select([reader], [], [], self._seconds + _PATIENCE * self._grace)
+        told, _, _ = select.select([reader], [], [], min(_LONGEST, self._seconds + _PATIENCE * self._grace))
         if not told and os.getppid() == orchestrator:
             with suppress(OSError):  # nobody reads it
                 os.write(2, self._last_words().encode())
             os.kill(orchestrator, signal.SIGKILL)
-        os._exit(0)
 
     def _last_words(self) -> str:
         cursor = _SHOW_CURSOR if os.isatty(2) else ""
@@ -178,7 +183,7 @@ class OrchestratorEvents:
         """
 
         def told(kind: str, fields: dict[str, Any]) -> None:
-            report(kind, fields)
+            report(kind, sentences_without_secrets(fields))  # as on the way from the process of a run
             self._patience.refresh_screen()
 
         told("event", {"event": event.value, "at": utc_now(), "clock": time.monotonic()})

@@ -87,10 +87,11 @@ def leave_after(work: Callable[[], None], report: Report) -> NoReturn:
         report("failure", {"event": "", "owner": "", **failure_fields(error)})
         report(FINISHED, {})  # the exit code that follows says less
     finally:
-        with suppress(OSError, ValueError):  # a full disk, or a stream that a callback closed
+        try:
             sys.stdout.flush()
             sys.stderr.flush()
-        os._exit(code)
+        finally:  # also where the disk is full, or a callback closed a stream or took it away
+            os._exit(code)
 
 
 def settle_streams() -> None:

@@ -317,10 +317,10 @@ class ProgressManager:
         return self._unread.take(task, outcome)
 
     def amend_outcome(self, task: RunTask, later: RunOutcome) -> None:
-        """Keep what was published and found after the last attempt had been recorded, if anything was."""
+        """Keep what came after the last attempt had been recorded: measures, findings, the stamp of `continue`."""
         before = self._last_outcomes[task.place]
         found = later.findings[len(before.findings) :]
-        if later.measures == before.measures and not found:
+        if (later.measures, later.stamps) == (before.measures, before.stamps) and not found:
             return
         outcome = replace(before, stamps=later.stamps, measures=later.measures, findings=later.findings)
         missing = missing_measures(self._experiment, task, outcome)

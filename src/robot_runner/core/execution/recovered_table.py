@@ -39,8 +39,10 @@ _STARTED = b'{"kind":"attempt_started"'
 FINISHED = b'{"kind":"attempt_finished"'
 _TABLE_WRITTEN = b'{"kind":"table_written"'
 _EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
-_KINDS = EXCLUSION_KINDS | {"experiment_started", "attempt_started", "attempt_finished", "table_written"}
-_IS_DONE = b'"status":"done"'  # quotes inside a text are escaped: these stand nowhere else
+_FINDING = b'{"kind":"finding"'
+_KINDS = EXCLUSION_KINDS | {"experiment_started", "attempt_started", "attempt_finished", "table_written", "finding"}
+# Quotes inside a text are escaped: these stand nowhere else.
+_IS_DONE, _HAS_DOUBTS = b'"status":"done"', b'"doubts":['
 
 
 @dataclass(slots=True)
@@ -55,6 +57,8 @@ class TableHistory:
         written: the digest of the table as it was written last; empty where that is not known.
         has_ends: whether any attempt has ended.
         excluded: the runs that are left out.
+        doubtful: the last end of each run that has doubtful values: where we were killed, the schema is older.
+        doubts: what was found in runs, by owner, as `RecoveredTable` has it.
     """
 
     attempted: list[str] = field(default_factory=list)
@@ -64,6 +68,8 @@ class TableHistory:
     written: str = ""
     has_ends: bool = False
     excluded: ExcludedRuns = field(default_factory=ExcludedRuns)
+    doubtful: dict[str, bytes] = field(default_factory=dict)
+    doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
 
     @classmethod
     def of(cls, journal: Path) -> TableHistory:
@@ -91,8 +97,15 @@ class TableHistory:
             self.newer.clear()
         elif line.startswith(_EXCLUSION):
             self.excluded.take(parsed_record(journal, line))
+        elif line.startswith(_FINDING):
+            found = parsed_record(journal, line)
+            self.doubts[found["owner"]].add(f"{found.get('run')}: {found['problem']}")
         else:
-            self.open.pop(run_of(journal, line), None)
+            run_id = run_of(journal, line)
+            self.open.pop(run_id, None)
+            self.doubtful.pop(run_id, None)
+            if _HAS_DOUBTS in line:
+                self.doubtful[run_id] = line
             self.has_ends = True
             self.newer.append(line)
             if _IS_DONE not in line:

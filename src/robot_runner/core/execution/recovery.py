@@ -6,6 +6,7 @@ import ast
 import difflib
 from dataclasses import dataclass
 from enum import Enum
+from importlib.util import decode_source
 from itertools import repeat
 from operator import is_
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,7 @@ from robot_runner.core.design.warm_up import with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.guarded_files import read_text
+from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.input_files import input_changes
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
 
@@ -179,7 +180,7 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
         finding
         for source, kept in config_files(experiment).items()
         if kept.exists()
-        for finding in _changed_lines(source, read_text(kept, folder.root), source.read_text("utf-8"), ignored)
+        for finding in _changed_lines(source, _text(read_bytes(kept, folder.root)), _text(source.read_bytes()), ignored)
     ]
     if of_settings:
         findings += input_changes(experiment.inputs, folder.config)
@@ -217,6 +218,14 @@ def _different_cells(path: Path, run: PlannedRun, found: PlannedRun, *, has_repe
 _DESIGN = frozenset({"create_run_table", "create_run_table_model"})
 
 
+def _text(program: bytes) -> str:
+    """Return the text of a program in the encoding that it declares, without a byte order mark."""
+    try:
+        return decode_source(program)
+    except (SyntaxError, UnicodeDecodeError):  # a local module may be of any kind
+        return program.decode("utf-8", "backslashreplace")
+
+
 def _changed_lines(source: Path, before: str, now: str, ignored: frozenset[str]) -> Iterator[Finding]:
     if before == now or _means_the_same(before, now, ignored):
         return
@@ -232,7 +241,7 @@ def _means_the_same(before: str, now: str, ignored: frozenset[str]) -> bool:
     """Return whether two versions of a file are the same program, functions of these names left aside."""
     try:
         trees = ast.parse(before), ast.parse(now)
-    except SyntaxError:  # a local module may be of any kind
+    except (SyntaxError, ValueError):  # what is no program has bytes that are zero
         return False
     for function in (each for tree in trees for each in ast.walk(tree) if isinstance(each, ast.FunctionDef)):
         if function.name in ignored:

@@ -145,11 +145,12 @@ class _Run:
 
     @property
     def _is_safe(self) -> bool:
-        """Whether each system was closed in order or made safe, or did not come to its mission.
+        """Whether each system was closed in order or made safe, or neither came to its mission nor drove before.
 
         Links have to be closed as well: they stop what they commanded.
         """
-        was_left = self._ending.has_failed and self._has_moved
+        has_moved = self._has_moved or (self._systems is not None and bool(self._systems.commanded))
+        was_left = self._ending.has_failed and has_moved
         return not was_left or (self._is_closed and len(self._made_safe) == len(self._experiment.systems))
 
     def _open(self) -> None:

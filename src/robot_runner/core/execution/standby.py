@@ -18,10 +18,11 @@ from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
 from typing import TYPE_CHECKING, NoReturn
 
-from robot_runner.core.errors import ExecutionError, Finding, LinkError
+from robot_runner.core.errors import ExecutionError, Finding, LinkError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
+from robot_runner.core.execution.interruption import failure_fields
 from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
@@ -90,11 +91,13 @@ class Standby:
 
     def wait(self, seconds: float = _LONGEST) -> None:
         """Wait until the process of `begin` has ended, once the run is dead; kill it where it hangs."""
-        if not _ends(self._pid, seconds):
+        if hangs := not _ends(self._pid, seconds):
             with suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGKILL)
         with suppress(ChildProcessError):  # reaped by who reaps all
             os.waitpid(self._pid, 0)
+        if hangs and self.state.care is Care.STANDBY:
+            self.state.set(Care.OUT_OF_REACH, f"that took longer than {_LONGEST:g} s")
 
     def look_after(self, run: int) -> None:
         """Wait for the standby of a run that is dead, and do its work where it was killed."""
@@ -104,14 +107,22 @@ class Standby:
     def looked_after(self, run: int) -> Iterator[float]:
         """Do the same step by step, for the orchestrator: yield how long to wait each time, s."""
         deadline = time.monotonic() + _LONGEST
-        while self.state.care is Care.STANDBY and time.monotonic() < deadline:
+        while self._acts() and time.monotonic() < deadline:
             yield _LOOK
-        if self.state.care is Care.RUN:  # nobody stood by any more, or it has not woken up yet: twice does no harm
+        # Nobody stood by any more, or it was killed meanwhile, or has not woken up yet: twice does no harm.
+        if self.state.care in {Care.RUN, Care.STANDBY} and not self._acts():
+            self.state.set(Care.RUN)
             self.begin(run)
             deadline = time.monotonic() + _LONGEST
             while not _ends(self._pid, 0.0) and time.monotonic() < deadline:
                 yield _LOOK
             self.wait(0.0)
+
+    def _acts(self) -> bool:
+        """Whether the process that stood by is alive and makes the systems safe."""
+        with suppress(StorageError):
+            return self.state.care is Care.STANDBY and _locked_by(self._experiment.folder) is not None
+        return False
 
     def finding(self) -> dict[str, Any] | None:
         """Return the fields of a finding on what became of the systems; None where the run made them safe itself."""
@@ -157,7 +168,7 @@ class Standby:
                 with closing(_Connection(self._experiment, self._task)) as another:
                     self._make_safe(another)
         except BaseException as error:  # noqa: BLE001 - whatever it is, a person has to know that nobody stopped the robot
-            self.state.set(Care.OUT_OF_REACH, f"{type(error).__name__}: {error}")
+            self.state.set(Care.OUT_OF_REACH, failure_fields(error)["problem"])
         else:
             self.state.set(Care.MADE_SAFE)
 

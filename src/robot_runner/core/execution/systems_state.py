@@ -64,7 +64,7 @@ class SystemsState:
 
     def set(self, care: Care, reason: str = "") -> None:
         """Say who has it from now on."""
-        os.pwrite(self.descriptor, reason.encode()[:_REASON], 1)
+        os.pwrite(self.descriptor, reason.encode("utf-8", "backslashreplace")[:_REASON], 1)
         os.pwrite(self.descriptor, bytes([care]), 0)
 
     def close(self) -> None:

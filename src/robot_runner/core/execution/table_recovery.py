@@ -102,10 +102,15 @@ class _Recovery:
             self._leave_out(table)
         else:
             table = self._read()
+        attempted = set(history.attempted)
         for column in self._schema:
             table.origins[column.name].update(column.origin.split(", ") if column.origin else ())
-            table.reasons[column.name].update(column.doubts)
+            table.reasons[column.name].update((run, why) for run, why in column.doubts.items() if run not in attempted)
             table.doubts[column.owner].update(column.findings)
+        for line in history.doubtful.values():
+            table.take_circumstances(parsed_record(self._journal, line))
+        for owner, doubts in history.doubts.items():
+            table.doubts[owner] |= doubts
         if not self._schema and history.has_ends:
             self._take_what_the_schema_had(table)
         table.findings = (*self._schema_findings, *table.findings)

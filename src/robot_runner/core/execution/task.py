@@ -204,9 +204,11 @@ class OutcomeBuilder:
             )
         elif kind == "finding":
             where = f"{self._run_id}, {fields['owner']}"
-            self._findings.append(Finding.warning(where, fields["problem"], fields["fix"]))
+            # A file's name in it may hold what no table in UTF-8 can.
+            problem, fix = (fields[each].encode("utf-8", "backslashreplace").decode() for each in ("problem", "fix"))
+            self._findings.append(Finding.warning(where, problem, fix))
             for name in fields.get("measures", ()):
-                self._doubts[name].append(fields["problem"])
+                self._doubts[name].append(problem)
         elif kind == "failure":
             self._failures.append(RunFailure(fields["problem"], fields["event"], fields["owner"], fields["traceback"]))
         elif kind == "read":
@@ -262,9 +264,10 @@ class OutcomeBuilder:
                 doubts = tuple(dict.fromkeys(filter(None, (*self._doubts[column.name], implausible))))
                 measures[column.name] = replace(published, doubts=doubts) if doubts else published
         for column in self._columns.in_table:
-            told = measures.get(column.tells_of)
-            if column.tells_of:
-                text = quality_text(None, ()) if told is None else quality_text(told.value, told.doubts)
+            told, doubts = measures.get(column.tells_of), tuple(dict.fromkeys(self._doubts[column.tells_of]))
+            # What nobody published, before `continue` either, keeps the reasons that were given for that.
+            if column.tells_of and (told is not None or doubts or column.name not in measures):
+                text = quality_text(None, doubts) if told is None else quality_text(told.value, told.doubts)
                 measures[column.name] = PublishedMeasure(column.name, text, column.owner)
         return measures
 
@@ -275,7 +278,8 @@ class OutcomeBuilder:
             if column.tells_of or column.owner == OPERATOR_OWNER:
                 continue
             if published is None or published.value is None:
-                because = f": {'; '.join(published.doubts)}" if published is not None and published.doubts else ""
+                doubts = published.doubts if published is not None else dict.fromkeys(self._doubts[column.name])
+                because = f": {'; '.join(doubts)}" if doubts else ""
                 yield RunFailure(f"{column.name} has no value{because}", POPULATE, column.owner)
             elif implausible := column.measure.implausible(published.value):
                 yield RunFailure(f"{column.name}: {implausible}", POPULATE, column.owner)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from robot_runner.core.config.dialects import prepare_or_refuse
 from robot_runner.core.design.revision import Revision
+from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
 from robot_runner.core.execution.processes import leave_after, settle_streams
@@ -101,40 +102,58 @@ def _execute_described(description: Mapping[str, Any], report: RecordWriter) -> 
 
 def described_task(experiment: Experiment, task: RunTask) -> dict[str, Any]:
     """Return a task as plain data, for a process that has loaded the config itself."""
-    # A treatment goes by its place in its factor, as it may be any object; a value of a hand-written table is plain.
+    # A treatment goes by its text, as it may be any object, and by no place: a set or a folder's listing has another
+    # order in each process. A value of a hand-written table is plain.
     factors = {factor.name: factor for factor in experiment.model.factors}
     combination: dict[str, Any] = {}
     for name, value in task.combination.items():
         place = factors[name].position_of(value) if name in factors else None
-        combination[name] = (place, value if place is None else None)
+        combination[name] = (place is not None, value if place is None else factors[name].texts[place])
     return {each.name: getattr(task, each.name) for each in fields(task)} | {"combination": combination}
 
 
 def task_of(experiment: Experiment, described: Mapping[str, Any]) -> RunTask:
-    """Return the task that `described_task` described."""
+    """Return the task that `described_task` described.
+
+    Raises:
+        ConfigError: the config, which was loaded once more, has another treatment in the place of one that is ordered.
+    """
     factors = {factor.name: factor for factor in experiment.model.factors}
     combination = {
-        name: value if place is None else factors[name].treatments[place]
-        for name, (place, value) in described["combination"].items()
+        name: _treatment(factors[name], value) if is_treatment else value
+        for name, (is_treatment, value) in described["combination"].items()
     }
     return RunTask(**{**described, "combination": combination})
 
 
-def describe_revisions(factors: Sequence[Factor]) -> list[list[Any]]:
-    """Return commit and path of each revision that was made, with its factor and its place there, as plain data."""
+def _treatment(factor: Factor, text: str) -> Any:
+    place = factor.position_of_text(text)
+    if place is None:
+        problem = f"treatment {text!r} is not there when the config is loaded anew: they change each time"
+        fix = "Make them the same each time: give random ones a seed, and read them from where all of them stand."
+        raise ConfigError(problem, where=f"factor {factor.name!r}", fix=fix)
+    return factor.treatments[place]
+
+
+def describe_revisions(factors: Sequence[Factor]) -> list[list[str]]:
+    """Return commit and path of each revision that was made, with its factor and its text there, as plain data."""
     return [
-        [factor.name, place, each.commit, each.path]
+        [factor.name, factor.texts[place], each.commit, each.path]
         for factor in factors
         for place, each in enumerate(factor.treatments)
         if isinstance(each, Revision) and each.is_prepared
     ]
 
 
-def restore_revisions(factors: Sequence[Factor], described: Sequence[Sequence[Any]]) -> None:
-    """Tell revisions what `describe_revisions` returned of them."""
+def restore_revisions(factors: Sequence[Factor], described: Sequence[Sequence[str]]) -> None:
+    """Tell revisions what `describe_revisions` returned of them.
+
+    Raises:
+        ConfigError: one is not there when the config is loaded anew.
+    """
     by_name = {factor.name: factor for factor in factors}
-    for name, place, commit, path in described:
-        by_name[name].treatments[place].prepare(commit=commit, path=path)
+    for name, text, commit, path in described:
+        _treatment(by_name[name], text).prepare(commit=commit, path=path)
 
 
 if __name__ == "__main__":
