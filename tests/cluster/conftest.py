@@ -252,6 +252,7 @@ class RobotRunnerConfig(ExperimentConfig):
     def populate_run_data(self, context):
         context.run_path.mkdir(parents=True, exist_ok=True)
         (context.run_path / "raw.txt").write_text(context.run_id)
+        (context.run_path / os.fsdecode(b"caf\\xe9")).symlink_to("raw.txt")
         return {{"Twice": 2.0 * context.combination["X"]}}
 
     def create_run_table(self):

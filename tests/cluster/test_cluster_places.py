@@ -5,12 +5,16 @@ from __future__ import annotations
 import shutil
 import signal
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, apart_from, journal_of, table_of, until
 
 import robot_runner
+from robot_runner.cluster import cluster_places
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import ExecutionError
 
 SIMULATED = """
 import beside
@@ -100,6 +104,7 @@ def test_a_shared_folder_is_written_in_place_and_ctrl_c_ends_the_runs(cluster: C
     assert experiment.returncode == 0, answer
     assert [row["Twice"] for row in table_of(watched.folder)] == ["2.0", "4.0", "6.0"]
     assert (watched.folder / "runs" / "r_2" / "raw.txt").read_text() == "r_2"
+    assert r"'caf\udce9' is no regular file" in answer, "a link is named, in whatever encoding its name is"
     assert not watched.was_executed_twice_at_a_time
 
 
@@ -124,3 +129,17 @@ def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told
     assert experiment.returncode == 0, answer
     assert refused in answer
     assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"with"}
+
+
+def test_an_experiment_that_cannot_travel_leaves_no_probe_and_no_process(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def started(module: str) -> None:
+        raise AssertionError(f"{module} was started")
+
+    monkeypatch.setattr(cluster_places, "PipedProcess", started)
+    experiment = replace(prepare_or_refuse(watched.config, {}), kept="nothing")
+    experiment.folder.root.mkdir(parents=True)
+    with pytest.raises(ExecutionError, match="stands in no file"):
+        cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
+    assert list(experiment.folder.root.iterdir()) == []

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 from typing import TYPE_CHECKING
 
+import dask.config
 import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, table_of
 from tests.core.links.ssh_server import SshServer
@@ -67,6 +68,21 @@ def test_what_a_cluster_cannot_do_is_found_before_anything_is_executed(watched: 
         watched.config.read_text().replace("claims = []", 'robot = Robots("ros2://alice", "ros2://bob")')
     )
     watched.config.write_text("from robot_runner import Robots\n" + watched.config.read_text())
-    assert "several robots are named" in problems(cluster="tcp://scheduler:8786")
+    assert "several robots take turns on this machine" in problems(cluster="tcp://scheduler:8786")
     assert "run_process is IN_PROCESS" in problems(cluster="tcp://scheduler:8786", run_process="in_process")
     assert "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" in problems(cluster="tls://scheduler:8786")
+
+
+def test_a_setting_of_dasks_configuration_that_cannot_be_is_found(watched: Watched) -> None:
+    def problems(**settings: object) -> list[str]:
+        with dask.config.set({f"robot_runner.{name}": value for name, value in settings.items()}):
+            return list(map(str, prepare(watched.config, {"cluster": "tcp://scheduler:8786"}).findings))
+
+    assert problems(lease="10s", patience=3600, in_place=False) == []
+    assert problems(lease="soon", patience="-5m", in_place="no") == [
+        "DASK_ROBOT_RUNNER__LEASE: 'soon' is no length of time → Set it as in DASK_ROBOT_RUNNER__LEASE=30s.",
+        "DASK_ROBOT_RUNNER__PATIENCE: '-5m' is no length of time → Set it as in DASK_ROBOT_RUNNER__PATIENCE=5m.",
+        "DASK_ROBOT_RUNNER__IN_PLACE: 'no' is neither True nor False → Set it as in DASK_ROBOT_RUNNER__IN_PLACE=False.",
+    ]
+    for lease in (0, "", None, "inf", float("inf"), "0s"):
+        assert len(problems(lease=lease)) == 1

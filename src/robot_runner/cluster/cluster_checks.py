@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.parameters import RunProcess
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import ConfigError, Finding
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,13 +30,47 @@ def check_cluster(where: str, parameters: Parameters, plugins: Sequence[Plugin])
     if parameters.run_process is RunProcess.IN_PROCESS:
         problem = "run_process is IN_PROCESS, and a worker executes runs in processes of their own"
         findings.append(Finding.error(f"{where}.run_process", problem, "Leave run_process out, or choose SPAWN."))
-    if parameters.robots:
-        problem = "several robots are named, and the workers of a cluster are the places of runs"
-        fix = "Name one robot, or leave cluster out; a claim such as robot:alice leads runs to the worker beside it."
-        findings.append(Finding.error(f"{where}.robot", problem, fix))
     if parameters.cluster.startswith("tls://"):
         findings += _tls_findings(place)
+    try:
+        cluster_settings()
+    except ConfigError as error:
+        findings += error.findings
     return findings
+
+
+def cluster_settings() -> dict[str, Any]:
+    """Return what is set in Dask's own configuration: `lease` and `patience` in s, and `in_place`.
+
+    Raises:
+        ConfigError: a setting is no length of time, or neither True nor False.
+    """
+    import dask.config  # noqa: PLC0415 - of an extra
+
+    settings: dict[str, Any] = {}
+    findings = []
+    for name, default, example in (("lease", "30s", "30s"), ("patience", "5m", "5m"), ("in-place", True, "False")):
+        given = dask.config.get(f"robot-runner.{name}", default)
+        is_switch = default is True
+        value = (bool(given) if given in (True, False) else None) if is_switch else _seconds(given)
+        if value is None:
+            variable = f"DASK_ROBOT_RUNNER__{name.replace('-', '_').upper()}"
+            what = "neither True nor False" if is_switch else "no length of time"
+            findings.append(Finding.error(variable, f"{given!r} is {what}", f"Set it as in {variable}={example}."))
+        settings[name.replace("-", "_")] = value
+    if findings:
+        raise ConfigError.of_findings(findings)
+    return settings
+
+
+def _seconds(given: Any) -> float | None:
+    from dask.utils import parse_timedelta  # noqa: PLC0415 - of an extra
+
+    try:
+        seconds = parse_timedelta(given)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):  # whatever it stumbles over
+        return None
+    return seconds if seconds and 0 < seconds < float("inf") else None
 
 
 def _tls_findings(place: str) -> list[Finding]:

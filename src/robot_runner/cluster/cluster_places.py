@@ -1,4 +1,4 @@
-"""The workers of a Dask cluster as places, on the orchestrator's side.
+"""The workers of a Dask cluster as places, and the runs that they execute, on the orchestrator's side.
 
 Dask's client has threads, which the orchestrator must not have: a process beside it speaks to the cluster
 (`gateway.py`).
@@ -9,12 +9,13 @@ from __future__ import annotations
 import hashlib
 import os
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.experiment_snapshot import snapshot_of
 from robot_runner.cluster.piped_process import PipedProcess
-from robot_runner.cluster.run_at_worker import RunAtWorker
 from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, System
 from robot_runner.core.storage import guarded_files
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.places import Watch
-    from robot_runner.core.execution.task import OutcomeBuilder, RunTask
+    from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
 
 #: How long after the grace a run may take to be killed with all that it has started (`keeper.py`), and its systems to
 #: be made safe (`standby.py`), s.
@@ -59,8 +60,9 @@ class ClusterPlaces:
         self._alone_since: float | None = time.monotonic()
         self._is_gone = False
         self._probe = experiment.folder.root / f".probe-{self._session}"
+        facts = self._facts()
         self._gateway = PipedProcess("robot_runner.cluster.gateway")
-        self.ask("facts", self._facts())
+        self.ask("facts", facts)
 
     @property
     def all(self) -> Sequence[ClusterPlace]:
@@ -191,6 +193,7 @@ class ClusterPlaces:
 
     def _facts(self) -> dict[str, Any]:
         experiment, content = self._experiment, os.urandom(64)
+        snapshot = snapshot_of(experiment)  # or a refusal, before anything is left in the folder
         guarded_files.replace(self._probe, content, experiment.folder.root)
         runs = str(experiment.folder.runs.resolve())
         return {
@@ -201,7 +204,7 @@ class ClusterPlaces:
             "closing": self._closing,
             "worker_facts": {
                 "session": self._session,
-                "snapshot": snapshot_of(experiment),
+                "snapshot": snapshot,
                 "probe": {"path": str(self._probe.resolve()), "digest": hashlib.sha256(content).hexdigest()},
                 "root": str(experiment.folder.root.resolve()),
                 "runs": runs,
@@ -255,3 +258,108 @@ class ClusterPlace:
         self.is_busy = True
         run.order(task, self._claims)
         return run
+
+
+class RunAtWorker:
+    """One attempt at a run that a worker executes."""
+
+    def __init__(self, place: ClusterPlace, places: ClusterPlaces, builder: OutcomeBuilder, watch: Watch) -> None:
+        self._place = place
+        self._places = places
+        self._builder = builder
+        self._watch = watch
+        self._token = os.urandom(8).hex()
+        self._ended: dict[str, Any] | None = None
+        self._lost: tuple[str, float] | None = None
+        self._is_asked = self._is_interrupted = False
+
+    def order(self, task: RunTask, claims: Collection[str]) -> None:
+        """Order the attempt."""
+        self._places.begun(self._token, self)
+        worker = self._place.worker
+        order = {
+            "token": self._token,
+            "address": worker["address"],
+            "worker": worker["worker"],
+            "name": worker["name"],
+            "run": task.run_id,
+            "claims": list(claims),
+            "task": described_task(self._place.experiment, task),
+        }
+        self._places.ask("begin", order)
+
+    @property
+    def descriptors(self) -> Collection[int]:
+        """Where the gateway tells something, of this run or another."""
+        return self._places.descriptors
+
+    @property
+    def due(self) -> float | None:
+        """At once where another run's `advance` has taken the end of this one; or the end of a lost one."""
+        if self._ended is not None:
+            return 0.0
+        return None if self._lost is None else self._lost[1]
+
+    def advance(self) -> bool:
+        """Take what the gateway tells; return whether the attempt is over."""
+        self._places.take_replies()
+        if self._lost is not None and time.monotonic() >= self._lost[1]:
+            self._ended = self._ended or {"lost": self._lost[0]}
+        return self._ended is not None
+
+    def stop(self, because: str, *, is_interruption: bool = False) -> None:
+        """Have the worker stop the run."""
+        if not self._is_asked:
+            self._is_asked = True
+            self._is_interrupted = is_interruption
+            if is_interruption:
+                self._watch.noticed_interruption()
+            self._ask("stop", because)
+
+    def kill(self) -> None:
+        """Have the worker kill the run."""
+        self._is_interrupted = True
+        self._ask("kill", "")
+        if self._lost is not None:  # nobody is there who would tell
+            self._lost = self._lost[0], 0.0
+
+    def outcome(self) -> RunOutcome:
+        """Return how the attempt went."""
+        ended = self._ended or {}
+        if (lost := ended.get("lost")) is not None:
+            because = f"the attempt was lost: {lost}"
+            outcome = self._builder.outcome(ended_because=because, interrupted=self._is_interrupted)
+            return replace(outcome, is_lost=not self._is_interrupted)
+        for name in ended["skipped"]:
+            problem = f"{name!r} is no regular file, and stayed on the worker, where it was removed"
+            self.take([["finding", {"owner": "cluster", "problem": problem, "fix": "Write files, and no links."}]])
+        outcome = self._builder.outcome(ended_because=ended["because"], interrupted=ended["is_interrupted"])
+        return replace(outcome, seconds=ended["seconds"])
+
+    def close(self) -> None:
+        """Let go of it; a run that is still being executed is ended first."""
+        if self._ended is None:
+            self._ask("kill", "")
+            until = time.monotonic() + self._places.longest_end
+            while not self.advance() and time.monotonic() < until:
+                time.sleep(0.01)
+        self._places.over(self._token)
+        self._place.is_busy = False
+
+    def take(self, records: Sequence[Sequence[Any]]) -> None:
+        """Take records of the run."""
+        for kind, fields in records:
+            self._builder.take(kind, fields)
+            self._watch.report(kind, fields)
+
+    def end(self, ended: dict[str, Any]) -> None:
+        """Take how it ended."""
+        self._ended = ended
+
+    def lose(self, because: str, until: float) -> None:
+        """Take for lost what nobody tells of any more, at a moment at which it has ended in any case."""
+        self._lost = because, until
+
+    def _ask(self, kind: str, because: str) -> None:
+        request = {"token": self._token, "because": because, "is_interruption": self._is_interrupted}
+        self._places.ask(kind, request)

@@ -28,11 +28,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import dask.config
-from dask.utils import parse_timedelta
 from distributed import Client
 
 from robot_runner.cluster import on_worker
+from robot_runner.cluster.cluster_checks import cluster_settings
 from robot_runner.cluster.cluster_members import ANSWER, Member, UnansweredError, answer_of, joined
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.core.errors import StorageError
@@ -224,14 +223,14 @@ class Gateway:
         attempt = self._attempts.get(message.get("token", ""))
         if message.get("session") != self._session or attempt is None or attempt.is_ending:
             return
-        records = json.loads(message["records"])
+        records, ended = json.loads(message["told"])
         if message["first"] != attempt.received:
             self._go_on(self._tell_lost(attempt, "what its worker told did not come whole"))
             return
         attempt.received += len(records)
         if records:
             self._replies.tell("records", {"token": attempt.token, "records": records})
-        if (ended := message.get("ended")) is not None:
+        if ended is not None:
             attempt.is_ending = True
             self._go_on(self._end(attempt, ended))
 
@@ -336,6 +335,7 @@ class _Replies:
         self._descriptor = descriptor
         self._pending = bytearray()
         self._is_sent = asyncio.Event()
+        self._is_sent.set()
 
     def tell(self, kind: str, fields: dict[str, Any]) -> None:
         """Send one reply, once the pipe takes it."""
@@ -374,22 +374,9 @@ def main(requests: int, replies: int) -> None:
         if not begun[1]:
             return
         time.sleep(0.01)
-    asyncio.run(_served(_with_settings(begun[0][0][1]), requests, replies))
-
-
-def _with_settings(facts: dict[str, Any]) -> dict[str, Any]:
-    """Add what is set in Dask's own configuration, under `robot-runner`."""
-    lease = parse_timedelta(dask.config.get("robot-runner.lease", "30s"))
-    return facts | {
-        "lease": lease,
-        "patience": parse_timedelta(dask.config.get("robot-runner.patience", "5m")),
-        "in_place": bool(dask.config.get("robot-runner.in-place", True)),
-        "worker_facts": facts["worker_facts"] | {"lease": lease},
-    }
-
-
-async def _served(facts: Mapping[str, Any], requests: int, replies: int) -> None:
-    await Gateway(facts, requests, replies).serve()
+    facts, settings = begun[0][0][1], cluster_settings()
+    worker_facts = facts["worker_facts"] | {"lease": settings["lease"]}
+    asyncio.run(Gateway(facts | settings | {"worker_facts": worker_facts}, requests, replies).serve())
 
 
 if __name__ == "__main__":

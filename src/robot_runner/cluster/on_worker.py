@@ -268,8 +268,8 @@ class _HostProcess:
             poll.poll(_SENDING * 1000)
             replies, is_open = self._process.replies()
             for kind, fields in replies:
-                if kind == "record":
-                    outgoing.add(fields)
+                if kind == "records":
+                    outgoing.add(fields["records"])
                 elif kind == "ended":
                     return fields
                 elif kind == "refused":
@@ -306,29 +306,29 @@ class _Outgoing:
     def __init__(self, session: str, token: str, tell: Any) -> None:
         self._of = {"session": session, "token": token}
         self._tell = tell
-        self._records: list[dict[str, Any]] = []
+        self._records: list[list[Any]] = []
         self._sent = 0
         self._due = time.monotonic() + _SENDING
 
-    def add(self, record: dict[str, Any]) -> None:
-        """Take a record."""
-        self._records.append(record)
+    def add(self, records: list[list[Any]]) -> None:
+        """Take records."""
+        self._records += records
         if len(self._records) >= _MOST_RECORDS:
-            self._send({})
+            self._send()
 
     def send_if_due(self) -> None:
         """Send what has come, some time after the last time."""
         if self._records and time.monotonic() >= self._due:
-            self._send({})
+            self._send()
 
     def end(self, ended: Mapping[str, Any]) -> None:
         """Send the rest, and how the attempt ended."""
-        self._send({"ended": dict(ended)})
+        self._send(ended)
 
-    def _send(self, more: dict[str, Any]) -> None:
-        # As text: a record may hold integers that Dask's own encoding does not know.
-        records = json.dumps([[each["kind"], each["fields"]] for each in self._records])
-        self._tell({**self._of, "first": self._sent, "records": records, **more})
+    def _send(self, ended: Mapping[str, Any] | None = None) -> None:
+        # As text: Dask's own encoding does not know each integer of a record, nor each character of a file's name.
+        told = json.dumps([self._records, ended])
+        self._tell({**self._of, "first": self._sent, "told": told})
         self._sent += len(self._records)
         self._records = []
         self._due = time.monotonic() + _SENDING

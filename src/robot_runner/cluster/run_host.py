@@ -77,6 +77,7 @@ class _Host:
         self._token = ""
         self._run: RunInFlight | None = None
         self._builder: _Builder | None = None
+        self._records: list[tuple[str, dict[str, Any]]] = []
         self._is_leaving = self._is_stopped = False
 
     def serve(self) -> None:
@@ -147,18 +148,23 @@ class _Host:
         self._run = begin_run(self._experiment, task, self._builder, watch)
 
     def _report(self, kind: str, fields: dict[str, Any]) -> None:
-        self._tell("record", {"kind": kind, "fields": fields})
+        self._records.append((kind, fields))
 
     def _see_to_run(self, run: RunInFlight) -> None:
         if self._lease_end is not None and time.monotonic() >= self._lease_end:
             self._is_stopped = True
             run.stop(GONE)
-        if not run.advance():
-            return
-        outcome = run.outcome()
-        run.close()
-        self._run = None
-        self._tell("ended", self._told(outcome))
+        ended = None
+        if run.advance():
+            outcome = run.outcome()
+            run.close()
+            self._run = None
+            ended = self._told(outcome)
+        if self._records:  # all at once: each message wakes the worker
+            self._tell("records", {"records": self._records})
+            self._records = []
+        if ended is not None:
+            self._tell("ended", ended)
 
     def _told(self, outcome: RunOutcome) -> dict[str, Any]:
         assert self._builder is not None  # noqa: S101 - a run was begun
