@@ -61,7 +61,7 @@ class RobotRunnerConfig:
 
 #: How each example is shortened, and how many runs it has then.
 SETTINGS = {
-    "listing_1": (["robot=simulated", "operation_type=auto"], 15),
+    "listing_1": (["robot=simulated", "operation_type=auto"], 3),
     "basic_experiment": (["repetitions=1"], 3),
     "sorting_algorithms": (["largest=100"], 12),
     "speed_and_energy": (["repetitions=1"], 3),
@@ -77,10 +77,10 @@ def executed(
     """Return what executes an example and returns its folder."""
     monkeypatch.chdir(tmp_path)
 
-    def execute(name: str) -> Path:
+    def execute(name: str, *more: str) -> Path:
         settings = [*SETTINGS[name][0], f"results_output_path={tmp_path}", f"experiment_name={name}"]
         words = [word for setting in settings for word in ("--set", setting)]
-        code = main([str(EXAMPLES / f"{name}.py"), *words])
+        code = main([str(EXAMPLES / f"{name}.py"), *words, *more])
         said = capsys.readouterr()
         assert code == 0, said
         assert said.err == ""
@@ -141,15 +141,16 @@ def test_listing_1_is_refused_without_its_robot_and_says_what_to_do(
 
 
 def test_listing_1_is_executed_and_what_it_was_set_to_is_recorded_as_a_deviation(
-    executed: Callable[[str], Path],
+    executed: Callable[..., Path],
 ) -> None:
-    folder = executed("listing_1")
-    table = table_of(folder)
+    folder = executed("listing_1", "--only", "Repetition=1")
+    planned = table_of(folder)
+    table = [row for row in planned if row["Repetition"] == "1"]
     assert_full("listing_1", table)
     deviations = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["deviations"]
     assert {"robot": "simulated", "operation_type": "auto"}.items() <= deviations.items()
     assert {row["Task"] for row in table} == {"Computation", "Video", "Network"}
-    assert sorted(row["Repetition"] for row in table) == sorted("12345" * 3)
+    assert sorted(row["Repetition"] for row in planned) == sorted("12345" * 3)
     for row in table:
         log = (folder / "runs" / row["run_id"] / "log.txt").read_text(encoding="utf-8")
         assert log == f"{row['run_id']}: the mission with the task {row['Task']} is over\n"
@@ -184,7 +185,7 @@ def test_the_study_of_offloading_asks_waits_warms_up_and_fetches(
             if status.code == 0 and (waiting := status.json["waiting_for"]) is not None:
                 answered.append(waiting["next_run"])
                 robot_runner("continue", folder, "--answer", "Light=300")
-            time.sleep(0.2)
+            time.sleep(1)  # looking costs more of the processor than the study
     finally:
         study.kill()
         said = study.communicate()[0]

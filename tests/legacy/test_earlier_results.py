@@ -237,35 +237,49 @@ def test_what_no_column_is_for_is_kept_aside_and_the_row_does_not_shift(
     assert any("'secnds' is no data column" in each and "'seconds'" in each for each in executed.warnings)
 
 
-@pytest.mark.parametrize(
-    ("value", "cell"),
-    [
-        ("float('nan')", ""),
-        ("float('inf')", ""),
-        ("__import__('numpy').float32('nan')", ""),
-        ("__import__('numpy').float32('-inf')", ""),
-        ("__import__('numpy').datetime64('NaT')", ""),
-        ("__import__('decimal').Decimal('NaN')", ""),
-        ("__import__('decimal').Decimal('Infinity')", ""),
-        ("__import__('numpy').ma.masked", ""),
-        ("[1, 2]", "[1, 2]"),
-        ("True", "True"),
-        ("' '", ""),
-        ("None", ""),
-        ("Path('x.csv')", "x.csv"),
-        ("__import__('numpy').float64(0.5)", "0.5"),
-        ("__import__('decimal').Decimal('1.10')", "1.10"),
-    ],
-)
-def test_a_cell_holds_what_can_be_held(
-    config: Callable[..., Path], execute: Callable[..., Executed], value: str, cell: str
+def test_what_is_as_good_as_nothing_may_be_returned(
+    config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
-    executed = execute(
-        config(f"def populate_run_data(self, context): return {{'seconds': {value}}}"),
-        Resumption(only=("run_0_repetition_0",)),
-    )
+    methods = """
+    def start_run(self, context): context.execute_run["seconds"] = 7
+    def populate_run_data(self, context): return [False, "", [], 0, {}, None, (), 0.0][context.run_nr - 1]
+    """
+    executed = execute(config(methods))
     assert executed.finished.failures == ()
-    assert executed.table[0]["seconds"] == cell
+    assert [row["seconds"] for row in executed.table] == ["7"] * 8
+
+
+#: What a callback returns, and what stands in its cell then.
+CELLS = {
+    "float('nan')": "",
+    "float('inf')": "",
+    "__import__('numpy').float32('nan')": "",
+    "__import__('numpy').float32('-inf')": "",
+    "__import__('numpy').datetime64('NaT')": "",
+    "__import__('decimal').Decimal('NaN')": "",
+    "__import__('decimal').Decimal('Infinity')": "",
+    "__import__('numpy').ma.masked": "",
+    "[1, 2]": "[1, 2]",
+    "True": "True",
+    "' '": "",
+    "None": "",
+    "Path('x.csv')": "x.csv",
+    "__import__('numpy').float64(0.5)": "0.5",
+    "__import__('decimal').Decimal('1.10')": "1.10",
+}
+
+
+def test_a_cell_holds_what_can_be_held(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
+    values = ", ".join(f"lambda: {value}" for value in CELLS)
+    table = f"""\
+    def create_run_table_model(self):
+        self.run_table_model = RunTableModel([FactorModel("value", range({len(CELLS)}))], data_columns=["seconds"])
+        return self.run_table_model
+"""
+    methods = f"def populate_run_data(self, context): return {{'seconds': [{values}][context.run_nr - 1]()}}"
+    executed = execute(config(methods, table=table))
+    assert executed.finished.failures == ()
+    assert {value: row["seconds"] for value, row in zip(CELLS, executed.table, strict=True)} == CELLS
 
 
 def test_a_changed_treatment_in_the_returned_row_is_told(

@@ -105,6 +105,7 @@ def test_a_parameter_may_be_given_in_init(config: Callable[..., Path]) -> None:
         ("RunTableModel([FactorModel('a', [1]), FactorModel('a', [2])])", "two factors are called 'a'"),
         ("RunTableModel([FactorModel('a', [1, 1])])", "treatment 1 is given twice"),
         ("RunTableModel([FactorModel('a', 'scan')])", "the treatments are 'scan', of type str"),
+        ("RunTableModel([FactorModel('a', [])])", "FactorModel 'a': there are no treatments"),
         ("RunTableModel(['a'])", "'a' is no factor"),
         ("RunTableModel([FactorModel('a', [1])], data_columns='x')", "data_columns is 'x'"),
         ("RunTableModel([FactorModel('a', [1])], data_columns=['x', 'x'])", "two data columns are called 'x'"),

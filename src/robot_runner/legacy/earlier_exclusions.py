@@ -62,8 +62,11 @@ def kept_combinations(session: Session, factors: Sequence[EarlierFactor], exclus
     """Return the combinations that are executed; the last factor changes fastest.
 
     Raises:
-        ConfigError: an exclusion names what there is not.
+        ConfigError: a factor has no treatments, an exclusion names what there is not, or everything is excluded.
     """
+    for factor in factors:
+        if not len(factor.treatments):
+            raise ConfigError("there are no treatments", where=f"FactorModel {factor.factor_name!r}", fix="Give some.")
     combinations = list(product(*(factor.treatments for factor in factors)))
     named = named_exclusions(session, factors, exclusions)
     kept = [combination for combination in combinations if not any(each.matches(combination) for each in named)]

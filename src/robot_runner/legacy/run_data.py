@@ -21,17 +21,17 @@ _INFINITE = frozenset({"inf", "-inf", "infinity", "-infinity"})
 
 
 def as_mapping(returned: Any) -> Mapping[Any, Any]:
-    """Return what a callback returned as a mapping; nothing is an empty one.
+    """Return what a callback returned as a mapping; nothing, and what is as good as nothing (False, ""), is empty.
 
     Raises:
         MeasureError: it is no mapping.
     """
-    if returned is None:
-        return {}
     if isinstance(returned, Mapping):
         return returned
     if hasattr(returned, "keys"):  # a pandas Series, say
         return {name: returned[name] for name in returned.keys()}  # noqa: SIM118 - it need not be iterable otherwise
+    if not returned:  # as Experiment Runner asked
+        return {}
     raise MeasureError(
         f"populate_run_data returned {returned!r}, of type {type(returned).__name__}",
         where="config",

@@ -464,6 +464,16 @@ def populate_run_data(self, context: RunnerContext):
     assert any("the column 'status' is called 'status_' now" in finding.problem for finding in convert(old).findings)
 
 
+def test_a_column_that_only_loses_its_blanks_clashes_with_none_of_ours(config: Callable[..., Path]) -> None:
+    table = """\
+    def create_run_table_model(self):
+        return RunTableModel(factors=[FactorModel(" size", [1])], data_columns=["attempt "])
+"""
+    found = [finding.problem for finding in convert(config(table=table)).findings]
+    assert "the column ' size' is called 'size' now: no heading has blanks around it" in found
+    assert "the column 'attempt ' is called 'attempt_' now: the run table has one of ours called 'attempt'" in found
+
+
 CARBON = """\
 from Plugins.Profilers import CodecarbonWrapper as carbon
 from Plugins.Profilers.CodecarbonWrapper import DataColumns

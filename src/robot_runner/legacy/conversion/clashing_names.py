@@ -32,7 +32,9 @@ def rename_clashing(session: Session, tree: ast.Module, imports: ConvertedImport
         if constant.value in clashing:
             edits.replace(constant, repr(clashing[constant.value]))
     for name, ours in clashing.items():
-        problem = f"the column {name!r} is called {ours!r} now: the run table has one of ours that is called {name!r}"
+        bare = str(name).strip()
+        why = "no heading has blanks around it" if ours == bare else f"the run table has one of ours called {bare!r}"
+        problem = f"the column {name!r} is called {ours!r} now: {why}"
         yield Finding.warning(session.path.name, problem, "Read it under this name in your analysis.")
 
 
