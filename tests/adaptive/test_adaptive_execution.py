@@ -153,6 +153,7 @@ def test_a_search_finds_the_best_within_its_runs_and_confirms_it(searched: tuple
     assert status.todo == 0
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_what_was_decided_is_asked_again_from_the_journal_alone(searched: tuple[Path, list[NextDecided]]) -> None:
     config, _ = searched
     model = as_configured(prepare_or_refuse(config).model)
@@ -196,6 +197,7 @@ def test_a_lost_table_and_manifest_come_back(tmp_path: Path, searched: tuple[Pat
     assert planned(config) == planned(searched[0])
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_failed_and_excluded_runs_are_told_so_and_the_search_goes_on(tmp_path: Path) -> None:
     failing = BODY.replace(
         "    speed =", '    if context.combination["Speed"] > 0.2: raise RuntimeError("stuck")\n    speed ='
@@ -241,6 +243,7 @@ def test_side_by_side_the_same_is_decided(tmp_path: Path, searched: tuple[Path, 
     assert found.fix == "Give the design at_a_time=3."
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_a_registered_search_is_no_deviation_and_its_replication_executes_the_same_runs(tmp_path: Path) -> None:
     config = with_design(tmp_path)
     preparation = prepare(config)
@@ -264,6 +267,7 @@ def test_a_registered_search_is_no_deviation_and_its_replication_executes_the_sa
     assert again.confirming_batches == (2,)
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_an_adaptive_experiment_is_not_extended_by_hand_and_goes_on_with_more_runs(tmp_path: Path) -> None:
     config = with_design(tmp_path, 'Optimise("Energy", runs=12)')
     execute(config)
@@ -277,6 +281,7 @@ def test_an_adaptive_experiment_is_not_extended_by_hand_and_goes_on_with_more_ru
     assert len(rows_of(config)) == 14
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_a_range_is_searched_in_its_steps(tmp_path: Path) -> None:
     moving = 'Factor("Speed", Range(0.02, 0.22, step=0.004), when={"Moves": "yes"}), Factor("Moves", ["yes", "no"])'
     table = TABLE.replace('Factor("Speed", [0.02 * step for step in range(1, 12)])', moving)
@@ -301,6 +306,7 @@ def test_validation_names_all_that_does_not_fit(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_the_analysis_is_of_the_runs_that_confirm_and_refuses_to_test_those_of_a_search(
     tmp_path: Path, searched: tuple[Path, list[NextDecided]]
 ) -> None:

@@ -13,6 +13,9 @@ from random import Random
 import pytest
 from tests.command_line import PROGRAM
 
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -24,7 +27,8 @@ _PATIENCE_S = 240.0
 
 def written(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
     """Return the example with another name in a folder of the test's own, changed."""
-    text = EXAMPLE.read_text(encoding="utf-8").replace('"adaptive_speed"', f'"{name}"')
+    named = f'"{name}"\n    results_output_path = {str(folder)!r}'
+    text = EXAMPLE.read_text(encoding="utf-8").replace('"adaptive_speed"', named)
     for before, now in changes:
         assert before in text
         text = text.replace(before, now)
@@ -33,18 +37,14 @@ def written(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
     return path
 
 
-def command(config: Path) -> list[str]:
-    return [str(PROGRAM), str(config), "--set", f"results_output_path={config.parent}"]
-
-
 def files_of(config: Path) -> ExperimentFolder:
     return ExperimentFolder(config.parent / config.stem)
 
 
 def executed(config: Path) -> list[dict[str, str]]:
     """Execute what is left of an experiment, and return the rows of its run table."""
-    answer = subprocess.run(command(config), capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
-    assert answer.returncode == 0, answer.stdout + answer.stderr
+    finished = execute_experiment(prepare_or_refuse(config), SilentObserver())
+    assert (finished.failures, finished.todo_count) == ((), 0)
     with files_of(config).run_table.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
@@ -52,7 +52,7 @@ def executed(config: Path) -> list[dict[str, str]]:
 def kill_after(config: Path, runs: int, moment: float) -> None:
     """Execute an experiment, and kill the orchestrator some time after so many further runs have ended."""
     already = ended(config)
-    with subprocess.Popen(command(config), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen([str(PROGRAM), str(config)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         deadline = time.monotonic() + _PATIENCE_S
         while ended(config) < already + runs:
             assert process.poll() is None, "it ended before it was killed"

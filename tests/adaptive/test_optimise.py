@@ -64,6 +64,7 @@ def test_a_search_finds_the_best_of_numbers_and_alternatives_and_leaves_out_what
     assert {each.treatments for each, _ in decisions[-2].runs} == {(8, "eco"), (1, "fast")}
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_several_measures_have_a_front_of_which_nothing_is_beaten() -> None:
     def both(combination: Mapping[str, Any]) -> dict[str, float]:
         return {"Energy": combination["Speed"] ** 2.0, "Way": float(combination["Speed"])}
@@ -78,6 +79,7 @@ def test_several_measures_have_a_front_of_which_nothing_is_beaten() -> None:
     assert best["combination"] == {"Speed": "0"}
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_a_small_space_is_searched_to_its_end_and_nothing_is_asked_without_a_value() -> None:
     model = model_of(Optimise("Energy", runs=100, start=30, at_a_time=6))
     told, decisions = searched(model, energy)
@@ -160,6 +162,7 @@ def test_an_optuna_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         asking.ask(told)
 
 
+@pytest.mark.usefixtures("optuna_here")
 def test_treatments_whose_runs_fail_are_avoided_and_not_only_their_combinations() -> None:
     tried = failed = 0
     for seed in range(3):
@@ -167,7 +170,7 @@ def test_treatments_whose_runs_fail_are_avoided_and_not_only_their_combinations(
         def values(combination: Mapping[str, Any]) -> dict[str, float]:
             return {} if combination["Mode"] == "plain" else energy(combination)
 
-        told, _ = searched(model_of(Optimise("Energy", runs=20, start=6, seed=seed)), values)
+        told, _ = searched(model_of(Optimise("Energy", runs=16, start=6, seed=seed)), values)
         after_start = [each.run.combination["Mode"] for each in told[6:]]
         tried, failed = tried + len(after_start), failed + after_start.count("plain")
     assert failed / tried < 1 / 3, f"{failed} of {tried}: by chance it would be a third"

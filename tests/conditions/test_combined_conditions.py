@@ -18,6 +18,7 @@ from robot_runner import (
     load_above,
     load_below,
     measure_above,
+    message_on,
     not_,
     temperature_above,
     temperature_below,
@@ -153,6 +154,10 @@ def test_what_can_hold_is_not_refused() -> None:
         (lambda: Between(1.0).held_for(0), "nothing can hold for 0 s"),
         (lambda: load_below(float("nan")), "nan is no limit"),
         (lambda: load_below(True), "True is no limit"),
+        (lambda: measure_above("Energy", 10**400), "is no limit"),
+        (lambda: topic_above("odom", "nav_msgs/Odometry", "x", 2, within_s=float("nan")), "within_s is nan"),
+        (lambda: topic_above("odom", "nav_msgs/Odometry", "x", 2, within_s=0), "within_s is 0"),
+        (lambda: message_on("odom", "nav_msgs/Odometry", "x > 2"), "'x > 2' is no predicate"),
     ],
 )
 def test_what_is_no_condition_is_refused_where_it_is_written(make: Callable[[], Condition], problem: str) -> None:

@@ -24,6 +24,7 @@ from robot_runner import (
     temperature_below,
     throttled,
 )
+from robot_runner.conditions import computers
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.declared_host import LOCAL
@@ -132,6 +133,27 @@ def test_batteries_and_throttling_are_told_of_where_there_are_any(
     battery, held_back = seen(context, battery_above(0.5, **place)), seen(context, throttled(**place), looks=2)
     assert battery.holds or "tells of no battery" in battery.seen or battery.value == 0
     assert held_back.seen
+
+
+def test_a_core_that_comes_back_with_its_old_count_is_not_throttled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, context: RobotRunnerContext
+) -> None:
+    monkeypatch.setattr(computers, "_COUNTERS", str(tmp_path / "cpu*_throttle_count"))
+    monkeypatch.setattr(computers, "_FIRMWARE", str(tmp_path / "none"))
+    first, second = (tmp_path / f"cpu{number}_throttle_count" for number in range(2))
+    first.write_text("3\n")
+    second.write_text("7\n")
+    with ExitStack() as opened:
+        look = throttled().watch(context, opened)
+        assert look().seen == "not throttled"
+        second.unlink()
+        assert look().seen == "not throttled"
+        second.write_text("7\n")
+        assert look().seen == "not throttled"
+        first.write_text("5\n")
+        second.write_text("9\n")  # both cores tell of what happened to their package
+        assert look().seen == "throttled (firmware 0x0, counted 2 times since the look before)"
+        assert not look().holds
 
 
 def test_a_host_answers_until_it_is_gone_and_again_when_it_is_back(

@@ -68,3 +68,5 @@ def test_what_was_said_before_does_not_count(tmp_path: Path) -> None:
 def test_nothing_is_no_question() -> None:
     with pytest.raises(ConditionError, match="nothing is to be confirmed"):
         confirmed("  ")
+    with pytest.raises(ConditionError, match="nothing is to be confirmed"):
+        confirmed(None)

@@ -37,6 +37,11 @@ class Handler(BaseHTTPRequestHandler):
         if self.path == "/stream":
             self.stream()
             return
+        if self.path == "/elsewhere":
+            self.send_response(302)
+            self.send_header("Location", "http://robot..local/")
+            self.end_headers()
+            return
         is_ready = self.path == "/up" or time.monotonic() - self.began > 0.6
         self.send_response(200 if is_ready else 503)
         self.end_headers()
@@ -106,6 +111,14 @@ def test_a_server_that_is_silent_or_not_there_does_not_answer(server: str, conte
     assert look.seen.endswith("Connection refused")
 
 
+def test_a_server_that_leads_to_an_address_that_is_none_does_not_answer(
+    server: str, context: RobotRunnerContext
+) -> None:
+    look = http_answers(f"{server}/elsewhere").watch(context, ExitStack())()
+    assert not look.holds
+    assert "label empty or too long" in look.seen
+
+
 @pytest.mark.parametrize(("text", "holds"), [("", True), ("data", True), ("ready", False)])
 def test_a_look_at_an_answer_that_never_ends_has_an_end(
     server: str, context: RobotRunnerContext, text: str, holds: bool
@@ -126,6 +139,9 @@ def test_a_look_at_an_answer_that_never_ends_has_an_end(
         (lambda: http_answers("http://robot..local/"), "'http://robot..local/' is no address of a web server"),
         (lambda: http_answers("http://robot/büro"), "'http://robot/büro' is no address of a web server"),
         (lambda: http_answers("http://robot:port/"), "is no address of a web server"),
+        (lambda: http_answers("http://robot/", status="200"), "'200' is no status of an answer"),
+        (lambda: http_answers("http://robot/", text=b"ok"), "b'ok' is no text"),
+        (lambda: port_open(22, host=None), "None is no computer of a network"),
         (lambda: http_answers("http://admin:geheim@robot/"), "the address of robot holds a user or a password"),
     ],
 )

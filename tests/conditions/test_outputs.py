@@ -82,6 +82,12 @@ def test_a_file_that_begins_anew_is_read_from_its_beginning(
     log.write_text("on fire by now")  # emptied, and longer than it was at the next look
     assert look().holds
 
+    log.write_text("the server is rea")
+    look = watching(text_in(log, "ready"))
+    assert not look().holds
+    log.write_text("dying\n")  # what stood there before does not go on
+    assert look().seen == "last line: 'dying'"
+
     (tmp_path / "rotated.log").write_text("a" * 100)
     look = watching(text_in(tmp_path / "rotated.log", "ready"))
     assert not look().holds
@@ -154,8 +160,17 @@ def test_a_file_is_complete_once_it_ends_as_it_should(
     assert look().holds
 
 
-def test_an_empty_text_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConditionError, match="no text is looked for"):
-        text_in(tmp_path, "")
-    with pytest.raises(ConditionError, match="steady_s is -1"):
-        file_complete(tmp_path, steady_s=-1)
+@pytest.mark.parametrize(
+    ("make", "problem"),
+    [
+        (lambda: text_in("log", ""), "no text is looked for"),
+        (lambda: text_in("log", b"ready"), "b'ready' is no text"),
+        (lambda: text_in("log", re.compile(b"ready")), "is no text"),
+        (lambda: file_complete("log", steady_s=-1), "steady_s is -1"),
+        (lambda: file_complete("log", steady_s="1"), "steady_s is '1'"),
+        (lambda: file_complete("log", end=""), "no file ends with ''"),  # every file would
+    ],
+)
+def test_what_no_file_can_have_is_refused(make: Callable[[], Condition], problem: str) -> None:
+    with pytest.raises(ConditionError, match=re.escape(problem)):
+        make()

@@ -45,6 +45,7 @@ def test_what_is_on_the_graph_of_a_simulated_robot_holds_at_once(simulated: Robo
     for condition in (
         node_present("turtlebot3_node"),
         topic_present("odom", ODOMETRY),
+        topic_present("odom", "nav_msgs/msg/Odometry"),
         service_present("task/stop"),
         battery_above(50),
         battery_below(56),
@@ -149,6 +150,13 @@ def test_nothing_is_known_of_messages_that_cannot_be_subscribed(tmp_path: Path) 
     silent = not_(message_on("heartbeat", "std_msgs/Bool"))
     with pytest.raises(ConditionError, match="the graph cannot be reached"):
         silent.wait(context, timeout_s=1.0)
+
+
+def test_of_a_topic_whose_type_nobody_tells_it_is_not_known_whether_it_has_that_type(robot: Robot) -> None:
+    robot.link.topics = lambda: {"/scan": "*"}
+    look = not_(topic_present("scan", "sensor_msgs/LaserScan")).watch(robot.context, ExitStack())()
+    assert (look.holds, look.is_known) == (False, False)
+    assert look.seen == "/scan is there and nothing tells what it carries"
 
 
 def test_a_message_between_two_looks_is_not_overlooked(robot: Robot) -> None:

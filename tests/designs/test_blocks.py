@@ -71,10 +71,10 @@ def test_the_search_comes_within_2_percent_of_square_lattices(side: int, replica
 
 @settings(deadline=None, max_examples=15)
 @given(
-    treatments=st.integers(2, 8),
-    days=st.integers(2, 6),
+    treatments=st.integers(2, 5),
+    days=st.integers(2, 4),
     operators=st.integers(1, 3),
-    repetitions=st.integers(2, 6),
+    repetitions=st.integers(2, 5),
     seed=st.integers(0, 2**32 - 1),
     shuffle=st.booleans(),
 )
@@ -95,12 +95,30 @@ def test_each_combination_is_spread_as_evenly_as_can_be(
     cells = Counter((run.combination["Day"], run.combination["Operator"]) for run in runs)
     assert len(cells) == days * operators
     assert max(cells.values()) - min(cells.values()) <= 1
+    for kind in ("Day", "Operator"):
+        sizes = Counter(run.combination[kind] for run in runs).values()
+        assert max(sizes) - min(sizes) <= 1
     if repetitions % (days * operators) == 0:
         assert all(each["is_complete"] for each in model.design_facts["balance"].values())
     again = RunTableModel(
         factors, repetitions=repetitions, seed=seed, shuffle=shuffle, design=Blocks("Day", "Operator")
     )
     assert list(again.plan()) == runs
+
+
+@pytest.mark.parametrize(("days", "operators", "treatments", "repetitions"), [(2, 2, 3, 2), (2, 3, 5, 2), (3, 2, 3, 3)])
+def test_no_combination_is_on_one_day_or_with_one_operator_more_often_than_on_others(
+    days: int, operators: int, treatments: int, repetitions: int
+) -> None:
+    factors = [Factor("Day", range(days)), Factor("Operator", range(operators)), Factor("P", range(treatments))]
+    runs = RunTableModel(factors, repetitions=repetitions, design=Blocks("Day", "Operator")).plan()
+    for kind in factors[:2]:
+        often = Counter((run.combination[kind.name], run.combination["P"]) for run in runs)
+        for planner in range(treatments):
+            counts = [often[each, planner] for each in kind.treatments]
+            assert max(counts) - min(counts) <= 1
+        sizes = [sum(often[each, planner] for planner in range(treatments)) for each in kind.treatments]
+        assert max(sizes) - min(sizes) <= 1
 
 
 @settings(deadline=None, max_examples=25)

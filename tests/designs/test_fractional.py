@@ -121,6 +121,9 @@ def test_all_that_keeps_a_fraction_from_being_is_said_at_once() -> None:
         assert odd.endswith(f"no power of two → {fix}")
     assert "could not be told apart" in findings_of(two, design=FractionalFactorial(generators={"F3": ["F0"]}))[0]
     assert "cannot tell the main effects" in findings_of(two, design=FractionalFactorial(runs=4))[0]
+    many = findings_of(factors_of([2] * 40), design=FractionalFactorial(runs=2**40))
+    assert many == ["design: runs=1,099,511,627,776 is more than 10,000,000 → Give 10,000,000 or less."]
+    assert "no factor ['F0']" in findings_of(two, design=FractionalFactorial(generators={"F3": [["F0"], "F1"]}))[0]
     assert "none of 3, 4 and 5" in findings_of(two, design=FractionalFactorial(resolution=2))[0]
     assert "one follows from the other" in findings_of(two, design=FractionalFactorial(resolution=3, runs=8))[0]
     assert "more than 4,096 runs" in findings_of(factors_of([2] * 200), design=FractionalFactorial(resolution=5))[0]

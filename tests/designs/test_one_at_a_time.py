@@ -49,7 +49,25 @@ def test_a_wrong_base_is_told_with_what_is_near() -> None:
         "base['Spede']: there is no factor 'Spede' → Did you mean 'Speed'?",
         "base['Speed']: 7 is no treatment of factor 'Speed' → Give a number from 0 to 5.",
     ]
+    steps = [Factor("Speed", Range(0.0, 1.0, step=0.5)), Factor("Robots", Range(1, 9)), *factors_of([2])]
+    assert findings_of(steps, design=OneFactorAtATime(base={"Speed": 0.3, "Robots": 2.5})) == [
+        (
+            "base['Speed']: 0.3 is no treatment of factor 'Speed' → Give a number from 0.0 to 1.0 in steps of 0.5, "
+            "such as 0.5."
+        ),
+        "base['Robots']: 2.5 is no treatment of factor 'Robots' → Give a number from 1 to 9 in steps of 1, such as 3.",
+    ]
     assert "is of type list" in findings_of(factors, design=OneFactorAtATime(base=["t0"]))[0]
+
+
+def test_treatments_that_are_equal_or_have_no_hash_are_all_there() -> None:
+    factors = [Factor("Level", [1, True, 2]), Factor("Route", [["door"], ["lift", "door"]])]
+    assert rows_of(RunTableModel(factors, design=OneFactorAtATime())) == [
+        (1, ["door"]),
+        (True, ["door"]),
+        (2, ["door"]),
+        (1, ["lift", "door"]),
+    ]
 
 
 def test_excluded_treatments_are_left_out() -> None:

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests.designs.factor_sets import excluded_designs, factors_of, findings_of, is_balanced, numeric, rows_of
 
-from robot_runner import INACTIVE, Factor, RunTableModel
+from robot_runner import INACTIVE, Factor, Range, RunTableModel
 from robot_runner.core.errors import DesignError
 from robot_runner.designs import DOptimal, optimal
 
@@ -73,6 +73,7 @@ def test_squares_of_numeric_factors_bring_a_third_value() -> None:
     model = RunTableModel([*numeric("AB"), *factors_of([2])], design=DOptimal(runs=12, model="quadratic"))
     assert [factor.treatments for factor in model.factors[:2]] == [(0.0, 5.0, 10.0)] * 2
     assert len(RunTableModel(numeric("AB"), design=DOptimal(runs=4)).factors[0].treatments) == 2
+    assert [*map(str, rows_of(model.repeated(2)))] == [*map(str, rows_of(model))] * 2
 
 
 def test_a_conditional_factor_is_estimated_where_it_applies() -> None:
@@ -108,6 +109,8 @@ def test_what_cannot_be_estimated_is_said() -> None:
     assert findings_of(factors, design=DOptimal(runs=4, model="mian")) == [
         "design: there is no model 'mian' → Did you mean 'main'?"
     ]
+    coarse = [Factor("Speed", Range(0, 1)), *numeric("A")]
+    assert "leave two values" in findings_of(coarse, design=DOptimal(runs=6, model="quadratic"))[0]
     exclusions = [{"F0": "t0", "F1": ["t1", "t2"]}, {"F0": "t1", "F1": "t0"}]
     assert "the exclusions leave 3" in findings_of(factors, exclusions, design=DOptimal(runs=4))[0]
     assert (

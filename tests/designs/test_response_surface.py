@@ -86,4 +86,6 @@ def test_what_is_no_surface_is_said_at_once() -> None:
         "design: there are 2 factors, and it takes 3 → Add one, or choose another design.",
     ]
     assert "neither 'inscribed' nor 'faced'" in findings_of(numeric("AB"), design=CentralComposite(axial="out"))[0]
+    assert "axial=['faced'] is neither" in findings_of(numeric("AB"), design=CentralComposite(axial=["faced"]))[0]
+    assert "centre=1,000,000,000 is more" in findings_of(numeric("AB"), design=CentralComposite(centre=10**9))[0]
     assert "known for 3 to 7" in findings_of(numeric(NAMES), design=BoxBehnken())[0]

@@ -42,6 +42,14 @@ def test_all_steps_of_a_range_are_as_often_in_a_hypercube(span: Range, steps: li
     assert sorted(row[0] for row in rows_of(model)) == sorted(2 * steps)
 
 
+@pytest.mark.parametrize("design", [LatinHypercube(runs=4), Sobol(runs=4)])
+def test_treatments_that_are_equal_or_have_no_hash_are_as_often_as_others(design: object) -> None:
+    factors = [Factor("Level", [1, True]), Factor("Route", [["door"], ["lift", "door"]]), *numeric("A")]
+    rows = rows_of(RunTableModel(factors, design=design))
+    assert sorted(str(row[0]) for row in rows) == ["1", "1", "True", "True"]
+    assert sorted(len(row[1]) for row in rows) == [1, 1, 2, 2]
+
+
 def test_each_half_of_each_range_has_half_of_the_sobol_points_and_each_quarter_a_quarter() -> None:
     rows = rows_of(RunTableModel(numeric("AB"), design=Sobol(runs=16)))
     quarters = [(int(one // 5), int(other // 5)) for one, other in rows]
@@ -82,6 +90,9 @@ def test_what_keeps_points_from_being_spread_is_said() -> None:
             "design: no factor is numeric: there is no space to fill → Give a factor a range, as in "
             'Factor("Speed", Range(0.05, 0.22)), or choose CoveringArray.'
         ),
+    ]
+    assert findings_of(numeric("A"), design=Sobol(runs=2**31)) == [
+        "design: runs=2,147,483,648 is more than 10,000,000 → Give 10,000,000 or less."
     ]
     assert findings_of([Factor("Speed", Range(1, 3))], design=Sobol(runs=8)) == [
         (

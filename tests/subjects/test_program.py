@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -128,8 +129,8 @@ def test_what_is_not_ready_in_time_or_dies_before_fails_its_run(execute: Callabl
         in done.finished.failures[0]
     )
     assert alive(token) == []
-    done = execute("plugins = [Program(['sh', '-c', 'kill -SEGV $$'], ready='x')]", experiment_name="dead")
-    assert "Program has died: SIGSEGV ended it" in done.finished.failures[0]
+    done = execute("plugins = [Program(['sh', '-c', 'kill -35 $$'], ready='x')]", experiment_name="dead")
+    assert "Program has died: signal 35 ended it" in done.finished.failures[0]
 
 
 @pytest.mark.parametrize("robot", [None, "simulated"])
@@ -254,6 +255,13 @@ def test_what_cannot_be_is_found_with_each_treatment_before_anything_moves(tmp_p
         ({"command": ["planner"], "environment": {"A=b": "c"}}, "Give a mapping"),
         ({"command": ["planner"], "environment": ["A=b"]}, "Give a mapping"),
         ({"command": ["planner"], "ready": 8080}, "Give a condition"),
+        ({"command": ["planner"], "ready": re.compile(b"up")}, "Give a condition"),
+        ({"command": ["planner"], "ready_timeout_s": "60"}, "Give ready_timeout_s a number of seconds above 0."),
+        ({"command": ["planner"], "exit_codes": 0}, "Give a list of whole numbers: exit_codes=[0]."),
+        ({"command": ["planner"], "exit_codes": "0"}, "Give a list of whole numbers: exit_codes=[0]."),
+        ({"command": b"planner"}, "Give a list of words"),
+        ({"command": 8080}, "Give a list of words"),
+        ({"command": ["planner"], "per": 5}, "Choose one of: 'run', 'experiment'."),
         ({"command": ["planner"], "host": "-oProxyCommand=x"}, "Name it as for ssh"),
         ({"command": ["planner"], "ssh_config": "x"}, "Leave ssh_config out."),
     ],

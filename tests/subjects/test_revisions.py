@@ -56,8 +56,7 @@ def problems(tmp_path: Path) -> Callable[[str], list[str]]:
     return found
 
 
-@pytest.mark.parametrize("process", ["FORK", "SPAWN"])
-@pytest.mark.parametrize("is_url", [False, True], ids=["path", "url"])
+@pytest.mark.parametrize(("is_url", "process"), [(False, "SPAWN"), (True, "FORK")], ids=["path", "url"])
 def test_each_revision_is_built_once_and_executed(
     execute: Callable[..., Executed], repository: Repository, process: str, is_url: bool
 ) -> None:

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, Finding, LinkError
 from robot_runner.core.events.condition import Condition, Look
 
@@ -77,7 +78,7 @@ class Bound(Condition):
     is_below: bool
 
     def __post_init__(self) -> None:
-        if isinstance(self.limit, bool) or not isinstance(self.limit, int | float) or not math.isfinite(self.limit):
+        if not is_number(self.limit):
             raise ConditionError(f"{self.limit!r} is no limit", where=str(self.quantity), fix="Give a finite number.")
         object.__setattr__(self, "every_s", self.quantity.every_s)
         object.__setattr__(self, "is_outside", self.quantity.is_outside)

@@ -253,7 +253,7 @@ class _Throttled(_OfComputer):
         return f"the processor of {self.computer} is throttled"
 
     def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
-        before: int | None = None
+        before: dict[str, int] = {}
 
         def look() -> Look:
             nonlocal before
@@ -262,12 +262,14 @@ class _Throttled(_OfComputer):
             if flags is None and not counts:
                 seen = f"{self.computer} does not tell whether its processor is throttled"
                 return Look(holds=False, seen=seen, is_known=False)
-            total = sum(int(text) for text in counts if text and text.isdigit())
-            grown, before = total - (total if before is None else before), total
+            told = {path: int(text) for path, text in zip(counters, counts, strict=True) if text and text.isdigit()}
+            # One of a core that is back has counted before; and each core tells what happened to all of them.
+            grown = max((count - before.get(path, count) for path, count in told.items()), default=0)
+            before |= told
             now = int(flags, 16) & _HELD_BACK_NOW if re.fullmatch(r"(0x)?[0-9a-fA-F]+", flags or "") and flags else 0
             is_held_back = bool(now) or grown > 0
             seen = (
-                f"throttled (firmware {now:#x}, {grown} times since the look before)"
+                f"throttled (firmware {now:#x}, counted {max(grown, 0)} times since the look before)"
                 if is_held_back
                 else "not throttled"
             )

@@ -159,8 +159,10 @@ class _Present(_OnGraph):
             seen = f"{len(there)} {self.kind}s are there{f', among them {near}' if near else ''}"
             return Look(holds=False, seen=seen)
         found = link.topics().get(self.name) if self.message_type else None
-        if self.message_type and found != self.message_type:
-            return Look(holds=False, seen=f"{self.name} is there and carries {found}")
+        if self.message_type and found != self.message_type.replace("/msg/", "/"):  # as ROS 2 spells it
+            is_known = found != "*"  # what a graph says where nothing tells the type
+            said = f"carries {found}" if is_known else "nothing tells what it carries"
+            return Look(holds=False, seen=f"{self.name} is there and {said}", is_known=is_known)
         return Look(holds=True, seen=f"{self.name} is there")
 
     def _listed(self, link: RobotLink) -> Collection[str]:

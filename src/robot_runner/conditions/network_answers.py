@@ -48,7 +48,7 @@ def port_open(port: int, *, host: str = LOCAL) -> Condition:
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 < port <= _MOST_PORT:
         raise ConditionError(f"{port!r} is no port", where="port_open", fix=f"Give a number from 1 to {_MOST_PORT}.")
-    if not host or re.search(r"[\s@/]", host) or not _is_name(host):
+    if not isinstance(host, str) or not host or re.search(r"[\s@/]", host) or not _is_name(host):
         fix = "Give its name or address on the network, such as 'robot.local', without a user."
         raise ConditionError(f"{host!r} is no computer of a network", where="port_open", fix=fix)
     return _PortOpen(port, host)
@@ -63,12 +63,17 @@ def http_answers(url: str, *, status: int | None = None, text: str = "") -> Cond
         text: what is to stand in the answer.
 
     Raises:
-        ConditionError: it is no URL of HTTP, or it holds a password.
+        ConditionError: it is no URL of HTTP, or it holds a password; no answer has such a status or text.
 
     Example:
         >>> print(http_answers("http://localhost:8080/health", text="ok"))
         http://localhost:8080/health answers with 'ok'
     """
+    if status is not None and (isinstance(status, bool) or status not in range(100, 600)):
+        fix = "Give a number from 100 to 599, such as 200, or leave it out."
+        raise ConditionError(f"{status!r} is no status of an answer", where="http_answers", fix=fix)
+    if not isinstance(text, str):
+        raise ConditionError(f"{text!r} is no text", where="http_answers", fix="Give a text: text='ok'.")
     try:
         parts = urllib.parse.urlsplit(url)
         is_good = parts.scheme in {"http", "https"} and _is_name(parts.hostname or "") and parts.port != 0
@@ -152,7 +157,7 @@ class _HttpAnswers(Condition):
     def _look(self, opener: urllib.request.OpenerDirector) -> Look:
         try:
             status, has_text = _asked(opener, self.url, self.text.encode())
-        except (OSError, HTTPException) as error:
+        except (OSError, HTTPException, ValueError) as error:  # an answer may lead to an address that is none
             reason = getattr(error, "reason", None) or error
             said = "no answer" if isinstance(reason, TimeoutError) else getattr(reason, "strerror", None) or str(reason)
             return Look(holds=False, seen=f"{self.url}: {said or type(reason).__name__}")

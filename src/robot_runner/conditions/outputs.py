@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.words import one_line
@@ -42,13 +43,16 @@ def text_in(path: str | Path, text: str | re.Pattern[str], *, new_only: bool = F
             run to run, such as a system's log.
 
     Raises:
-        ConditionError: the text is empty.
+        ConditionError: it is no text, or an empty one.
 
     Example:
         >>> print(text_in("server/output.txt", "ready"))
         'ready' is in server/output.txt
     """
     pattern = re.compile(re.escape(text)) if isinstance(text, str) else text
+    if not isinstance(pattern, re.Pattern) or not isinstance(pattern.pattern, str):
+        fix = "Give text_in a text, or a pattern of text: re.compile('...')."
+        raise ConditionError(f"{text!r} is no text", where=str(path), fix=fix)
     if not pattern.pattern:
         raise ConditionError("no text is looked for", where=str(path), fix="Give text_in a text that is not empty.")
     return _TextIn(Path(path), pattern, text if isinstance(text, str) else pattern.pattern, new_only)
@@ -63,13 +67,15 @@ def file_complete(path: str | Path, *, steady_s: float = 1.0, end: str | bytes |
         end: what it ends with once it is complete, such as `b"</mission>\n"`; then its size need not be steady.
 
     Raises:
-        ConditionError: the time is negative.
+        ConditionError: the time is none, or the end is empty.
 
     Example:
         >>> print(file_complete("map.pgm"))
         map.pgm is complete (of one size for 1 s)
     """
-    if not 0 <= steady_s < float("inf"):
+    if end is not None and (not end or not isinstance(end, str | bytes)):
+        raise ConditionError(f"no file ends with {end!r}", where=str(path), fix="Give a text, or leave it out.")
+    if not is_number(steady_s) or steady_s < 0:
         raise ConditionError(f"steady_s is {steady_s!r}", where=str(path), fix="Give steady_s a number of seconds.")
     return _FileComplete(Path(path), steady_s, end.encode() if isinstance(end, str) else end)
 
@@ -164,7 +170,7 @@ class _GrowingText:
         # Another file of this name, or one that was emptied, and may have grown beyond our place since.
         is_anew = status.st_size < self._place or os.pread(descriptor, len(self._read_last), begin) != self._read_last
         if file != self._file or is_anew:
-            self._place, self._read_last = 0, b""
+            self._place, self._read_last, self.text = 0, b"", ""  # what stood there does not go on
             self._decoder.reset()
         self._file = file
         os.lseek(descriptor, self._place, os.SEEK_SET)

@@ -34,7 +34,7 @@ def confirmed(what: str) -> Condition:
         >>> print(confirmed("the robot has left the lift"))
         a person says that the robot has left the lift
     """
-    if not what.strip():
+    if not isinstance(what, str) or not what.strip():
         fix = "Say what, as in confirmed('the robot has left the lift')."
         raise ConditionError("nothing is to be confirmed", where="confirmed", fix=fix)
     return Confirmed(one_line(what.strip()))

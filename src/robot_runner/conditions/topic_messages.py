@@ -11,6 +11,7 @@ from robot_runner.conditions.bounds import Bound, Quantity, Reading
 from robot_runner.conditions.computer_state import ComputerBattery
 from robot_runner.conditions.computers import ComputerName
 from robot_runner.conditions.graph_presence import check_robot_named
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, Finding, LinkError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.links.connect import connect_robot, is_simulated
@@ -55,12 +56,16 @@ def message_on(
         namespace: which robot, where there are several.
 
     Raises:
+        ConditionError: the predicate cannot be called.
         LinkError: it cannot be the name of a topic.
 
     Example:
         >>> print(message_on("odom", "nav_msgs/Odometry", lambda odom: odom["pose"]["pose"]["position"]["x"] > 2))
         a message on /odom satisfies the predicate
     """
+    if predicate is not None and not callable(predicate):
+        fix = "Give what takes a message: lambda message: message['data']."
+        raise ConditionError(f"{predicate!r} is no predicate", where=topic, fix=fix)
     return _MessageOn(topic, message_type, predicate, namespace, full_name(namespace, topic))
 
 
@@ -84,7 +89,7 @@ def topic_above(
         within_s: how old the newest message may be, s of the run's clock.
 
     Raises:
-        ConditionError: the limit is no finite number.
+        ConditionError: the limit is no finite number, or no message can be so old.
         LinkError: it cannot be the name of a topic.
 
     Example:
@@ -270,6 +275,9 @@ class _TopicField(Quantity):
 
     def __post_init__(self) -> None:
         full_name(self.namespace, self.topic)
+        if not is_number(self.within_s if self.within_s != math.inf else 0) or self.within_s <= 0:
+            fix = "Give a number of seconds above 0, or leave it out."
+            raise ConditionError(f"within_s is {self.within_s!r}", where=str(self), fix=fix)
 
     def __str__(self) -> str:
         return f"{self.field} of {full_name(self.namespace, self.topic)}"

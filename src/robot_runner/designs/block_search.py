@@ -19,11 +19,11 @@ _MOST_BEGINNINGS: Final = 24
 def distributed(treatments: int, replicates: int, cells: Sequence[tuple[int, ...]], seed: int) -> list[list[int]]:
     """Distribute treatments over the cells of one or several kinds of blocks, as balanced as is found.
 
-    Cells are as large as each other, or by one run larger. Pairs of treatments are to be in one block of each kind
-    about equally often, and no treatment more often in one block than in another by more than one: the sum of the
-    squares of how often is minimised by exchanges (the (M,S) criterion of Eccleston and Hedayat, On the theory of
-    connected designs, Annals of Statistics 2 (1974), 1238-1255). Of several designs that are found so, the most
-    efficient one is taken.
+    Cells are as large as each other; the first ones may be larger by one run. Pairs of treatments are to be in one
+    block of each kind about equally often, and no treatment more often in one block than in another by more than one:
+    the sum of the squares of how often is minimised by exchanges (the (M,S) criterion of Eccleston and Hedayat, On the
+    theory of connected designs, Annals of Statistics 2 (1974), 1238-1255). Of several designs that are found so, the
+    most efficient one is taken.
 
     Args:
         treatments: how many there are.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from math import lcm
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import DesignedRuns
@@ -120,14 +121,22 @@ class Blocks:
 
 def _spread(treatments: int, replicates: int, blocks: Sequence[Factor], seed: int | None) -> list[list[int]]:
     """Return the treatments of each cell of the blocks, in the order of the cells."""
-    sizes = [len(factor.treatments) for factor in blocks]
-    cells = list(product(*map(range, sizes)))
+    cells = list(product(*(range(len(factor.treatments)) for factor in blocks)))
     complete, rest = divmod(replicates, len(cells))
-    spread = [list(range(treatments)) * complete for _ in cells]
-    if rest:
-        more = _incomplete(treatments, rest, cells, seed)
-        spread = [held + extra for held, extra in zip(spread, more, strict=True)]
-    return [sorted(held) for held in spread]
+    if treatments * rest % len(cells):  # the first ones are larger
+        cells = _evenly(blocks)
+    more = _incomplete(treatments, rest, cells, seed) if rest else [[] for _ in cells]
+    spread = [sorted([*range(treatments)] * complete + extra) for extra in more]
+    return [held for _, held in sorted(zip(cells, spread, strict=True))]
+
+
+def _evenly(blocks: Sequence[Factor]) -> list[tuple[int, ...]]:
+    """Return the cells in an order in which each block of each kind comes equally often, however many are taken."""
+    cells: list[tuple[int, ...]] = [()]
+    for size in (len(factor.treatments) for factor in blocks):
+        count, turn = len(cells), lcm(len(cells), size)  # after a turn the same pairs would come again
+        cells = [(*cells[place % count], (place + place // turn) % size) for place in range(count * size)]
+    return cells
 
 
 def _incomplete(

@@ -25,6 +25,19 @@ def at_places(factors: Sequence[Factor], rows: Iterable[Sequence[int]]) -> list[
     ]
 
 
+def distinct(factors: Sequence[Factor], rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Return rows of treatments and of numbers within ranges, each once.
+
+    Treatments are told apart as the factors' own objects, as True equals 1, and a list has no hash.
+    """
+    are_numbers = [factor.range is not None for factor in factors]
+    found: dict[tuple[Any, ...], tuple[Any, ...]] = {}
+    for row in rows:
+        key = tuple(each if is_one else id(each) for is_one, each in zip(are_numbers, row, strict=True))
+        found.setdefault(key, row)
+    return list(found.values())
+
+
 def with_values(
     factors: Sequence[Factor], rows: Iterable[Sequence[Any]], is_allowed: IsAllowed
 ) -> tuple[tuple[Factor, ...], list[Combination]]:
@@ -119,13 +132,23 @@ def library_findings(*modules: str) -> Iterator[Finding]:
 _INSTALL = "Install it: pip install 'robot-runner[designs]'."
 
 
-def number_findings(name: str, value: object, least: int) -> Iterator[Finding]:
-    """Say whether a parameter of a design is a whole number from `least`."""
+def number_findings(name: str, value: object, least: int, most: int | None = None) -> Iterator[Finding]:
+    """Say whether a parameter of a design is no whole number from `least` to `most`."""
+    fix = f"Give a whole number from {least}."
     if isinstance(value, bool) or not isinstance(value, int):
-        problem = f"{name}={value!r} is of type {type(value).__name__}"
-        yield Finding.error("design", problem, f"Give a whole number from {least}.")
+        yield Finding.error("design", f"{name}={value!r} is of type {type(value).__name__}", fix)
     elif value < least:
-        yield Finding.error("design", f"{name}={value} is less than {least}", f"Give a whole number from {least}.")
+        yield Finding.error("design", f"{name}={value} is less than {least}", fix)
+    elif most is not None and value > most:
+        yield Finding.error("design", f"{name}={value:,} is more than {most:,}", f"Give {most:,} or less.")
+
+
+def curve_findings(factor: Factor) -> Iterator[Finding]:
+    """Say whether the steps of a range leave fewer than the three values that a curve takes."""
+    if factor.range is not None and len({factor.range.at(share) for share in (0, 0.5, 1)}) < 3:  # noqa: PLR2004
+        problem = "its steps leave two values: a surface takes three"
+        fix = "Give it finer steps or a wider range, or choose FractionalFactorial."
+        yield Finding.error(f"factor {factor.name!r}", problem, fix)
 
 
 def left_out_warning(chosen: int, left: int, consequence: str) -> tuple[Finding, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, islice
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import ChosenCombinations
@@ -14,7 +14,7 @@ from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.designs.choosing import at_places, left_out_warning, number_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
@@ -116,7 +116,7 @@ class FractionalFactorial:
 
     def _run_findings(self, factors: int) -> Iterator[Finding]:
         runs: Any = self.runs
-        wrong = list(number_findings("runs", runs, 2))
+        wrong = list(number_findings("runs", runs, 2, MAX_RUNS))
         yield from wrong
         if wrong:
             return
@@ -151,7 +151,7 @@ class FractionalFactorial:
             for other in others:
                 if other not in basic:
                     found = True
-                    is_own = other in generators
+                    is_own = other in [*generators]  # what was given may have no hash
                     problem = f"{other!r} is generated itself" if is_own else f"there is no factor {other!r}"
                     yield Finding.error(where, problem, did_you_mean(str(other), basic))
         if found:
@@ -195,25 +195,31 @@ def _words_of(factors: int, bits: int, resolution: int) -> list[int] | None:
     basic = [1 << place for place in reversed(range(bits))]
     if factors <= bits:
         return basic[:factors] if factors == bits else None
-    products = [word for word in range(1, 1 << bits) if word.bit_count() > 1] if _may_fit(factors, bits) else []
-    if resolution == 3:  # noqa: PLR2004 - any distinct words do
-        words = basic + sorted(products, key=int.bit_count)
-    elif resolution == 4:  # noqa: PLR2004 - no product of two odd words is odd
-        words = basic + sorted((word for word in products if word.bit_count() % 2), key=int.bit_count)
-    else:
-        return _apart(basic, products, factors) if bits <= _MOST_BITS[5] else None
-    return words[:factors] if len(words) >= factors else None
+    if resolution == 5:  # noqa: PLR2004
+        return _apart(basic, factors) if bits <= _MOST_BITS[5] else None
+    # At 3 any distinct words do; at 4 odd ones, as no product of two of them is odd.
+    sizes = range(2, bits + 1) if resolution == 3 else range(3, bits + 1, 2)  # noqa: PLR2004
+    words = [*basic, *islice(_products(bits, sizes), factors - bits)]
+    return words if len(words) == factors else None
 
 
-def _may_fit(factors: int, bits: int) -> bool:
-    return factors < 1 << bits
+def _products(bits: int, sizes: Iterable[int]) -> Iterator[int]:
+    """Yield the words of so many of the basic factors, in ascending order within each size."""
+    for size in sizes:
+        word = (1 << size) - 1
+        while word < 1 << bits:
+            yield word
+            low = word & -word
+            above = word + low
+            word = above | ((word ^ above) // low >> 2)  # the next one of as many bits (Gosper, HAKMEM, item 175)
 
 
-def _apart(basic: list[int], products: list[int], factors: int) -> list[int] | None:
+def _apart(basic: list[int], factors: int) -> list[int] | None:
     """Return words of which no two have the same product as two others, or as one; the longest are tried first."""
     if factors * (factors + 1) // 2 >= 1 << len(basic):
         return None  # main effects and interactions of two factors, each with a word of its own
-    for order in (sorted(products, key=lambda word: (-word.bit_count(), word)), products):
+    bits = len(basic)
+    for order in (_products(bits, range(bits, 1, -1)), sorted(_products(bits, range(2, bits + 1)))):
         words, pairs = list(basic), {0, *basic, *(one ^ other for one, other in combinations(basic, 2))}
         for word in order:
             new = {word, *(word ^ other for other in words)}

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.words import listed
-from robot_runner.designs.choosing import active_treatments, left_out_warning, with_conditions, with_values
+from robot_runner.designs.choosing import active_treatments, distinct, left_out_warning, with_conditions, with_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,8 +28,8 @@ class OneFactorAtATime:
     It shows what each factor does around the base, and no interaction at all. A factor with a range has its two ends.
 
     Attributes:
-        base: a treatment for each factor, by name; a number within the range of a numeric one. What is left out has its
-            first treatment, or the middle of its range.
+        base: a treatment for each factor, by name; of a numeric one a number that its range and steps have. What is
+            left out has its first treatment, or the middle of its range.
 
     Example:
         >>> from robot_runner.core.design.factor import Factor
@@ -62,16 +64,14 @@ class OneFactorAtATime:
         """Return the base and what differs from it in one factor."""
         base = {factor.name: _base_value(factor, self.base) for factor in factors}
         first = with_conditions(factors, base)
-        rows, idle = {first: None}, []
-        for factor, present in zip(factors, first, strict=True):
-            if present is INACTIVE:
-                idle.append(factor.name)
-            others = () if present is INACTIVE else active_treatments(factor)
-            rows.update(
-                dict.fromkeys(
-                    with_conditions(factors, {**base, factor.name: each}) for each in others if each != present
-                )
-            )
+        idle = [factor.name for factor, present in zip(factors, first, strict=True) if present is INACTIVE]
+        others = (
+            with_conditions(factors, {**base, factor.name: each})
+            for factor in factors
+            if factor.name not in idle
+            for each in active_treatments(factor)
+        )
+        rows = distinct(factors, (first, *others))
         used, kept = with_values(factors, rows, is_allowed)
         shown = {factor.name: str(value) for factor, value in zip(factors, first, strict=True)}
         facts = {"kind": "one_factor_at_a_time", "base": shown, "model": "main"}
@@ -92,13 +92,19 @@ def _base_value(factor: Factor, base: Mapping[str, Any]) -> Any:
 
 
 def _is_treatment(factor: Factor, value: Any) -> bool:
-    if factor.range is None:
+    span = factor.range
+    if span is None:
         return factor.position_of(value) is not None and value is not INACTIVE
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and factor.range.lower <= value <= factor.range.upper
+    if not is_number(value) or not span.lower <= value <= span.upper:
+        return False
+    is_free = span.step is None and not span.is_whole
+    return is_free or value == span.upper or math.isclose(value, span.at(span.share_of(value)), abs_tol=1e-12)
 
 
 def _fix(factor: Factor, value: Any) -> str:
-    if factor.range is not None:
-        return f"Give a number from {factor.range.lower} to {factor.range.upper}."
-    return factor.suggestion(value)
+    span = factor.range
+    if span is None:
+        return factor.suggestion(value)
+    is_between = is_number(value) and span.lower <= value <= span.upper
+    steps = f" in steps of {span.step or 1}, such as {span.at(span.share_of(value))}" if is_between else ""
+    return f"Give a number from {span.lower} to {span.upper}{steps}."

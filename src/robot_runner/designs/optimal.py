@@ -7,11 +7,13 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.design.factor import full_factorial, full_size
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.designs.choosing import (
     active_treatments,
+    curve_findings,
     library_findings,
     more_than_all,
     number_findings,
@@ -74,7 +76,7 @@ class DOptimal:
         del repetitions
         yield from library_findings("numpy")
         yield from number_findings("seed", self.seed, 0)
-        wrong = list(number_findings("runs", self.runs, 1))
+        wrong = list(number_findings("runs", self.runs, 1, MAX_RUNS))
         yield from wrong
         if self.model not in _MODELS:
             yield Finding.error("design", f"there is no model {self.model!r}", did_you_mean(str(self.model), _MODELS))
@@ -85,6 +87,8 @@ class DOptimal:
                 yield Finding.error("design", problem, f"Give {needed} runs or more, or a smaller model.")
             else:
                 yield from more_than_all(factors, self.runs)
+            for factor in factors if self.model == "quadratic" else ():
+                yield from curve_findings(factor)
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the combinations whose information has the largest determinant that is found."""
@@ -135,9 +139,8 @@ def _pairs(factors: Sequence[Factor]) -> Iterator[tuple[int, int]]:
 def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generator) -> Iterator[tuple[Any, ...]]:
     """Yield what may be chosen: every combination, or a random part of them; a range has its ends and its middle."""
     values = [_levels(factor, model) for factor in factors]
-    size = full_size([factor.with_treatments(each) for factor, each in zip(factors, values, strict=True)])
-    if size <= _MOST_CANDIDATES:
-        listed = [factor.with_treatments(each) for factor, each in zip(factors, values, strict=True)]
+    listed = [factor.with_treatments(each) for factor, each in zip(factors, values, strict=True)]
+    if full_size(listed) <= _MOST_CANDIDATES:
         yield from (combination.treatments for combination in full_factorial(listed))
         return
     seen: set[tuple[int, ...]] = set()
@@ -153,10 +156,10 @@ def _candidates(factors: Sequence[Factor], model: str, random: np.random.Generat
 
 
 def _levels(factor: Factor, model: str) -> tuple[Any, ...]:
-    if factor.range is None or model != "quadratic":
+    span = factor.range  # of a model that is planned again its treatments are those that were chosen
+    if span is None:
         return active_treatments(factor)
-    lower, upper = active_treatments(factor)
-    return (lower, factor.range.at(0.5), upper)
+    return (span.lower, *([span.at(0.5)] if model == "quadratic" else []), span.upper)
 
 
 def _model_matrix(factors: Sequence[Factor], rows: Sequence[tuple[Any, ...]], model: str) -> Matrix:

@@ -7,8 +7,9 @@ from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.errors import Finding
-from robot_runner.designs.choosing import left_out_warning, number_findings, with_values
+from robot_runner.designs.choosing import curve_findings, left_out_warning, number_findings, with_values
 from robot_runner.designs.fractional import fraction_rows, fraction_words
 
 if TYPE_CHECKING:
@@ -50,8 +51,8 @@ class CentralComposite:
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say why it cannot be."""
         del repetitions
-        yield from number_findings("centre", self.centre, 1)
-        if self.axial not in {_INSCRIBED, _FACED}:
+        yield from number_findings("centre", self.centre, 1, MAX_RUNS)
+        if self.axial not in (_INSCRIBED, _FACED):
             problem = f"axial={self.axial!r} is neither {_INSCRIBED!r} nor {_FACED!r}"
             yield Finding.error("design", problem, "Give one of these.")
         yield from _numeric_findings(factors, 2)
@@ -96,7 +97,7 @@ class BoxBehnken:
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say why it cannot be."""
         del repetitions
-        yield from number_findings("centre", self.centre, 1)
+        yield from number_findings("centre", self.centre, 1, MAX_RUNS)
         yield from _numeric_findings(factors, 3)
         if len(factors) > max(_BLOCKS):
             problem = f"there are {len(factors)} factors, and it is known for 3 to {max(_BLOCKS)}"
@@ -169,10 +170,8 @@ def _numeric_findings(factors: Sequence[Factor], least: int) -> Iterator[Finding
             what = "applies under a condition" if factor.when else "has listed treatments"
             fix = "Give it a range and no condition, as in Range(0.05, 0.22), or choose DOptimal."
             yield Finding.error(f"factor {factor.name!r}", f"the factor {what}: a surface takes numbers", fix)
-        elif len({factor.range.at(share) for share in (0, 0.5, 1)}) < 3:  # noqa: PLR2004 - ends and middle: a curve
-            problem = "its steps leave two values: a surface takes three"
-            fix = "Give it finer steps or a wider range, or choose FractionalFactorial."
-            yield Finding.error(f"factor {factor.name!r}", problem, fix)
+        else:
+            yield from curve_findings(factor)
     if len(factors) < least:
         problem = f"there {'is 1 factor' if len(factors) == 1 else f'are {len(factors)} factors'}"
         yield Finding.error("design", f"{problem}, and it takes {least}", "Add one, or choose another design.")

@@ -7,14 +7,22 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import ChosenCombinations
+from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.errors import DesignError, Finding
-from robot_runner.designs.choosing import library_findings, number_findings, share_value, with_conditions, with_values
+from robot_runner.designs.choosing import (
+    distinct,
+    library_findings,
+    number_findings,
+    share_value,
+    with_conditions,
+    with_values,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Combination, Factor
+    from robot_runner.core.design.factor import Factor
 
 #: So many times the runs that are wanted are drawn where exclusions take some of them away.
 _MOST_DRAWN = 64
@@ -56,12 +64,9 @@ class LatinHypercube:
         """Return the points that are allowed."""
         from scipy.stats import qmc  # noqa: PLC0415 - an extra
 
-        for drawn in _growing(self.runs):
-            points = qmc.LatinHypercube(len(factors), rng=self.seed).random(drawn)
-            used, kept = _chosen(factors, points, is_allowed)
-            if len(kept) >= self.runs:
-                return _space_filling(self, used, kept[: self.runs], drawn)
-        raise _too_few(self)
+        return _filled(
+            self, factors, is_allowed, lambda drawn: qmc.LatinHypercube(len(factors), rng=self.seed).random(drawn)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,22 +105,23 @@ class Sobol:
         """Return the first points that are allowed."""
         from scipy.stats import qmc  # noqa: PLC0415 - an extra
 
-        for drawn in _growing(self.runs):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # no power of two: said below
-                points = qmc.Sobol(len(factors), rng=self.seed).random(drawn)
-            used, kept = _chosen(factors, points, is_allowed)
-            if len(kept) >= self.runs:
-                odd = self.runs & (self.runs - 1)
-                below = 1 << (self.runs.bit_length() - 1)
-                problem = f"runs={self.runs} is no power of two, and the points are spread less evenly"
-                uneven = Finding.warning("design", problem, f"Give {below} or {2 * below}.")
-                return _space_filling(self, used, kept[: self.runs], drawn, (uneven,) if odd else ())
-        raise _too_few(self)
+        odd = self.runs & (self.runs - 1)
+        below = 1 << (self.runs.bit_length() - 1)
+        problem = f"runs={self.runs} is no power of two, and the points are spread less evenly"
+        uneven = Finding.warning("design", problem, f"Give {below} or {2 * below}.")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # no power of two: said above
+            return _filled(
+                self,
+                factors,
+                is_allowed,
+                lambda drawn: qmc.Sobol(len(factors), rng=self.seed).random(drawn),
+                (uneven,) if odd else (),
+            )
 
 
 def _findings(design: LatinHypercube | Sobol, factors: Sequence[Factor]) -> Iterator[Finding]:
-    yield from number_findings("runs", design.runs, 2)
+    yield from number_findings("runs", design.runs, 2, MAX_RUNS)
     yield from number_findings("seed", design.seed, 0)
     yield from library_findings("scipy")
     if all(factor.range is None for factor in factors):
@@ -124,47 +130,32 @@ def _findings(design: LatinHypercube | Sobol, factors: Sequence[Factor]) -> Iter
         yield Finding.error("design", problem, fix)
 
 
-def _growing(runs: int) -> Iterator[int]:
-    """Yield how many points are drawn: as many as are wanted, then more, for exclusions."""
-    drawn = runs
-    while drawn <= runs * _MOST_DRAWN:
-        yield drawn
-        drawn += max(1, drawn // 4)
-
-
-def _chosen(
-    factors: Sequence[Factor], points: Sequence[Sequence[float]], is_allowed: IsAllowed
-) -> tuple[Sequence[Factor], list[Combination]]:
-    names = [factor.name for factor in factors]
-    shares = (map(float, point) for point in points)
-    rows = [
-        with_conditions(factors, dict(zip(names, map(share_value, factors, point), strict=True))) for point in shares
-    ]
-    return with_values(factors, dict.fromkeys(rows), is_allowed)  # coarse steps may give one combination twice
-
-
-def _space_filling(
+def _filled(
     design: LatinHypercube | Sobol,
     factors: Sequence[Factor],
-    kept: list[Combination],
-    drawn: int,
+    is_allowed: IsAllowed,
+    draw: Callable[[int], Sequence[Sequence[float]]],
     said: tuple[Finding, ...] = (),
 ) -> ChosenCombinations:
-    facts = {
-        "kind": design.as_mapping()["kind"],
-        "numeric_factors": [factor.name for factor in factors if factor.range is not None],
-        "drawn": drawn,
-        "model": "quadratic",
-    }
-    used = tuple(
-        factor.with_treatments([each for each in factor.treatments if any(each is run[factor.name] for run in kept)])
-        if factor.range is not None
-        else factor
-        for factor in factors
-    )
-    return ChosenCombinations(kept, facts, used, said)
-
-
-def _too_few(design: LatinHypercube | Sobol) -> DesignError:
+    """Return the first combinations that are allowed, of as many points as are wanted, or of more for exclusions."""
+    names = [factor.name for factor in factors]
+    drawn = design.runs
+    while drawn <= design.runs * _MOST_DRAWN:
+        shares = (map(float, point) for point in draw(drawn))
+        rows = (
+            with_conditions(factors, dict(zip(names, map(share_value, factors, point), strict=True)))
+            for point in shares
+        )
+        _, kept = with_values(factors, distinct(factors, rows), is_allowed)  # coarse steps may give one twice
+        if len(kept) >= design.runs:
+            used, chosen = with_values(factors, [each.treatments for each in kept[: design.runs]], is_allowed)
+            facts = {
+                "kind": design.as_mapping()["kind"],
+                "numeric_factors": [factor.name for factor in factors if factor.range is not None],
+                "drawn": drawn,
+                "model": "quadratic",
+            }
+            return ChosenCombinations(chosen, facts, used, said)
+        drawn += max(1, drawn // 4)
     problem = f"fewer than {design.runs} combinations are allowed among {design.runs * _MOST_DRAWN} points"
-    return DesignError(problem, where="design", fix="Exclude less, give finer steps, or fewer runs.")
+    raise DesignError(problem, where="design", fix="Exclude less, give finer steps, or fewer runs.")

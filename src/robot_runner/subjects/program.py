@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,11 +46,15 @@ class Program(Subject):
 
     def __init__(self, command: Any, *, exit_codes: Sequence[int] = (), **options: Any) -> None:
         super().__init__(**options)
-        if isinstance(command, str) or not command:
-            words = command.split() if command else ["planner", "--verbose"]
+        if not isinstance(command, list | tuple) or not command:
+            words = command.split() if command and isinstance(command, str) else ["planner", "--verbose"]
             fix = f"Give a list of words: {words!r}; or have a shell read it: ['sh', '-c', '...']."
             raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
         self.command = tuple(command)
+        codes = exit_codes if isinstance(exit_codes, Collection) else [None]
+        if not all(isinstance(each, int) and not isinstance(each, bool) for each in codes):
+            fix = "Give a list of whole numbers: exit_codes=[0]."
+            raise PluginError(f"exit_codes is {exit_codes!r}", where=self.name, fix=fix)
         self.exit_codes = tuple(exit_codes)
         self.words()  # what is no word is found before anything is executed
         if self.exit_codes and self.per == "run":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -140,7 +141,7 @@ class RosNode(RosSubject):
             "pkg": self.package,
             "type": self.executable,
             "name": self._name_in_ros1,
-            "args": " ".join(self.arguments),
+            "args": shlex.join(self.arguments),  # which roslaunch splits as a shell would
             "ns": self.namespace.strip("/"),
             "output": "screen",
             "required": "true",

@@ -80,12 +80,13 @@ class Subject(System):
     ) -> None:
         super().__init__(name=name)
         if per not in _SPANS:
-            raise PluginError(f"per is {per!r}", where=self.name, fix=did_you_mean(per, _SPANS))
+            raise PluginError(f"per is {per!r}", where=self.name, fix=did_you_mean(str(per), _SPANS))
         for parameter, value in (("ready_timeout_s", ready_timeout_s), ("grace_s", grace_s)):
-            if not value > 0:
+            if not isinstance(value, int | float) or not value > 0:
                 fix = f"Give {parameter} a number of seconds above 0."
                 raise PluginError(f"{parameter} is {value!r}", where=self.name, fix=fix)
-        if ready is not None and not (isinstance(ready, Condition | re.Pattern) or (isinstance(ready, str) and ready)):
+        text = ready.pattern if isinstance(ready, re.Pattern) else ready
+        if ready is not None and not isinstance(ready, Condition) and not (isinstance(text, str) and text):
             fix = "Give a condition, a text that stands in its output, or re.compile(...)."
             raise PluginError(f"ready is {ready!r}", where=self.name, fix=fix)
         self.per = per

@@ -309,7 +309,10 @@ def tail(path: Path, size: int = _TAIL_BYTES) -> str:
 def _how(code: int | None) -> str:
     if code is None:
         return "nothing could end it"
-    return f"{signal.Signals(-code).name} ended it" if code < 0 else f"exit code {code}"
+    if code >= 0:
+        return f"exit code {code}"
+    named = {each.value: each.name for each in signal.Signals}  # not all of those for real time have a name
+    return f"{named.get(-code, f'signal {-code}')} ended it"
 
 
 def shell_words(command: Sequence[str], setup: str | None) -> tuple[str, ...]:
