@@ -99,7 +99,7 @@ class BoardClock:
                 return
             if time.monotonic() > deadline:
                 raise AssertionError(f"the board has not reached {target} s within {_DEADLINE} real seconds")
-            time.sleep(0.0002)
+            time.sleep(0.001)
 
     def await_closing(self, count: int) -> None:
         """Wait until the board has noticed that its port was closed so often, and is ready to be opened again."""

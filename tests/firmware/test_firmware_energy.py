@@ -19,7 +19,7 @@ PROMISED = 0.005  # parts of one
 PROMISED_WHEN_CORRUPT = 0.01
 
 
-@pytest.mark.parametrize(("load", "seconds"), [(MISSION, 60), (SWING, 10)], ids=["stepped", "sinusoidal"])
+@pytest.mark.parametrize(("load", "seconds"), [(MISSION, 17), (SWING, 5)], ids=["stepped", "sinusoidal"])
 def test_energy_is_right_and_no_sample_is_lost(board, tmp_path, load, seconds):
     with board(load=load.words, volts=VOLTS) as meter:
         measured = measure(meter, tmp_path, seconds)
@@ -41,7 +41,7 @@ def test_a_resonator_that_is_half_a_percent_off_hardly_matters(board, tmp_path, 
 @pytest.mark.parametrize("load", [MISSION, SWING], ids=["stepped", "sinusoidal"])
 def test_energy_is_right_where_one_byte_in_a_hundred_is_corrupt(board, tmp_path, load):
     with board(load=load.words, volts=VOLTS, corrupt=0.01, seed=7) as meter:
-        measured = measure(meter, tmp_path, 17.0)
+        measured = measure(meter, tmp_path, 8.0)
     assert abs(measured.error_of("Energy", load)) < PROMISED_WHEN_CORRUPT
     assert any("lost" in problem for problem in measured.problems)
 
@@ -56,7 +56,7 @@ def test_a_current_beyond_the_range_is_told_and_one_within_it_is_not(board, tmp_
 
 def test_another_shunt_is_reckoned_with(board, tmp_path):
     with board(load=MISSION.words, volts=VOLTS, shunt=0.05) as meter:
-        measured = measure(meter, tmp_path, 10.0, shunt_ohm=0.05)
+        measured = measure(meter, tmp_path, 6.0, shunt_ohm=0.05)
     assert abs(measured.error_of("Energy", MISSION)) < PROMISED
     assert measured.problems == ["the power meter says that its shunt has 0.1 ohm, not 0.05 ohm"]
 

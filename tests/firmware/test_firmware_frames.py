@@ -90,13 +90,13 @@ def test_a_question_mark_is_answered_with_a_hello_before_the_next_sample(free_bo
 @pytest.mark.parametrize("share", [0.01, 0.1])
 def test_every_corrupt_frame_is_detected_and_no_intact_one_is_lost(board, tmp_path, share):
     truth = tmp_path / "truth"
-    with board(truth=truth, load=MISSION.words, volts=VOLTS, corrupt=share, seed=3, seconds=20) as meter:
+    with board(truth=truth, load=MISSION.words, volts=VOLTS, corrupt=share, seed=3, seconds=10) as meter:
         received = read_until_unplugged(meter)
         meter.facts()
     assert truth.stat().st_size - len(received) < 24, "only a frame that was cut off is not received"
     untouched, hit = intact(truth.read_bytes(), received)
     assert decoded(received) == untouched
-    assert hit == pytest.approx(4_040 * (1 - (1 - share) ** 16), rel=0.1)
+    assert hit == pytest.approx(2_020 * (1 - (1 - share) ** 16), rel=0.1)
 
 
 @pytest.mark.soak

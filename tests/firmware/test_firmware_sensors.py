@@ -30,7 +30,7 @@ def test_each_sensor_has_its_own_energy(three, tmp_path):
     with executed(three, clock=BoardClock(tmp_path / "clock"), load=LOAD.words, volts=VOLTS, sensors=3) as meter:
         plugins = profilers(port=meter.port)
         context = metered(meter, tmp_path, *plugins)
-        measures = rehearse(context, *plugins, mission=lambda: meter.clock.sleep(10.0))
+        measures = rehearse(context, *plugins, mission=lambda: meter.clock.sleep(3.0))
         context.resources.close()
     joules = LOAD.joules(context.window)
     assert context.broker.findings == ()
@@ -42,7 +42,7 @@ def test_a_sensor_that_is_not_there_is_told_and_the_others_go_on(three, tmp_path
     with executed(three, clock=BoardClock(tmp_path / "clock"), load=LOAD.words, volts=VOLTS, sensors=2) as meter:
         plugins = profilers(port=meter.port)
         context = metered(meter, tmp_path, *plugins)
-        measures = rehearse(context, *plugins, mission=lambda: meter.clock.sleep(3.0))
+        measures = rehearse(context, *plugins, mission=lambda: meter.clock.sleep(1.5))
         context.resources.close()
     assert measures["motors.Energy"] == pytest.approx(LOAD.joules(context.window) / 2, rel=0.025)
     assert measures["arm.Energy"] is None
@@ -56,7 +56,7 @@ def test_the_card_holds_each_sensor(three, tmp_path):
     with executed(three, clock=clock, load="0:0.8", volts=VOLTS, sensors=3, card=card.path) as meter:
         (first, *_) = plugins = profilers(port=meter.port)
         context = metered(meter, tmp_path, *plugins)
-        rehearse(context, first, mission=lambda: meter.clock.sleep(5.0))
+        rehearse(context, first, mission=lambda: meter.clock.sleep(2.0))
         context.resources.close()
     file = card.copy_to(tmp_path / "INA219.BIN")
     for share, address in enumerate((0x40, 0x41, 0x42), 1):

@@ -26,7 +26,7 @@ def name(load) -> str:
 
 
 def error(board, tmp_path, load, **settings) -> float:
-    seconds = 3.0 if load.hertz >= 100.0 else 10.0  # a pulse at the window's edge must not matter
+    seconds = 2.0 if load.hertz >= 200.0 else 5.0  # a pulse at the window's edge must not matter
     with board(load=load.words, volts=VOLTS, **settings) as meter:
         measured = measure(meter, tmp_path, seconds)
     assert measured.problems == []

@@ -99,3 +99,9 @@ def test_samples_are_placed_on_the_runs_clock_and_keep_their_own():
 def test_a_computer_that_does_not_tell_its_memory_has_none():
     (only,) = utilisation_of([sample(0.0, 0, 0, memory=(0.0, 0.0))], cores=1)
     assert only.memory is None
+
+
+def test_the_last_core_that_is_switched_off_leaves_the_others_alone():
+    first, second = CoreCounters(0, 0), CoreCounters(10, 5)
+    found = utilisation_of([sample(0, 0, 0, cores=(first, first)), sample(1, 10, 5, cores=(second,))], cores=2)
+    assert found[1].cores == (50.0,)

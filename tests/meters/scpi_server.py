@@ -19,6 +19,7 @@ class ScpiServer:
         received: all lines, in order.
         delay: how long the next answer takes, s; used once.
         is_mute: whether it takes lines and answers none.
+        has_queue: whether it tells of its errors.
     """
 
     def __init__(self, **numbers: float) -> None:
@@ -33,6 +34,7 @@ class ScpiServer:
         self.errors: list[str] = []
         self.delay = 0.0
         self.is_mute = False
+        self.has_queue = True
         outer = self
 
         class Handler(socketserver.StreamRequestHandler):
@@ -55,7 +57,7 @@ class ScpiServer:
         self.received.append(line)
         delay, self.delay = (self.delay, 0.0) if line.startswith("MEAS") else (0.0, self.delay)
         time.sleep(delay)
-        if self.is_mute:
+        if self.is_mute or (line == "SYST:ERR?" and not self.has_queue):
             return None
         if line == "SYST:ERR?":
             return self.errors.pop(0) if self.errors else '0,"No error"'

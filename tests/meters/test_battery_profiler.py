@@ -81,6 +81,11 @@ def test_a_message_without_a_number_now_and_then_is_bridged(measure):
     assert not _problems(context)
 
 
+def test_a_robot_that_falls_silent_shortly_before_the_end_has_used_no_less(measure):
+    context = measure(lambda time: time < 69.15 and {"voltage": 12.0, "current": -0.5, "percentage": 0.5}, seconds=20.0)
+    assert context.measures["Energy"] == pytest.approx(120.0)
+
+
 def test_an_energy_below_nothing_is_doubted(measure):
     context = measure(lambda _: {"voltage": 12.0, "current": 0.5, "percentage": 0.5})
     assert context.measures["Energy"] == pytest.approx(-60.0)
@@ -126,7 +131,8 @@ def test_a_robot_that_cannot_be_heard_fails_the_run(tmp_path):
 
 
 def test_the_simulated_battery_agrees_with_the_simulated_meter(tmp_path):
-    system, battery, meter = BasicTurtlebot3(task="Video", task_factor=None), Battery(), Ina219()
+    short = {"sleep_s": 2.0, "drive_s": 4.0, "task_s": 5.0, "rotate_s": 5.0}
+    system, battery, meter = BasicTurtlebot3(task="Video", task_factor=None, **short), Battery(), Ina219()
     context = make_context(tmp_path, system, battery, meter)
     measures = rehearse(context, system, battery, meter)
     context.resources.close()

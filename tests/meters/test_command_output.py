@@ -62,6 +62,10 @@ def test_rows_of_one_moment_are_added_up():
     assert value(Aggregate.SUM, [0.0, 1.0, 1.0, 2.0], [9, 3, 4, 5]) == pytest.approx(12.0)
 
 
+def test_a_count_that_is_missing_is_taken_to_be_as_on_average():
+    assert value(Aggregate.SUM, [0.0, 0.5, 1.0, 1.5, 2.0], ["9", "100", "", "100", ""]) == pytest.approx(400.0)
+
+
 def test_a_counter_that_fell_tells_nothing():
     assert value(Aggregate.INCREASE, [0.0, 1.0, 2.0], [10, 20, 5]) is None
 

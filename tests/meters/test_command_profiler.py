@@ -111,12 +111,12 @@ def test_a_column_that_holds_no_numbers_has_no_value_and_says_why(measure, cell,
     assert problem.endswith(f"rows hold no number in column 'watts', the first {told}")
 
 
-def _rows_of_ten_seconds(cells):
-    plugin = CommandProfiler(command=["meter"], columns=COLUMNS[:1], period_s=0.1)
+def _rows_of_ten_seconds(cells, column=COLUMNS[0]):
+    plugin = CommandProfiler(command=["meter"], columns=[column], period_s=0.1)
     times = [number / 10 for number in range(-1, 102)]
     window = Window(0.0, 10.0)
     ending = Ending(0, was_asked=True, was_killed=False, complaint="")
-    rows = [{"watts": cells(time)} for time in times]
+    rows = [{column.source: cells(time)} for time in times]
     plugin._measured = measured = Measured(rows, times, window, window, ending)
     return plugin._evaluated(window), list(plugin.doubts(measured))
 
@@ -131,6 +131,12 @@ def test_a_single_text_among_numbers_is_told_and_costs_no_value():
     values, doubts = _rows_of_ten_seconds(lambda time: "err" if time == 3.0 else "5.0")
     assert values["Energy"] == pytest.approx(50.0)
     assert doubts == ["1 of 101 rows hold no number in column 'watts', the first 'err'"]
+
+
+def test_a_counter_that_is_set_back_has_no_value_and_says_why():
+    values, doubts = _rows_of_ten_seconds(lambda time: str(time % 4.0 + 3.0), COLUMNS[2])
+    assert values["Counted"] is None
+    assert doubts == ["the counter in column 'energy_mJ' was set back: no value"]
 
 
 def test_a_column_that_is_filled_in_now_and_then_is_no_doubt():

@@ -26,10 +26,10 @@ class ScriptedMeter(ElectricalProfiler):
 
 @pytest.fixture
 def measure(tmp_path):
-    def execute(say):
+    def execute(say, seconds=10.0):
         clock, plugin = FakeClock(), ScriptedMeter(say)
         context = make_context(tmp_path, plugin, robot=None, clock=clock)
-        rehearse(context, plugin, mission=lambda: clock.sleep(10.0))
+        rehearse(context, plugin, mission=lambda: clock.sleep(seconds))
         return context.measures, [finding.problem for finding in context.broker.findings]
 
     return execute
@@ -52,6 +52,17 @@ def test_a_counter_that_is_told_for_a_part_of_the_window_does_not_stand_for_the_
     )
     assert measures["Energy"] is None
     assert problems == ["the energy was told in 40 of 101 readings only"]
+
+
+def test_a_meter_that_falls_silent_shortly_before_the_end_measures_no_less(measure):
+    def say(time):
+        if time > 19.15:
+            raise TimeoutError("silent")
+        return ElectricalReading(8.0, wobbling(time))
+
+    measures, problems = measure(say, seconds=20.0)
+    assert (measures["Energy"], measures["MeanPower"]) == (pytest.approx(160.0), pytest.approx(8.0))
+    assert any("readings failed" in problem for problem in problems)
 
 
 def test_a_reading_without_power_now_and_then_is_bridged(measure):

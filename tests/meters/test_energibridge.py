@@ -87,6 +87,16 @@ def test_the_range_of_a_counter_is_the_power_of_two_above_it(energy_range):
     assert parse_energibridge(records)[-1]["energy_J"] == pytest.approx(15.0)
 
 
+@pytest.mark.parametrize(
+    ("heading", "cells", "joules"),
+    [("CPU_ENERGY (J)", ("50000", "", "50003"), 3.0), ("SYSTEM_POWER (Watts)", ("5", "", "7.5"), 3.0)],
+)
+def test_a_row_without_energy_is_bridged_by_the_next(heading, cells, joules):
+    rows = [f"200,{200 * number},{cell}" for number, cell in enumerate(cells)]
+    told = [row["energy_J"] for row in parse_energibridge([f"Delta,Time,{heading}", *rows])[1:]]
+    assert told == [0.0, None, pytest.approx(joules)]
+
+
 def test_a_machine_without_a_counter_yields_no_energy():
     records = ["Delta,Time,CPU_USAGE_0", "0,0,10"]
     assert parse_energibridge(records)[-1]["energy_J"] is None

@@ -102,6 +102,23 @@ def test_zones_can_be_chosen(measure):
     assert measure(zones=["acpitz"]).measures["MaxTemperature"] == pytest.approx(30.0)
 
 
+def test_a_core_that_is_switched_off_and_on_was_not_throttled(measure, board, clock):
+    board.throttled(100)
+    counter = board.root / "devices/system/cpu/cpu1/thermal_throttle/core_throttle_count"
+    clock.at(3.25, counter.unlink)
+    clock.at(6.25, lambda: board.throttled(100))
+    context = measure()
+    assert context.measures["Throttled"] == 0.0
+    assert problems(context) == []
+
+
+def test_a_firmware_that_cannot_be_read_does_not_say_that_all_is_well(measure, board, clock):
+    board.firmware(0)
+    clock.at(5.25, (board.root / "devices/platform/soc/soc:firmware/get_throttled").unlink)
+    clock.at(8.25, lambda: board.firmware(0b0100))
+    assert measure().measures["Throttled"] == pytest.approx(100 * 4 / 15)
+
+
 def test_a_count_of_throttling_that_grows_is_warned_of(measure, board, clock):
     board.throttled(100)
     clock.at(5.25, lambda: board.throttled(103))

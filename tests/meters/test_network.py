@@ -113,6 +113,15 @@ def test_an_interface_that_was_set_up_anew_counts_from_0(measure, clock, tmp_pat
     assert "interface 'wlan0' was set up anew: what it counted shortly before that is lost" in told
 
 
+def test_an_interface_that_was_set_up_anew_after_gigabytes_did_not_go_round(measure, clock, tmp_path):
+    wlan = FakeInterface(tmp_path / "net", "wlan0")
+    wlan.show(rx_bytes=3_000_000_000, rx_packets=2_500_000)
+    clock.at(5.25, lambda: wlan.show(rx_bytes=40, rx_packets=1))
+    context = measure(tmp_path / "net")
+    assert (context.measures["Received"], context.measures["PacketsReceived"]) == (40, 1)
+    assert any("set up anew" in finding.problem for finding in context.broker.findings)
+
+
 @given(steps=st.lists(st.integers(0, 2**30), max_size=40), start=st.integers(0, 2**32 - 1))
 def test_a_counter_of_32_bits_is_followed_exactly_however_often_it_goes_round(steps, start):
     counts = [start]

@@ -83,6 +83,12 @@ def test_a_gpu_that_is_lost_half_way_costs_the_values_and_not_the_run(measure, c
     assert any("GPU is lost" in problem for problem in problems(context))
 
 
+def test_a_gpu_that_is_lost_shortly_before_the_end_has_used_no_less(measure, clock):
+    gpu = FakeGpu(50.0, has_counter=False)
+    clock.at(29.15, lambda: setattr(gpu, "is_lost", True))
+    assert measure(gpu).measures["Energy"] == pytest.approx(1000.0)
+
+
 def test_the_names_of_the_gpus_are_kept(measure):
     context = measure(FakeGpu())
     assert json.loads((context.raw_data_folder / "quality.json").read_text())["gpus"] == ["NVIDIA Fake"]

@@ -39,7 +39,7 @@ def clock():
 
 @pytest.fixture
 def measure(tmp_path, clock):
-    def execute(powercap, *, seconds=60.0, watts=8.0, **settings):
+    def execute(powercap, *, seconds=20.0, watts=8.0, **settings):
         plugin = Rapl(root=powercap.root, **settings)
         clock.every(0.05, lambda: powercap.draw(package=watts * 0.05, core=0.1, dram=0.05))
         context = make_context(tmp_path, plugin, robot=None, clock=clock)
@@ -77,22 +77,22 @@ def problems(context) -> list[str]:
 
 def test_energy_is_what_the_packages_have_counted(measure, tmp_path):
     context = measure(FakePowercap(tmp_path / "powercap"))
-    assert context.measures["Energy"] == pytest.approx(480.0, rel=1e-3)
-    assert context.measures["MeanPower"] == pytest.approx(8.0, rel=1e-3)
+    assert context.measures["Energy"] == pytest.approx(160.0, rel=3e-3)
+    assert context.measures["MeanPower"] == pytest.approx(8.0, rel=3e-3)
     assert problems(context) == []
     assert context.broker.measures["Energy"].origin is Origin.MEASURED
 
 
 def test_domains_within_the_package_have_measures_of_their_own(measure, tmp_path):
     context = measure(FakePowercap(tmp_path / "powercap"), domains=["core", "dram"])
-    assert context.measures["CoreEnergy"] == pytest.approx(120.0, rel=1e-3)
-    assert context.measures["DramEnergy"] == pytest.approx(60.0, rel=1e-3)
-    assert context.measures["Energy"] == pytest.approx(480.0, rel=1e-3)
+    assert context.measures["CoreEnergy"] == pytest.approx(40.0, rel=3e-3)
+    assert context.measures["DramEnergy"] == pytest.approx(20.0, rel=3e-3)
+    assert context.measures["Energy"] == pytest.approx(160.0, rel=3e-3)
 
 
 def test_a_counter_that_begins_anew_several_times_is_followed(measure, tmp_path):
-    powercap = FakePowercap(tmp_path / "powercap", package=99_000_000, wraps_at=100_000_000)
-    assert measure(powercap).measures["Energy"] == pytest.approx(480.0, rel=1e-3)
+    powercap = FakePowercap(tmp_path / "powercap", package=29_000_000, wraps_at=30_000_000)
+    assert measure(powercap).measures["Energy"] == pytest.approx(160.0, rel=3e-3)
 
 
 @given(steps=st.lists(st.integers(0, 499), max_size=50), start=st.integers(0, 999))
@@ -108,9 +108,9 @@ def test_a_counter_that_is_set_back_is_not_taken_for_one_that_went_round(measure
     def suspend():
         powercap.counts["intel-rapl:0"] = 0
 
-    clock.at(40.0, suspend)
+    clock.at(20.0, suspend)
     context = measure(powercap)
-    assert context.measures["Energy"] == pytest.approx(480.0, rel=0.01)
+    assert context.measures["Energy"] == pytest.approx(160.0, rel=0.01)
     assert "the counter of package-0 was set back: what it counted shortly before that is lost" in problems(context)
 
 
@@ -122,7 +122,7 @@ def test_a_counter_that_vanishes_half_way_costs_its_values_and_not_the_run(measu
         powercap.draw = lambda **_: None
         counter.unlink()
 
-    clock.at(40.0, vanish)
+    clock.at(20.0, vanish)
     context = measure(powercap)
     assert set(context.measures.values()) == {None}
     assert any("readings failed, the first with: FileNotFoundError" in problem for problem in problems(context))
@@ -149,7 +149,7 @@ def test_two_sockets_are_added_up(measure, tmp_path):
         "package-0/dram",
         "package-1",
     ]
-    assert measure(powercap).measures["Energy"] == pytest.approx(480.0, rel=1e-3)
+    assert measure(powercap).measures["Energy"] == pytest.approx(160.0, rel=3e-3)
 
 
 def test_on_a_simulated_robot_power_is_that_of_real_time(tmp_path):

@@ -66,7 +66,7 @@ def test_an_analyser_is_asked_for_power_and_its_energy_counter(tmp_path, server)
 
 def test_setup_is_sent_before_the_measurement(tmp_path, server):
     measured(tmp_path, Scpi(server.resource, setup=["SYST:REM"]), FakeClock(), 1.0)
-    assert server.received[:2] == ["*IDN?", "SYST:REM"]
+    assert [line for line in server.received if line != "SYST:ERR?"][:2] == ["*IDN?", "SYST:REM"]
 
 
 def test_an_answer_that_comes_too_late_is_not_taken_for_the_next(tmp_path, server):
@@ -129,6 +129,17 @@ def test_a_query_that_it_does_not_know_is_told_with_its_own_words(server):
 def test_a_setup_that_it_refuses_is_told_with_its_own_words(server):
     finding = only_finding(Scpi(server.resource, setup=["SENS:CURRR 3"]))
     assert 'refuses its setup: -113,"Undefined header"' in finding.problem
+
+
+@pytest.mark.parametrize("setup", [[], ["SYST:REM"]])
+def test_errors_that_others_have_left_in_the_queue_are_not_of_this_setup(server, setup):
+    server.errors = ['-222,"Data out of range"'] * 3
+    assert list(Scpi(server.resource, setup=setup).check(Circumstances())) == []
+
+
+def test_an_instrument_without_a_queue_of_errors_is_measured_with(server):
+    server.has_queue = False
+    assert list(Scpi(server.resource, setup=["SYST:REM"], timeout_s=0.1).check(Circumstances())) == []
 
 
 def test_nothing_at_the_address_is_told():

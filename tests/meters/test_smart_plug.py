@@ -6,6 +6,7 @@ import csv
 import gc
 import json
 import logging
+import socket
 import time
 
 import pytest
@@ -14,6 +15,9 @@ from tests.meters.mqtt_broker import Broker
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.meters.electrical import ElectricalReading
+from robot_runner.meters.mqtt_requests import MqttRequests
+from robot_runner.meters.plug_dialects import DIALECTS
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.profilers import SmartPlug
 from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
@@ -107,6 +111,25 @@ def test_power_in_whole_watts_is_doubted_and_tasmota_told_how_to_mend_it(tmp_pat
     plug.watts = 7
     context = measured(tmp_path, SmartPlug("tasmota", url=on_http.url), FakeClock())
     assert any("whole watts, at 7 W (Tasmota's command `WattRes 2`" in problem for problem in problems(context))
+
+
+@pytest.mark.parametrize(
+    ("total", "joules"), [(8.0, None), ([3.0, 5.0], 5.0 * 3.6e6)], ids=["one counter for both", "a counter each"]
+)
+def test_the_outlets_of_a_tasmota_strip_are_told_apart(total, joules):
+    energy = {"Total": total, "Power": [3.0, 5.0], "Voltage": 230.0, "Current": [0.02, 0.03]}
+    answer = json.dumps({"StatusSNS": {"ENERGY": energy}}).encode()
+    assert DIALECTS["tasmota"].read({"": answer}, 1) == ElectricalReading(5.0, 230.0, 0.03, joules)
+
+
+def test_a_number_beyond_all_bounds_is_no_number():
+    with pytest.raises(ValueError, match="says apower = inf, which is no number"):
+        DIALECTS["shelly2"].read({"": b'{"apower": 1' + b"0" * 400 + b"}"}, 0)
+
+
+def test_the_single_meter_of_a_tasmota_plug_is_not_that_of_a_further_outlet(plug, on_http):
+    problem = only_finding(SmartPlug("tasmota", url=on_http.url, channel=2)).problem
+    assert "told no power" in problem
 
 
 def test_a_plug_that_falls_silent_blocks_no_mission(tmp_path, on_http):
@@ -215,6 +238,22 @@ def test_what_the_broker_has_kept_is_no_reading(broker, on_mqtt):
     on_mqtt.is_mute = True
     finding = only_finding(SmartPlug("shelly1", broker=broker.url, topic=on_mqtt.topic, timeout_s=0.5))
     assert "no answer came on" in finding.problem
+
+
+def test_answers_that_come_late_are_not_taken_for_those_to_the_next_question(broker, on_mqtt, plug):
+    on_mqtt.is_mute = True
+    exchange = DIALECTS["tasmota"].exchange(on_mqtt.topic, 0, "")
+    requests = MqttRequests(broker.url, exchange, timeout=0.05, where="plug")
+    for _ in range(2):
+        with pytest.raises(LinkError, match="no answer came"):
+            requests.ask()
+    for word in (b"first", b"second"):
+        on_mqtt._client.publish(exchange.answers[0], word).wait_for_publish(20)
+    while b"second" not in requests._client.socket().recv(4096, socket.MSG_PEEK):
+        time.sleep(0.01)
+    on_mqtt.is_mute, requests._timeout = False, 20.0
+    assert json.loads(requests.ask()[exchange.answers[0]])["StatusSNS"]["ENERGY"]["Power"] == plug.watts
+    requests.close()
 
 
 def test_a_topic_that_nobody_answers_is_told(broker):

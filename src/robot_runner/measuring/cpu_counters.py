@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from typing import TYPE_CHECKING
 
 from robot_runner.measuring.host import ProcessUtilisation, UtilisationSample
@@ -151,9 +152,9 @@ def _busy(before: CoreCounters | None, after: CoreCounters | None) -> float | No
 
 
 def _cores(before: CounterSample | None, sample: CounterSample) -> tuple[float | None, ...]:
-    if before is None or len(before.cores) != len(sample.cores):
-        return (None,) * len(sample.cores)
-    return tuple(map(_busy, before.cores, sample.cores))
+    # The last one may have been switched off or on since.
+    pairs = zip_longest(() if before is None else before.cores, sample.cores)
+    return tuple(_busy(*pair) for pair in pairs)[: len(sample.cores)]
 
 
 def _process(sample: CounterSample, selector: int, spent: float, seconds: float | None) -> ProcessUtilisation:

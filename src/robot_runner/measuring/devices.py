@@ -58,7 +58,7 @@ def open_serial_line(
             be opened.
     """
     if port is not None and not is_simulated(context.robot):
-        return _port_line(context, port, baud)
+        return context.resources.open(f"port {port}", lambda: SerialPort(port, context.clock, baud=baud))
     devices, name = _own_devices(context)
     if port is not None:
         raise LinkError(
@@ -74,14 +74,6 @@ def open_serial_line(
         namespace=robot_namespace(context, namespace),
     )
     return context.resources.open(link_key("serial", namespace), opener)
-
-
-def _port_line(context: RobotRunnerContext, port: str, baud: int) -> SerialLine:
-    def opener() -> SerialLine:
-
-        return SerialPort(port, context.clock, baud=baud)
-
-    return context.resources.open(f"port {port}", opener)
 
 
 def connect_host(

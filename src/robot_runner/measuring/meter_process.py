@@ -133,7 +133,9 @@ class ChildProgram:
             if self.process.stdin is not None:
                 self.process.stdin.close()
             self._is_gone_within(_DEATH)
-            self.said = self._read_errors()
+            with self._errors:
+                self._errors.seek(0)
+                self.said = self._errors.read().decode(errors="replace")
             complaint = next((line.strip() for line in reversed(self.said.split("\n")) if line.strip()), "")
             self._ending = Ending(self.process.poll(), was_asked, was_killed, complaint)
         return self._ending
@@ -171,11 +173,6 @@ class ChildProgram:
                 subprocess.run(  # noqa: S603 - our own words
                     command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_DEATH, check=False
                 )
-
-    def _read_errors(self) -> str:
-        with self._errors:
-            self._errors.seek(0)
-            return self._errors.read().decode(errors="replace")
 
 
 class MeterProcess(ChildProgram):

@@ -150,18 +150,6 @@ class OnBoardSession:
         Raises:
             LinkError: the connection is lost, or it falls silent.
         """
-        return self._await_end()
-
-    def recover(self, path: str) -> None:
-        """Fetch the samples that a session kept whose connection was lost, and end what it left; as `fetch`.
-
-        Raises:
-            LinkError: the file is not there, the connection is lost, or it falls silent.
-        """
-        self._send(f"recover\t{path}\n")
-        self._await_end()
-
-    def _await_end(self) -> float | None:
         while True:
             try:
                 seconds = self._await("end", _PATIENCE)[0][0]
@@ -170,6 +158,15 @@ class OnBoardSession:
                     continue
                 raise
             return None if seconds == "-" else float(seconds)
+
+    def recover(self, path: str) -> None:
+        """Fetch the samples that a session kept whose connection was lost, and end what it left; as `fetch`.
+
+        Raises:
+            LinkError: the file is not there, the connection is lost, or it falls silent.
+        """
+        self._send(f"recover\t{path}\n")
+        self.fetch()
 
     def lost(self) -> LinkError:
         """Return what is to be said of a connection that is lost, with ssh's own words and exit code."""

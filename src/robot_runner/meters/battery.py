@@ -7,7 +7,7 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
@@ -15,6 +15,7 @@ from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
 from robot_runner.measuring.series import Series, cut, integrate, mean
+from robot_runner.meters.parameter_checks import check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -115,8 +116,7 @@ class Battery(Profiler):
         namespace: str = "",
     ) -> None:
         super().__init__(name=name)
-        if not (math.isfinite(rate_hz) and rate_hz > 0):
-            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        check_positive(self.name, rate_hz=rate_hz)
         self.topic = topic
         self.rate_hz = rate_hz
         self.namespace = namespace
@@ -224,9 +224,8 @@ class Battery(Profiler):
         """Return the measures over a part of the mission, at whose edges the nearest messages within stand for it."""
         if not quality_of(heard.times, window, self.rate_hz).is_sufficient:
             return {}
-        reach = 5 / self.rate_hz
         voltage, charge, power = (
-            cut(self._sufficient(series, window), window, reach=reach)
+            cut(self._sufficient(series, window), window, reach=window.duration)
             for series in (heard.series(heard.voltage), heard.series(heard.charge), heard.power())
         )
         return {

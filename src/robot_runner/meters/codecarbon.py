@@ -16,6 +16,7 @@ from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import note_own_window, publish_measures
 from robot_runner.measuring.measured_machine import THIS_MACHINE, clock_details, machine_clock, simulation_findings
 from robot_runner.measuring.quality import write_quality
+from robot_runner.meters.parameter_checks import check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -76,9 +77,7 @@ class CodeCarbon(Profiler):
         if not (isinstance(country, str) and re.fullmatch(r"[A-Z]{3}", country)):
             fix = "Give three capital letters, such as 'NLD' (ISO 3166-1 alpha-3)."
             raise PluginError(f"country is {country!r}", where=self.name, fix=fix)
-        if not interval_s > 0:
-            fix = "Give interval_s a number above 0."
-            raise PluginError(f"interval_s is {interval_s!r}", where=self.name, fix=fix)
+        check_positive(self.name, interval_s=interval_s)
         self.country = country
         self.interval_s = interval_s
         self.options = dict(options or {})

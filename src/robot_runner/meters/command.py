@@ -6,7 +6,7 @@ import shutil
 import signal
 import time
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
@@ -26,6 +26,7 @@ from robot_runner.meters.command_output import (
     parse_csv,
     row_times,
 )
+from robot_runner.meters.parameter_checks import check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 #: How long to wait, once the measured window is over, for the row that tells of its last moments: in periods, and s.
 _AFTERMATH_PERIODS = 1.2
 _LONGEST_AFTERMATH = 2.0
+_COUNTERS = (Aggregate.INCREASE, Aggregate.RATE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +127,10 @@ class CommandProfiler(Profiler):
         install: str = "Install it, or give its full path.",
     ) -> None:
         super().__init__(name=name)
+        if isinstance(command, str):
+            fix = f"Give a list: command={command.split()!r}."
+            raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
+        check_positive(self.name, period_s=period_s, grace_s=grace_s, startup_s=startup_s)
         self.command = [str(word) for word in command]
         self.columns = tuple(columns)
         self.measures: Sequence[Measure] = tuple(
@@ -132,7 +138,7 @@ class CommandProfiler(Profiler):
         )
         self.output = output
         self.period_s = period_s
-        self.probe_s = probe_window(1 / period_s) if period_s > 0 else None  # refused below
+        self.probe_s = probe_window(1 / period_s)
         self.grace_s = grace_s
         self.startup_s = startup_s
         self.exit_codes = tuple(exit_codes)
@@ -208,14 +214,17 @@ class CommandProfiler(Profiler):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish one value for each column; no value where the rows do not tell."""
-        if self._measured is None:
+        measured = self._measured
+        if measured is None:
             nothing = "nothing was measured: the measurement was never started"
             context.doubt(self._fault or nothing, fix=self._look)
             publish_measures(context, self.measures, lambda _: {}, origin=self.origin)
             return
-        for problem in self.doubts(self._measured):
+        for problem in self.doubts(measured):
             context.doubt(problem, fix=self._look)
-        self._report_quality(context, self._measured)
+        details = {**clock_details(context), "command": self.command, "program": asdict(measured.ending)}
+        quality = self._quality(measured.times, measured.window)
+        report_quality(context, quality, measured.window, sampled=measured.sampled, fix=self._look, details=details)
         publish_measures(context, self.measures, self._evaluated, origin=self.origin, clock=self._clock)
 
     def words(self, folder: Path) -> list[str]:
@@ -244,7 +253,7 @@ class CommandProfiler(Profiler):
         yield from dict.fromkeys(self._cell_doubts(measured))
 
     def _cell_doubts(self, measured: Measured) -> Iterator[str]:
-        """Yield where cells hold texts such as `N/A`, `7,5` or `7.5 W`, or too few hold anything."""
+        """Yield where cells hold texts such as `N/A`, `7,5` or `7.5 W`, too few hold anything, or a counter fell."""
         window = measured.window
         rows = [
             row for time, row in zip(measured.times, measured.rows, strict=True) if window.start <= time <= window.end
@@ -260,6 +269,8 @@ class CommandProfiler(Profiler):
             if texts or (missing and not self._is_told(column, measured, window)):
                 first = f", the first {texts[0]!r}" if texts else ""
                 yield f"{len(missing)} of {len(told)} rows hold no number in column {column.source!r}{first}"
+            elif column.aggregate in _COUNTERS and column.value(measured.times, measured.rows, window) is None:
+                yield f"the counter in column {column.source!r} was set back: no value"
 
     def _is_told(self, column: CommandColumn, measured: Measured, window: Window) -> bool:
         """Whether the cells that hold a number cover enough of a window; the last one may stand alone."""
@@ -267,11 +278,6 @@ class CommandProfiler(Profiler):
             return True
         numbers = zip(measured.times, column.values(measured.rows), strict=True)
         return self._quality([time for time, number in numbers if number is not None], window).is_sufficient
-
-    def _report_quality(self, context: RobotRunnerContext, measured: Measured) -> None:
-        details = {**clock_details(context), "command": self.command, "program": asdict(measured.ending)}
-        quality = self._quality(measured.times, measured.window)
-        report_quality(context, quality, measured.window, sampled=measured.sampled, fix=self._look, details=details)
 
     def _quality(self, times: Sequence[float], window: Window) -> SampleQuality:
         moments = list(dict.fromkeys(times))  # some programs write several rows at once
@@ -330,14 +336,11 @@ class CommandProfiler(Profiler):
 
     def _refuse_what_cannot_be(self) -> None:
         names = [measure.name for measure in self.measures]
-        times: dict[str, Any] = {"period_s": self.period_s, "grace_s": self.grace_s, "startup_s": self.startup_s}
-        wrong = [f"{name} is {value!r}" for name, value in times.items() if not value > 0]
-        if not self.command:
-            wrong.append("command is empty")
+        wrong = [] if self.command else ["command is empty"]
         if len(set(names)) < max(len(names), 1):
             wrong.append(f"columns yield the measures {names}")
         if wrong:
-            fix = "Give a command, columns that yield different measures, and times above 0."
+            fix = "Give a command, and columns that yield different measures."
             raise PluginError(wrong[0], where=self.name, fix=fix)
 
 

@@ -10,11 +10,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
+from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.rapl import POWERCAP, permission_findings
 
 if TYPE_CHECKING:
@@ -44,20 +45,21 @@ def parse_energibridge(records: Sequence[str]) -> list[Row | None]:
     joules = 0.0
     for row in parse_csv(records):
         if row is not None:
-            joules += _joules_between(sooner, row) if sooner is not None else 0.0
-            sooner = row
-            row = _summary(row, joules)  # noqa: PLW2901 - the row as it is passed on
+            tells_energy = any(row.get(name) for name in (*_POWERS, *_COUNTERS))
+            if tells_energy:
+                joules += _joules_between(sooner, row) if sooner is not None else 0.0
+                sooner = row
+            row = _summary(row, joules if tells_energy else None)  # noqa: PLW2901 - the row as it is passed on
         rows.append(row)
     return rows
 
 
-def _summary(row: Row, joules: float) -> Row:
+def _summary(row: Row, joules: float | None) -> Row:
     usages = [float(cell) for name, cell in row.items() if name.startswith("CPU_USAGE_") and cell]
     total, used = float(row.get("TOTAL_MEMORY") or 0), float(row.get("USED_MEMORY") or 0)
-    has_energy = any(name in row for name in (*_POWERS, *_COUNTERS))
     return {
         "Time": float(row["Time"] or math.nan),
-        "energy_J": joules if has_energy else None,
+        "energy_J": joules,
         "cpu_percent": math.fsum(usages) / len(usages) if usages else None,
         "memory_percent": 100.0 * used / total if total else None,
     }
@@ -118,8 +120,7 @@ class EnergiBridge(CommandProfiler):
         program: str = "energibridge",
         devices: Path = Path("/dev/cpu"),
     ) -> None:
-        if not interval_ms > 0:
-            raise PluginError(f"interval_ms is {interval_ms!r}", where=name or "EnergiBridge", fix="Give one above 0.")
+        check_positive(name or "EnergiBridge", interval_ms=interval_ms)
         sources = ("energy_J", "energy_J", "cpu_percent", "memory_percent")
         aggregates = (Aggregate.INCREASE, Aggregate.RATE, Aggregate.MEAN, Aggregate.MEAN)
         columns = zip(sources, type(self).measures, aggregates, strict=True)
@@ -302,19 +303,9 @@ class Powermetrics(CommandProfiler):
         interval_ms: int = 1000,
         command: Sequence[str] = ("sudo", "-n", "powermetrics"),
     ) -> None:
-        if not interval_ms > 0:
-            raise PluginError(f"interval_ms is {interval_ms!r}", where=name or "Powermetrics", fix="Give one above 0.")
+        check_positive(name or "Powermetrics", interval_ms=interval_ms)
         energy, power = type(self).measures
-        options = [
-            "--samplers",
-            "cpu_power",
-            "--format",
-            "plist",
-            "--sample-rate",
-            str(interval_ms),
-            "--buffer-size",
-            "0",
-        ]
+        options = f"--samplers cpu_power --format plist --sample-rate {interval_ms} --buffer-size 0".split()
         super().__init__(
             name=name,
             command=[*command, *options, "--output-file", "{output}"],

@@ -120,12 +120,18 @@ class CommandColumn:
             rows: the rows.
             window: the measured one.
         """
-        known = [(time, value) for time, value in zip(times, self.values(rows), strict=True) if value is not None]
-        series = Series([time for time, _ in known], [value for _, value in known])
+        told = [
+            (time, math.nan if value is None else value)
+            for time, row, value in zip(times, rows, self.values(rows), strict=True)
+            if self.source in row
+        ]
+        known = [(time, value) for time, value in told if not math.isnan(value)]
         if self.aggregate in _PICK:
             within = [value for time, value in known if window.start <= time <= window.end]
             return _PICK[self.aggregate](within) if within else None
-        value = _MEASURE[self.aggregate](series, window)
+        # A count is that since the row before, also where that one holds none: it does not stand for the time of both.
+        pairs = told if self.aggregate is Aggregate.SUM else known
+        value = _MEASURE[self.aggregate](Series([time for time, _ in pairs], [value for _, value in pairs]), window)
         if self.aggregate is Aggregate.RATE and value is not None:
             return value / window.duration if window.duration else None
         return value
@@ -146,6 +152,8 @@ def _integral(series: Series, window: Window) -> float | None:
 def _sum(series: Series, window: Window) -> float | None:
     total = seen = 0.0
     for (sooner, later), value in zip(pairwise(series.times), series.values[1:], strict=False):
+        if math.isnan(value):
+            continue
         if later > sooner:
             inside = max(0.0, min(later, window.end) - max(sooner, window.start))
             total += value * inside / (later - sooner)

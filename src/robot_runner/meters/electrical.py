@@ -130,23 +130,24 @@ class ElectricalProfiler(PolledProfiler[Readings]):
             ("energy_J", "joules"),
             ("stamp_s", "time"),
         )
+        prefixes = [f"{channel}_" for channel in self.channels] if len(self.channels) > 1 else [""]
         columns = [
             Column(f"{prefix}{heading}", [getattr(reading[place], quantity) for reading in sampling.readings])
-            for place, prefix in enumerate(self._prefixes)
+            for place, prefix in enumerate(prefixes)
             for heading, quantity in picks
         ]
         return [column for column in columns if any(value is not None for value in column.values)]
 
     def values(self, sampling: Sampling[Readings]) -> Mapping[str, float | None]:
         """Return energy, mean power, voltage and current of each channel."""
-        window, reach = sampling.window, 5 / self.rate_hz
-        values: dict[str, float | None] = {}
-        for place, names in enumerate(self._names):
+        window = sampling.window
+        values: list[float | None] = []
+        for place in range(len(self.channels)):
             joules = self._energy(sampling, place)[0]
             watts = joules / window.duration if joules is not None and window.duration else None
-            means = [mean(cut(_told(sampling, place, each), window, reach=reach)) for each in ("voltage", "current")]
-            values |= zip(names, (joules, watts, *means), strict=True)
-        return values
+            means = [mean(cut(_told(sampling, place, each), window)) for each in ("voltage", "current")]
+            values += (joules, watts, *means)
+        return dict(zip((measure.name for measure in self.measures), values, strict=True))
 
     def doubts(self, sampling: Sampling[Readings]) -> Iterator[str]:
         """Yield what is doubtful: a meter that is stuck or the wrong way round, or a counter that power contradicts."""
@@ -161,19 +162,11 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         sources = [self._energy(self._sampling, place)[1] for place in range(len(self.channels))]
         return {"energy_from": dict(zip(self.channels, sources, strict=True))}
 
-    @property
-    def _prefixes(self) -> Sequence[str]:
-        return [f"{channel}_" for channel in self.channels] if len(self.channels) > 1 else [""]
-
-    @property
-    def _names(self) -> Sequence[Sequence[str]]:
-        names, count = [measure.name for measure in self.measures], len(_MEASURES)
-        return [names[at : at + count] for at in range(0, len(names), count)]
-
     def _energy(self, sampling: Sampling[Readings], place: int) -> tuple[float | None, str]:
         """Return the energy of one channel, J, and what it was taken from."""
         counted, integral = self._counted(sampling, place), self._integral(sampling, place)
-        if counted is not None and (integral is None or self._is_trusted(sampling, place, counted)):
+        is_fine = counted is not None and counted > 0 and self._blur(sampling, counted) <= _FINE * counted
+        if counted is not None and (integral is None or (is_fine and not _falls(sampling, place))):
             return counted, "counter"
         return integral, "power" if integral is not None else ""
 
@@ -182,11 +175,8 @@ class ElectricalProfiler(PolledProfiler[Readings]):
         return growth(Series(counter.times, unwrapped(counter.values)), sampling.window)
 
     def _integral(self, sampling: Sampling[Readings], place: int) -> float | None:
-        return energy(_told(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
-
-    def _is_trusted(self, sampling: Sampling[Readings], place: int, counted: float) -> bool:
-        is_fine = self._blur(sampling, counted) <= _FINE * counted
-        return counted > 0 and is_fine and not _falls(sampling, place)
+        # Where the readings suffice, a gap at an edge is bridged as one inside: by the reading beside it.
+        return energy(_told(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
 
     def _blur(self, sampling: Sampling[Readings], joules: float) -> float:
         """Return how far a counter may be behind at one edge of a window in which so many joules were used, J."""

@@ -46,7 +46,8 @@ class _Instrument:
         except ImportError as error:
             raise PluginError(f"its driver cannot be imported: {error}", where=plugin.name, fix=_INSTALL) from error
         try:
-            paths = [path for path in self._driver.device_paths() if _is_joulescope(path)]
+            # Such as `u/js220/000415`; later drivers list other instruments too.
+            paths = [path for path in self._driver.device_paths() if "/js" in path]
             self.path = self._chosen(paths)
             self._driver.open(self.path)
             self._begin()
@@ -116,11 +117,6 @@ class _Instrument:
         power, voltage, current = (float(signals[name]["avg"]["value"]) for name in ("power", "voltage", "current"))
         joules = float(value["accumulators"]["energy"]["value"])
         self._last = ElectricalReading(power, voltage, current, joules, self._clock.now())
-
-
-def _is_joulescope(path: str) -> bool:
-    """Whether a path such as `u/js220/000415` is that of a Joulescope: later drivers list other instruments too."""
-    return "/js" in path
 
 
 class Joulescope(ElectricalProfiler):

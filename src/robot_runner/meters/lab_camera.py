@@ -15,6 +15,7 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import MeterProcess
+from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.video_recording import (
     Recording,
     frame_times,
@@ -24,10 +25,9 @@ from robot_runner.meters.video_recording import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.events.window import Window
     from robot_runner.core.plugin import Circumstances
 
 _VIDEO, _FRAMES, _STILLS, _ERRORS = "video.mkv", "frames.csv", "stills.json", "stderr.txt"
@@ -85,9 +85,7 @@ class LabCamera(Profiler):
             raise PluginError(f"device is {device!r}", where=self.name, fix="Name one: device='/dev/video0'.")
         if size is not None and not re.fullmatch(r"\d+x\d+", size):
             raise PluginError(f"size is {size!r}", where=self.name, fix="Give width x height: size='1280x720'.")
-        for word, value in (("rate_hz", rate_hz), ("startup_s", startup_s)):
-            if value is not None and not value > 0:
-                raise PluginError(f"{word} is {value!r}", where=self.name, fix=f"Give {word} a number above 0.")
+        check_positive(self.name, startup_s=startup_s, **({} if rate_hz is None else {"rate_hz": rate_hz}))
         self.device = device
         self.startup_s = startup_s
         self.recording = Recording(device, encoder, size, rate_hz)
@@ -106,16 +104,13 @@ class LabCamera(Profiler):
         where = f"plugin {self.name}"
         missing = missing_programs()
         if missing:
-            yield Finding.error(where, f"{' and '.join(missing)} cannot be found", self._install)
+            fix = "Install it (Debian, Ubuntu: sudo apt install ffmpeg)."
+            yield Finding.error(where, f"{' and '.join(missing)} cannot be found", fix)
         path = Path(self.device)
         if self.device.startswith("/dev/") and not path.exists():
             there = sorted(str(each) for each in path.parent.glob("video*"))
             fix = did_you_mean(self.device, there) if there else "Plug the camera in."
             yield Finding.error(where, f"there is no {self.device}", fix)
-
-    @property
-    def _install(self) -> str:
-        return "Install it (Debian, Ubuntu: sudo apt install ffmpeg)."
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""
@@ -243,8 +238,10 @@ class LabCamera(Profiler):
         phases = [
             (phase.name, (phase.window.start + phase.window.end) / 2) for phase in context.times.phases(self._clock)
         ]
+        middle = (window.start + window.end) / 2
+        three = [("beginning", window.start), ("middle", middle), ("end", window.end)]
         folder = context.raw_data_folder
-        for number, (label, at) in enumerate((phases or _three(window))[:_MOST_STILLS], start=1):
+        for number, (label, at) in enumerate((phases or three)[:_MOST_STILLS], start=1):
             file = f"still-{number}.jpg"
             take_still(folder / _VIDEO, self._nearest(at - self._epoch - self._offset), folder / file)
             yield {"label": label, "file": file, "since_start_s": round(at - window.start, 3)}
@@ -252,11 +249,6 @@ class LabCamera(Profiler):
     def _nearest(self, at: float) -> float:
         place = bisect_right(self._frames, at)
         return self._frames[max(0, place - 1)]
-
-
-def _three(window: Window) -> Sequence[tuple[str, float]]:
-    middle = (window.start + window.end) / 2
-    return [("beginning", window.start), ("middle", middle), ("end", window.end)]
 
 
 def _has_frame(process: MeterProcess) -> bool:

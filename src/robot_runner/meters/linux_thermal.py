@@ -14,7 +14,15 @@ from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.measuring.quality import Column, quality_of
 from robot_runner.measuring.series import Series, cut, mean
-from robot_runner.meters.machine.machine_state import is_measured, is_plausible
+from robot_runner.meters.machine.machine_state import (
+    FIRMWARE,
+    HELD_BACK,
+    PROCESSOR_COOLERS,
+    UNDER_VOLTAGE,
+    is_measured,
+    is_plausible,
+)
+from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
@@ -26,13 +34,6 @@ if TYPE_CHECKING:
 
 _MILLI = 1e-3
 _KILO = 1e3
-#: Where a Raspberry Pi's firmware tells of throttling. Bits 1 to 3 are about now: frequency capped, throttled, soft
-#: temperature limit; bit 0 is under-voltage. Source: Raspberry Pi documentation, vcgencmd get_throttled.
-_FIRMWARE = "devices/platform/soc/soc:firmware/get_throttled"
-_HELD_BACK_BITS = 0b1110
-_UNDER_VOLTAGE_BIT = 0b0001
-#: Types of cooling devices that hold the processor back; the others are fans and the like.
-_PROCESSOR_TYPES = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "thermal-idle")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ class ThermalReading:
         frequency: mean over the cores, Hz.
         core_frequencies: of each core, Hz, in the order of their numbers; None for one that does not tell.
         silent_zones: how many zones could not be read.
-        throttle_count: how often it was throttled since the machine started.
+        throttle_count: how often it was throttled since the machine started; None where a core does not tell.
         is_held_back: whether the kernel or the firmware holds it back now.
         is_under_voltage: whether the supply voltage is too low now.
     """
@@ -70,9 +71,9 @@ class _Machine:
         self.temperatures = [path / "temp" for path in chosen if _temperature(path / "temp") is not None]
         self.frequencies = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_cur_freq"), key=_core_number)
         self.counters = sorted(cpus.glob("cpu[0-9]*/thermal_throttle/*_throttle_count"))
-        coolers = [path for path in sorted(thermal.glob("cooling_device*")) if _cools_processor(path)]
-        self.coolers = [path / "cur_state" for path in coolers]
-        self.firmware = [path for path in (root / _FIRMWARE,) if path.exists()]
+        coolers = sorted(thermal.glob("cooling_device*"))
+        self.coolers = [each / "cur_state" for each in coolers if _text(each / "type").startswith(PROCESSOR_COOLERS)]
+        self.firmware = [path for path in (root / FIRMWARE.removeprefix("/sys/"),) if path.exists()]
 
     @property
     def tells_of_throttling(self) -> bool:
@@ -85,14 +86,15 @@ class _Machine:
         frequencies = [clock for clock in clocks if clock is not None]
         counts = _numbers(self.counters)
         states = _numbers(self.coolers)
-        flags = [int(_text(path) or "0", 16) for path in self.firmware]
+        flags = [int(text, 16) for path in self.firmware if (text := _text(path))]
         tells = bool(states or flags)
         return ThermalReading(
             temperature=max(temperatures, default=None),
             frequency=math.fsum(frequencies) / len(frequencies) * _KILO if frequencies else None,
-            throttle_count=int(sum(counts)) if counts else None,
-            is_held_back=any(states) or any(flag & _HELD_BACK_BITS for flag in flags) if tells else None,
-            is_under_voltage=any(flag & _UNDER_VOLTAGE_BIT for flag in flags),
+            # Without the counters of a core that is switched off, the sum would fall, and rise when it comes back.
+            throttle_count=int(sum(counts)) if counts and len(counts) == len(self.counters) else None,
+            is_held_back=any(states) or any(flag & HELD_BACK for flag in flags) if tells else None,
+            is_under_voltage=any(flag & UNDER_VOLTAGE for flag in flags),
             core_frequencies=tuple(None if clock is None else clock * _KILO for clock in clocks),
             silent_zones=len(self.temperatures) - len(temperatures),
         )
@@ -103,10 +105,6 @@ class _Machine:
 
 def _core_number(path: Path) -> int:
     return int(path.parents[1].name.removeprefix("cpu"))
-
-
-def _cools_processor(path: Path) -> bool:
-    return _text(path / "type").startswith(_PROCESSOR_TYPES)
 
 
 def _text(path: Path) -> str:
@@ -185,11 +183,12 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         name: str | None = None,
         zones: Sequence[str] | None = None,
         rate_hz: float = 2.0,
-        root: Path = Path("/sys"),
+        root: str | Path = "/sys",
     ) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
+        check_list(self.name, zones=() if zones is None else zones)
         self.zones = None if zones is None else tuple(zones)
-        self.root = root
+        self.root = Path(root)
         self._facts: Mapping[str, Any] = {}
         self._cores: Sequence[int] = ()
 
@@ -236,8 +235,10 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
             Column("temperature_degC", [each.temperature for each in readings], "%.3f"),
             Column("frequency_Hz", [each.frequency for each in readings], "%.0f"),
             Column("throttle_count", [each.throttle_count for each in readings], "%d"),
-            Column("is_held_back", [_digit(each.is_held_back) for each in readings], "%d"),
-            Column("is_under_voltage", [_digit(each.is_under_voltage) for each in readings], "%d"),
+            Column(
+                "is_held_back", [None if (held := each.is_held_back) is None else int(held) for each in readings], "%d"
+            ),
+            Column("is_under_voltage", [int(each.is_under_voltage) for each in readings], "%d"),
             *(
                 Column(f"frequency_cpu{core}_Hz", [each.core_frequencies[place] for each in readings], "%.0f")
                 for place, core in enumerate(self._cores)
@@ -284,10 +285,6 @@ class LinuxThermal(PolledProfiler[ThermalReading]):
         return "Leave the plugin out: a virtual machine has no thermal zones."
 
 
-def _digit(flag: bool | None) -> int | None:
-    return None if flag is None else int(flag)
-
-
 def _series(sampling: Sampling[ThermalReading], quantity: str) -> Series:
     return known_series(sampling, attrgetter(quantity))
 
@@ -314,9 +311,10 @@ def _silences(sampling: Sampling[ThermalReading]) -> Iterable[str]:
 
 def _held_back(readings: Sequence[ThermalReading]) -> list[bool]:
     """Return, for each reading that tells, whether the processor was held back then or since the reading before."""
-    told = [each for each in readings if each.is_held_back is not None or each.throttle_count is not None]
-    before = [*told[:1], *told[:-1]]
-    return [
-        bool(now.is_held_back) or (now.throttle_count or 0) > (then.throttle_count or 0)
-        for then, now in zip(before, told, strict=True)
-    ]
+    held_back, counted = [], math.inf
+    for each in readings:
+        if each.is_held_back is not None or each.throttle_count is not None:
+            count = counted if each.throttle_count is None else each.throttle_count
+            held_back.append(bool(each.is_held_back) or count > counted)
+            counted = count
+    return held_back

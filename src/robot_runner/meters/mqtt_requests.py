@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import select
+import ssl
 import time
 from contextlib import suppress
 from importlib import import_module
@@ -82,7 +84,12 @@ class MqttRequests:
         """
         if not self._client.is_connected():
             self._connect()
-        self._client.loop(0)  # what was sent late is not an answer to what is asked now
+        # What was sent late is not an answer to what is asked now. paho takes one message at a time, and TLS may have
+        # taken more from the network than that.
+        while (line := self._client.socket()) is not None and (
+            select.select([line], [], [], 0.0)[0] or (isinstance(line, ssl.SSLSocket) and line.pending())
+        ):
+            self._client.loop(0)
         self._answers.clear()
         self._client.publish(self._exchange.topic, self._exchange.payload)
         missing = set(self._exchange.answers)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 import signal
+from itertools import pairwise
+from operator import gt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -14,6 +16,7 @@ from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.counters import fall_count, unwrapped
+from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -25,14 +28,27 @@ if TYPE_CHECKING:
     from robot_runner.measuring.periodic import Sampling
 
 _COUNTERS = ("rx_bytes", "tx_bytes", "rx_packets", "tx_packets", "rx_dropped", "tx_dropped")
-#: Counters are as wide as a machine word: on a 32-bit Raspberry Pi OS they begin at 0 again after 4 GiB. Any other fall
-#: is an interface that was set up anew and counts from 0.
-WORD = 1 << 32
+#: Counters are as wide as a machine word: on a 32-bit Raspberry Pi OS they begin at 0 again after 4 GiB.
+_WORD = 1 << 32
 #: What `capture` keeps of each packet: headers, and no more of what is said than it must.
 _SNAP_LENGTH = 128
 _GRACE = 5.0
 #: How long tshark may take until it listens, s: a busy Raspberry Pi needs ten.
 _STARTUP = 30.0
+
+
+def wraps_at(counters: Sequence[Sequence[int]]) -> int | None:
+    """Return the value at which counters of one interface begin at 0 again; None where it was set up anew.
+
+    Then several of them fall at once, from whatever they had counted, and on a 64-bit machine that may be 4 GiB.
+
+    Example:
+        >>> wraps_at([[4_294_967_000, 200], [1_000, 1_300]]), wraps_at([[4_294_967_000, 200], [1_000, 3]])
+        (4294967296, None)
+    """
+    moments = pairwise(zip(*counters, strict=True))
+    return None if any(sum(map(gt, sooner, later)) > 1 for sooner, later in moments) else _WORD
+
 
 #: The counters of each interface, one after the other.
 Counters = tuple[int, ...]
@@ -86,16 +102,17 @@ class Network(PolledProfiler[Counters]):
         capture: bool = False,
         capture_filter: str = "",
         rate_hz: float = 2.0,
-        root: Path = Path("/sys/class/net"),
+        root: str | Path = "/sys/class/net",
     ) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
-        if interfaces is not None and (isinstance(interfaces, str) or not interfaces):
+        check_list(self.name, interfaces=() if interfaces is None else interfaces)
+        if interfaces is not None and not interfaces:
             fix = "Give a list of names, such as ['wlan0'], or leave it out."
             raise PluginError(f"interfaces is {interfaces!r}", where=self.name, fix=fix)
         self.interfaces = None if interfaces is None else tuple(dict.fromkeys(interfaces))
         self.capture = capture
         self.capture_filter = capture_filter
-        self.root = root
+        self.root = Path(root)
         # 2 readings a second of 80 bytes for a mission of 95 s; a capture of 100 packets a second for as long.
         self.bytes_per_run = 15_000 + (2_000_000 if capture else 0)
         self._names: list[str] = []
@@ -160,17 +177,21 @@ class Network(PolledProfiler[Counters]):
 
     def columns(self, sampling: Sampling[Counters]) -> Sequence[Column]:
         """Return the counters as they were read."""
-        headings = [f"{name}_{counter}" for name in self._names for counter in _COUNTERS]
-        return [Column(heading, counts, "%d") for heading, counts in zip(headings, self._counts(sampling), strict=True)]
+        return [
+            Column(f"{name}_{counter}", counts, "%d")
+            for name, its in zip(self._names, self._counts(sampling), strict=True)
+            for counter, counts in zip(_COUNTERS, its, strict=True)
+        ]
 
     def values(self, sampling: Sampling[Counters]) -> Mapping[str, float | None]:
         """Return what all interfaces together have counted."""
         totals = dict.fromkeys(_COUNTERS, 0)
-        for place, counts in enumerate(self._counts(sampling)):
-            grown = growth(Series(sampling.times, unwrapped(counts, WORD)), sampling.window)
-            if grown is None:
-                return {}
-            totals[_COUNTERS[place % len(_COUNTERS)]] += round(grown)
+        for its in self._counts(sampling):
+            for counter, counts in zip(_COUNTERS, its, strict=True):
+                grown = growth(Series(sampling.times, unwrapped(counts, wraps_at(its))), sampling.window)
+                if grown is None:
+                    return {}
+                totals[counter] += round(grown)
         return {
             "Received": totals["rx_bytes"],
             "Sent": totals["tx_bytes"],
@@ -181,10 +202,8 @@ class Network(PolledProfiler[Counters]):
 
     def doubts(self, sampling: Sampling[Counters]) -> Iterable[str]:
         """Yield that an interface was set up anew, and that tshark failed."""
-        counts = self._counts(sampling.within())
-        for place, name in enumerate(self._names):
-            its = counts[place * len(_COUNTERS) : (place + 1) * len(_COUNTERS)]
-            if any(fall_count(each, WORD) for each in its):
+        for name, its in zip(self._names, self._counts(sampling.within()), strict=True):
+            if any(fall_count(each, wraps_at(its)) for each in its):
                 yield f"interface {name!r} was set up anew: what it counted shortly before that is lost"
         if self._ending is not None and (
             not self._ending.was_asked or self._ending.exit_code not in {0, -signal.SIGINT}
@@ -195,9 +214,11 @@ class Network(PolledProfiler[Counters]):
         """Return which interfaces were read."""
         return {"interfaces": self._names, "is_captured": self.capture}
 
-    def _counts(self, sampling: Sampling[Counters]) -> list[list[int]]:
-        width = len(self._names) * len(_COUNTERS)
-        return [[reading[place] for reading in sampling.readings] for place in range(width)]
+    def _counts(self, sampling: Sampling[Counters]) -> list[list[list[int]]]:
+        """Return what each counter of each interface counted."""
+        width = len(_COUNTERS)
+        begins = range(0, len(self._names) * width, width)
+        return [[[each[at + place] for each in sampling.readings] for place in range(width)] for at in begins]
 
     def _there(self) -> list[str]:
         return sorted(path.name for path in self.root.glob("*") if (path / "statistics").is_dir())

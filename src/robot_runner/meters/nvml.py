@@ -12,6 +12,7 @@ from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, cut, energy, growth, mean
+from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
@@ -136,6 +137,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
 
     def __init__(self, *, name: str | None = None, gpus: Sequence[int] | None = None, rate_hz: float = 10.0) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
+        check_list(self.name, gpus=() if gpus is None else gpus)
         if gpus is not None and (not gpus or any(index < 0 for index in gpus)):
             fix = "Give numbers from 0, or leave gpus out for all."
             raise PluginError(f"gpus is {list(gpus)!r}", where=self.name, fix=fix)
@@ -203,7 +205,8 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
 
     def _energy(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
         counted = self._counted(sampling, place)
-        integral = energy(_series(sampling, place, "power"), sampling.window, reach=5 / self.rate_hz)
+        # Where the readings suffice, a gap at an edge is bridged as one inside: by the reading beside it.
+        integral = energy(_series(sampling, place, "power"), sampling.window, reach=sampling.window.duration)
         return counted or (counted if integral is None else integral)
 
     def _counted(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
@@ -213,7 +216,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
         return growth(counter, sampling.window) if is_usable else None
 
     def _mean(self, sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> float | None:
-        return mean(cut(_series(sampling, place, quantity), sampling.window, reach=5 / self.rate_hz))
+        return mean(cut(_series(sampling, place, quantity), sampling.window))
 
 
 def _series(sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> Series:

@@ -10,11 +10,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.errors import Finding
 from robot_runner.core.events.measure import Measure
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind
+from robot_runner.meters.parameter_checks import check_list, check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -96,10 +97,8 @@ class PerfStat(CommandProfiler):
         program: str = "perf",
         paranoia: Path = Path("/proc/sys/kernel/perf_event_paranoid"),
     ) -> None:
-        if not interval_ms > 0 or isinstance(events, str):
-            problem = f"events is {events!r}" if isinstance(events, str) else f"interval_ms is {interval_ms!r}"
-            fix = "Give a list of events, and an interval above 0."
-            raise PluginError(problem, where=name or "PerfStat", fix=fix)
+        check_positive(name or "PerfStat", interval_ms=interval_ms)
+        check_list(name or "PerfStat", events=events)
         self.events = tuple(events)
         self.pid = pid
         self.paranoia = paranoia

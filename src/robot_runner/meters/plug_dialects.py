@@ -54,7 +54,7 @@ class PlugDialect(Protocol):
 
 def _decoded(body: bytes) -> Mapping[str, Any]:
     try:
-        decoded = json.loads(body)
+        decoded = json.loads(body, parse_int=float)  # an int may be larger than any float
     except ValueError as error:
         raise ValueError(f"the plug answered {body[:40]!r}, which is no JSON") from error
     if not isinstance(decoded, dict):
@@ -110,8 +110,11 @@ class _Tasmota:
         if "WARNING" in told:  # what it answers to a wrong password
             raise ValueError(f"the plug refuses: {told['WARNING']}")
         fields = _fields(told, "StatusSNS", "ENERGY")
-        single = {name: _of_channel(value, channel) for name, value in fields.items()}
-        joules = _number(single, "Total", unit=_KILOWATT_HOUR)
+        has_several = isinstance(fields.get("Power"), list)
+        # What is no list is that of the whole plug; of several outlets, so is a single counter (without SetOption129).
+        single = {name: _of_channel(value, channel) for name, value in fields.items() if has_several or not channel}
+        is_own = not has_several or isinstance(fields.get("Total"), list)
+        joules = _number(single, "Total", unit=_KILOWATT_HOUR) if is_own else None
         power, voltage, current = (_number(single, name) for name in ("Power", "Voltage", "Current"))
         return _required(ElectricalReading(power, voltage, current, joules), told)
 

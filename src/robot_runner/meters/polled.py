@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.events.window import Window
-from robot_runner.core.links.connect import SIMULATED
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.live_samples import LiveSamples
@@ -16,36 +13,12 @@ from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
 from robot_runner.measuring.quality import Column, report_quality, write_samples
 from robot_runner.measuring.series import Series
+from robot_runner.meters.parameter_checks import check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
-
-_FIX = f"Name it in the config: robot = {SIMULATED!r}. Or: --set robot={SIMULATED}."
-
-
-def reach_findings(
-    name: str, circumstances: Circumstances, *, kind: str, parameter: str, device: str | None
-) -> list[Finding]:
-    """Return what stands in the way of reading from a robot's own device, or from the `device` that was named.
-
-    Args:
-        name: the plugin's.
-        circumstances: of the experiment.
-        kind: what the device is, in words.
-        parameter: the plugin's parameter that names the device.
-        device: what that parameter is; None for the robot's own.
-    """
-    where = f"plugin {name}"
-    if device is not None:
-        problem = f"{parameter} is {device!r}, and this version reaches only the {kind} of the simulated robot"
-        return [Finding.error(where, problem, f"Leave {parameter} out, and use --set robot={SIMULATED}.")]
-    if circumstances.robot is None:
-        return [Finding.error(where, f"the plugin reads the robot's {kind}, and the experiment names no robot", _FIX)]
-    return []
-
 
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
@@ -109,8 +82,7 @@ class PolledProfiler(Profiler, Generic[R]):
 
     def __init__(self, *, name: str | None = None, rate_hz: float = 10.0) -> None:
         super().__init__(name=name)
-        if not (math.isfinite(rate_hz) and rate_hz > 0):
-            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        check_positive(self.name, rate_hz=rate_hz)
         self.rate_hz = rate_hz
         self._meter: Meter[R] | None = None
         self._sampler: Sampler[R] | None = None

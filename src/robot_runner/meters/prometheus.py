@@ -16,6 +16,7 @@ from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, cut, growth, mean
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
+from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.polled import PolledProfiler, known_series
 
 if TYPE_CHECKING:
@@ -220,11 +221,11 @@ class Prometheus(PolledProfiler[Scrape]):
         timeout_s: float = 2.0,
     ) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
-        if isinstance(metrics, str) or not metrics:
-            fix = f"Give a list: metrics={[metrics or 'node_load1']!r}."
+        check_list(self.name, metrics=metrics)
+        if not metrics:
+            fix = "Name what it shows: metrics=['node_load1']."
             raise PluginError(f"metrics is {metrics!r}", where=self.name, fix=fix)
-        if not (math.isfinite(timeout_s) and timeout_s > 0):
-            raise PluginError(f"timeout_s is {timeout_s!r}", where=self.name, fix="Give timeout_s a number above 0.")
+        check_positive(self.name, timeout_s=timeout_s)
         self.metrics = tuple(ScrapedMetric(selector=each) if isinstance(each, str) else each for each in metrics)
         self.measures: Sequence[Measure] = tuple(metric.yields for metric in self.metrics)
         names = [measure.name for measure in self.measures]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -28,6 +27,7 @@ from robot_runner.measuring.measured_machine import Computer, host_findings, mac
 from robot_runner.measuring.on_board_session import FORMS
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.utilisation import Selection, Utilisation
+from robot_runner.meters.parameter_checks import check_list, check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -98,8 +98,7 @@ class PsUtil(Profiler):
         namespace: str = "",
     ) -> None:
         super().__init__(name=name)
-        if not (math.isfinite(rate_hz) and rate_hz > 0):
-            raise PluginError(f"rate_hz is {rate_hz!r}", where=self.name, fix="Give rate_hz a number above 0.")
+        check_positive(self.name, rate_hz=rate_hz)
         if form is not None and form not in FORMS:
             raise PluginError(f"form is {form!r}", where=self.name, fix=did_you_mean(form, FORMS))
         over_ssh = {"is_streamed": is_streamed, "ssh_config": ssh_config, "form": form}
@@ -257,8 +256,7 @@ def _refuse_idle(plugin: str, parameters: Mapping[str, object], reason: str) -> 
 
 
 def _selection(plugin: str, processes: Sequence[str | int], cores: Sequence[int]) -> Selection:
-    if isinstance(processes, str | int):
-        raise PluginError(f"processes is {processes!r}", where=plugin, fix=f"Give a list: processes=[{processes!r}].")
+    check_list(plugin, processes=processes, cores=cores)
     odd = [core for core in cores if isinstance(core, bool) or not isinstance(core, int) or core < 0]
     if odd:
         raise PluginError(f"there is no core {odd[0]!r}", where=plugin, fix="Number the cores from 0.")

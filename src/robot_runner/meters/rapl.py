@@ -13,6 +13,7 @@ from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_fin
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.counters import fall_count, unwrapped
+from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ POWERCAP = Path("/sys/class/powercap")
 #: `intel-rapl:0` is a package, `intel-rapl:0:1` a domain within it; AMD processors have the same names. The same
 #: package may appear once more as `intel-rapl-mmio:0`, which would count it twice.
 _FOLDER = re.compile(r"intel-rapl:\d+(:\d+)?")
-_KINDS = ("package", "core", "uncore", "dram", "psys")
+#: What may be measured besides the packages.
+_KINDS = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}
 _MICRO = 1e-6
 
 #: The counter of each domain, in microjoules.
@@ -153,14 +155,15 @@ class Rapl(PolledProfiler[Counters]):
         name: str | None = None,
         domains: Sequence[str] = (),
         rate_hz: float = 10.0,
-        root: Path = POWERCAP,
+        root: str | Path = POWERCAP,
     ) -> None:
         super().__init__(name=name, rate_hz=rate_hz)
+        check_list(self.name, domains=domains)
         for kind in domains:
-            if kind not in _KINDS[1:]:
-                raise PluginError(f"there is no domain {kind!r}", where=self.name, fix=did_you_mean(kind, _KINDS[1:]))
+            if kind not in _KINDS:
+                raise PluginError(f"there is no domain {kind!r}", where=self.name, fix=did_you_mean(kind, _KINDS))
         self.domains = tuple(dict.fromkeys(domains))
-        self.root = root
+        self.root = Path(root)
         self.measures = (*type(self).measures, *map(_measure_of, self.domains))
         self._domains: list[Domain] = []
 
@@ -212,8 +215,5 @@ class Rapl(PolledProfiler[Counters]):
 
 
 def _measure_of(kind: str) -> Measure:
-    what = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}[
-        kind
-    ]
-    told = f"Energy of {what} over the measured window, by its own counter."
+    told = f"Energy of {_KINDS[kind]} over the measured window, by its own counter."
     return Measure(f"{kind.capitalize()}Energy", "J", told, over=Over.SUM)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
+from robot_runner.meters.parameter_checks import check_list, check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -26,6 +27,7 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?)(?:\s*([munk])
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 #: What stands for an overload and for no number. Source: SCPI-99, volume 1, section 7.2.1.4: 9.9E37 and 9.91E37.
 _NO_NUMBER = 9.9e37
+_LONGEST_QUEUE = 50
 #: What stands in the way where an instrument cannot be opened, by a word of what PyVISA says.
 _REFUSED = "Undefined header"
 _REMEDIES = (
@@ -77,9 +79,12 @@ class _Instrument:
         try:
             self._open()
             self.identity = self._resource.query("*IDN?").strip()
+            for _ in range(_LONGEST_QUEUE):
+                if not self._complaint():  # of what others have sent before
+                    break
             for command in plugin.setup:
                 self._resource.write(command)
-            complaint = self._complaint()
+            complaint = self._complaint() if plugin.setup else ""
         except Exception as error:  # each backend of PyVISA has errors of its own
             self.close()
             raise self._error(f"{plugin.resource} does not answer: {_said(error)}", str(error)) from error
@@ -136,7 +141,12 @@ class _Instrument:
 
     def _complaint(self) -> str:
         """Return what stands first in the instrument's queue of errors; empty where nothing does, or it has none."""
-        said = str(self._resource.query("SYST:ERR?")).strip()
+        try:
+            said = str(self._resource.query("SYST:ERR?")).strip()
+        except Exception:  # noqa: BLE001 - no queue; opened anew, so that a late answer is not taken for the next one's
+            self.close()
+            self._open()
+            return ""
         match = _NUMBER.match(said)
         return said if match and float(match[1]) else ""
 
@@ -205,10 +215,8 @@ class Scpi(ElectricalProfiler):
         if energy_unit not in _ENERGY_UNITS:
             fix = did_you_mean(energy_unit, _ENERGY_UNITS)
             raise PluginError(f"energy_unit is {energy_unit!r}", where=self.name, fix=fix)
-        if not (math.isfinite(timeout_s) and timeout_s > 0):
-            raise PluginError(f"timeout_s is {timeout_s!r}", where=self.name, fix="Give timeout_s a number above 0.")
-        if isinstance(setup, str):
-            raise PluginError(f"setup is {setup!r}", where=self.name, fix=f"Give a list: setup=[{setup!r}].")
+        check_positive(self.name, timeout_s=timeout_s)
+        check_list(self.name, setup=setup)
         self.resource = resource
         self.energy_unit = energy_unit
         self.setup = tuple(setup)
@@ -225,7 +233,8 @@ class Scpi(ElectricalProfiler):
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no library, no instrument, or a query that it does not understand."""
         where = f"plugin {self.name}"
-        missing = [each for each in self._libraries if importlib.util.find_spec(each) is None]
+        libraries = ("pyvisa", "pyvisa_py") if self.backend.endswith("@py") else ("pyvisa",)
+        missing = [each for each in libraries if importlib.util.find_spec(each) is None]
         if missing:
             return [Finding.error(where, f"{' and '.join(missing)} cannot be imported", _INSTALL)]
         try:
@@ -248,7 +257,3 @@ class Scpi(ElectricalProfiler):
     def details(self) -> Mapping[str, Any]:
         """Return which instrument it is, and what it was asked."""
         return {**super().details(), "identity": self._identity, "queries": self.queries}
-
-    @property
-    def _libraries(self) -> Sequence[str]:
-        return ("pyvisa", "pyvisa_py") if self.backend.endswith("@py") else ("pyvisa",)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import math
 import secrets
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -12,6 +11,7 @@ from robot_runner.core.links.connect import SIMULATED, is_simulated
 from robot_runner.meters.electrical import ElectricalProfiler
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.mqtt_requests import MQTT_INSTALL, MqttRequests
+from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.plug_dialects import DIALECTS
 
 if TYPE_CHECKING:
@@ -118,8 +118,7 @@ class SmartPlug(ElectricalProfiler):
             raise PluginError(f"topic is {topic!r}", where=self.name, fix=fix)
         if isinstance(channel, bool) or not isinstance(channel, int) or channel < 0:
             raise PluginError(f"channel is {channel!r}", where=self.name, fix="Count the outlets from 0.")
-        if not (math.isfinite(timeout_s) and timeout_s > 0):
-            raise PluginError(f"timeout_s is {timeout_s!r}", where=self.name, fix="Give timeout_s a number above 0.")
+        check_positive(self.name, timeout_s=timeout_s)
         self.kind = kind
         self.url = None if url is None else check_url(url, where=self.name)
         self.broker = None if broker is None else check_url(broker, where=self.name, schemes=("mqtt", "mqtts"))

@@ -65,13 +65,8 @@ class Recording:
         stamped = ["-use_wallclock_as_timestamps", "1"]
         if self.device.startswith(_TEST_PICTURE):
             # As slow as a camera, and with a finer clock than one tick a frame, to which times would be rounded.
-            return [
-                *stamped,
-                "-f",
-                "lavfi",
-                "-i",
-                f"{self.device.removeprefix(_TEST_PICTURE)},realtime,settb=1/1000000",
-            ]
+            source = f"{self.device.removeprefix(_TEST_PICTURE)},realtime,settb=1/1000000"
+            return [*stamped, "-f", "lavfi", "-i", source]
         if self.device.startswith("rtsp"):
             return [*stamped, "-rtsp_transport", "tcp", "-i", self.device]
         asked = ["-video_size", self.size] if self.size else []

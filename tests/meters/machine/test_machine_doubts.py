@@ -82,6 +82,11 @@ def test_each_disturbance_is_told_with_its_figure(last: MachineState, said: str)
     assert problems(last=last) == [said]
 
 
+def test_what_was_swapped_is_reckoned_by_the_pages_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mmap.PAGESIZE", 16_384)  # a Raspberry Pi 5
+    assert problems(last=replace(LAST, swapped=1100)) == ["1.6 MB went to swap or came from there during r_7"]
+
+
 def test_what_was_seen_only_on_the_way_is_told_too() -> None:
     assert problems(polled=(replace(CALM, is_under_voltage=True),)) == [
         "its firmware reported under-voltage during r_7"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -120,6 +121,24 @@ def test_what_somebody_else_has_set_since_is_left(copy: ComputerCopy, machine: M
     (problem,) = machine.restore()
     assert "'schedutil'" in problem
     assert setting(copy) == ("schedutil", *AS_BEFORE[1:])
+
+
+def test_what_cannot_be_put_back_stays_written_down(
+    copy: ComputerCopy, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine.apply(WISHES, owner=NOBODY)
+
+    def refuse(path: Path, text: str, **_: str) -> int:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path), None, text)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "write_text", refuse)
+        assert len(machine.restore()) == 3
+        with pytest.raises(PluginError, match="cannot be put back to '0': Permission denied"):
+            machine.apply(Wishes(turbo=True), owner=os.getpid())
+    assert machine.restore() == []
+    assert setting(copy) == AS_BEFORE
+    assert not machine.state.exists()
 
 
 def test_what_a_dead_process_left_is_put_back_before_the_next_setting(copy: ComputerCopy, machine: Machine) -> None:

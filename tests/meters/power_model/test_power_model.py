@@ -244,6 +244,18 @@ class TestFitting:
         assert model["fit"]["r_squared"] < 0.97
         assert all(error > 0 for error in model["fit"]["standard_errors"].values())
 
+    def test_a_run_that_is_named_twice_counts_once(self, experiment):
+        model = PowerModel.fit(experiment(noise=0.3), ["r_1", "r_1", "r_2"])
+        assert model["fit"]["runs"] == ["r_1", "r_2"]
+
+    def test_power_that_is_told_from_within_a_piece_on_is_no_less(self, experiment):
+        folder = experiment(count=1)
+        write_run(
+            folder / "runs" / "r_1", watts=[(0.3, 8.0), (10.0, 8.0)], cpu=[(0.0, 10.0), (5.0, 10.0), (10.0, 50.0)]
+        )
+        model = PowerModel.fit(folder, ["r_1"], phases=None, terms=["constant"])
+        assert model["coefficients_W"] == {"constant": pytest.approx(8.0)}
+
     def test_one_run_is_held_out_from_nothing_and_still_has_errors(self, experiment):
         model = PowerModel.fit(experiment(count=1, noise=0.3), ["r_1"])
         assert model["fit"]["energy_errors"] == {}
@@ -309,6 +321,10 @@ class TestFitting:
             PowerModel.fit(experiment(), ["r_1"], terms=["movin"])
 
 
+def short_mission(task):
+    return BasicTurtlebot3(task=task, task_factor=None, sleep_s=2.0, drive_s=4.0, task_s=5.0, rotate_s=5.0)
+
+
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
     """A model that was fitted on two simulated runs of each task."""
@@ -317,7 +333,7 @@ def fitted(tmp_path_factory):
     (experiment / "runs").mkdir()
     run_ids = []
     for number, task in enumerate(("Computation", "Video", "Network") * 2):
-        plugins = (BasicTurtlebot3(task=task, task_factor=None), Ina219(), PsUtil())
+        plugins = (short_mission(task), Ina219(), PsUtil())
         context = make_context(tmp_path_factory.mktemp("run"), *plugins, run_seed=number)
         rehearse(context, *plugins)
         context.resources.close()
@@ -331,7 +347,7 @@ def fitted(tmp_path_factory):
 @pytest.mark.parametrize("task", ["Computation", "Video", "Network"])
 def test_the_energy_of_other_runs_is_estimated_within_a_few_percent(fitted, tmp_path, task):
     model = PowerModel(model=fitted)
-    plugins = (BasicTurtlebot3(task=task, task_factor=None), Ina219(), PsUtil(), model)
+    plugins = (short_mission(task), Ina219(), PsUtil(), model)
     assert list(model.check(Circumstances(robot="simulated", plugins=plugins))) == []
     context = make_context(tmp_path, *plugins, run_seed=1234)
     measures = rehearse(context, *plugins)

@@ -160,6 +160,27 @@ def test_what_the_disk_is_too_slow_for_is_counted(tmp_path: Path) -> None:
     assert said.endswith("3 more were lost: this computer is too slow")
 
 
+def test_what_waits_at_the_end_is_written_or_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def said(looks: int) -> str:
+        video = TopicVideo(str(tmp_path / "video.avi"), 15.0)
+        for _ in range(5):
+            video.take_jpeg("jpeg", b"picture")
+        return record_topic(Orders(looks), video, "/camera")
+
+    assert said(1).startswith("5 frames, JPEG, ")
+    monkeypatch.setattr("robot_runner_onboard.topic_video._REST", 0.0)
+    assert said(1).startswith("2 frames, JPEG, ")
+    assert said(1).endswith("3 more were lost: this computer is too slow")
+
+
+def test_pictures_that_change_their_size_are_not_passed_over_in_silence(tmp_path: Path) -> None:
+    video = TopicVideo(str(tmp_path / "video.avi"), 15.0)
+    for width, height in ((64, 48), (32, 24)):
+        video.take_image("mono8", (width, height), width, bytes(width * height))
+    with pytest.raises(TaskError, match="the pictures changed from 64x48 to 32x24"):
+        record_topic(Orders(1), video, "/camera")
+
+
 def test_a_silent_topic_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr("robot_runner_onboard.topic_video._PATIENCE", 0.05)
     with pytest.raises(TaskError, match=r"no picture came on /camera within 0\.05 s: start the camera's node"):

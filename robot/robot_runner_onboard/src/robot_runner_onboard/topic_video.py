@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import queue
+import time
 from contextlib import closing
 from functools import partial
 from typing import TYPE_CHECKING
@@ -27,6 +28,8 @@ _BACKLOG = 100
 #: How long the topic may be silent, in seconds, before and while it is recorded.
 _PATIENCE = 3.0
 _POLL = 0.05
+#: How long what a slow disk is behind may take at the end, in seconds: less than the node waits for its worker.
+_REST = 1.0
 
 
 class TopicVideo:
@@ -63,6 +66,17 @@ class TopicVideo:
         except queue.Empty:
             return False
         return True
+
+    def write_rest(self, seconds: float) -> None:
+        """Write what a slow disk is behind, for so many seconds at most; the others are lost.
+
+        Raises:
+            TaskError: as `write_next`.
+        """
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline and self.write_next(0.0):
+            pass
+        self.lost += self._pictures.qsize()
 
     def close(self) -> None:
         """Finish the file, if there is one."""
@@ -109,6 +123,7 @@ def record_topic(channel: Channel, video: TopicVideo, topic: str) -> str:
             silence = 0.0 if video.write_next(_POLL) else silence + _POLL
             if silence > _PATIENCE:
                 raise TaskError(f"no picture came on {topic} for {_PATIENCE:g} s")
+        video.write_rest(_REST)
     return video.summary()
 
 

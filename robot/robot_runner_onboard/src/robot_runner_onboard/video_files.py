@@ -51,7 +51,14 @@ class FrameFile:
             raise TaskError(f"{self.path} cannot be written: set video/file to an .avi file")
 
     def add(self, frame: Any) -> None:
-        """Encode and write a frame: blue, green and red, as OpenCV has it."""
+        """Encode and write a frame: blue, green and red, as OpenCV has it.
+
+        Raises:
+            TaskError: it is not as large as the first one was; OpenCV would leave it out without a word.
+        """
+        height, width = frame.shape[:2]
+        if (width, height) != self._size:
+            raise TaskError(f"the pictures changed from {self._size[0]}x{self._size[1]} to {width}x{height}")
         self._writer.write(frame)
         self.count += 1
 

@@ -190,7 +190,10 @@ class CardMeter:
         """
         if self._found is None:
             self._wait()
-            self._found = _newest(read_card(self._file, address=self._address), str(self._file))
+            newest = read_card(self._file, address=self._address)[-1]
+            if not newest.marked:
+                raise LinkError("the newest recording has no mark", where=str(self._file), fix=_MARK)
+            self._found = newest, newest.marked[-1]
         recording, marked = self._found
         wanted = _moved(part, window, marked) if part and window else marked
         evaluation = recording.evaluate(wanted, shunt_ohm=self._shunt_ohm, rate_hz=self._rate_hz)
@@ -221,13 +224,6 @@ class CardMeter:
 def _moved(part: Window, window: Window, marked: Window) -> Window:
     shift = marked.start - window.start
     return Window(min(part.start + shift, marked.end), min(part.end + shift, marked.end))
-
-
-def _newest(recordings: list[CardRecording], where: str) -> tuple[CardRecording, Window]:
-    newest = recordings[-1]
-    if not newest.marked:
-        raise LinkError("the newest recording has no mark", where=where, fix=_MARK)
-    return newest, newest.marked[-1]
 
 
 def _state(file: Path) -> tuple[int, int, int] | None:

@@ -26,6 +26,7 @@ from robot_runner.meters.ina219.frames import FIRST_SENSOR
 from robot_runner.meters.ina219.line_meter import LineMeter, PromptMeter, SharedLine
 from robot_runner.meters.ina219.registers import DEFAULT_RATE
 from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, find_sensor
+from robot_runner.meters.parameter_checks import check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -110,31 +111,22 @@ def way_findings(where: str, way: Way, robot: str | None) -> Iterator[Finding]:
             problem = f"address is {way.address:#x}, and the power meter of a simulated robot has one sensor"
             yield Finding.error(where, problem, "Leave address out, or execute it on a real robot.")
     elif not way.given:
-        yield Finding.error(where, "nothing says where the power meter is", _fix_without_way())
+        port = (found_ports() or ["/dev/ttyUSB0"])[-1]
+        fix = f"Name its serial port, as in Ina219(port={port!r}). Or: --set robot={SIMULATED}."
+        yield Finding.error(where, "nothing says where the power meter is", fix)
     elif way.port is not None:
         yield from _found(where, port_problem(way.port))
     elif way.card is not None:
-        yield from _card_findings(where, Path(way.card).expanduser())
+        if (card := Path(way.card).expanduser()).is_dir():
+            yield Finding.error(where, f"card is {str(card)!r}, a folder", "Name the file, such as INA219.BIN in it.")
     elif way.sysfs is not None and way.host != LOCAL:
         yield from ssh_findings(where, way.host, config=way.ssh_config)
     elif way.sysfs is not None:
         yield from _sysfs_findings(where, way.sysfs)
 
 
-def _fix_without_way() -> str:
-    ports = found_ports()
-    port = ports[-1] if ports else "/dev/ttyUSB0"
-    return f"Name its serial port, as in Ina219(port={port!r}). Or: --set robot={SIMULATED}."
-
-
 def _found(where: str, problem: LinkError | None) -> list[Finding]:
     return [] if problem is None else [replace(problem.as_finding(), where=where)]
-
-
-def _card_findings(where: str, card: Path) -> list[Finding]:
-    if card.is_dir():
-        return [Finding.error(where, f"card is {str(card)!r}, a folder", "Name the file, such as INA219.BIN in it.")]
-    return []
 
 
 def _sysfs_findings(where: str, folder: str) -> list[Finding]:
@@ -241,13 +233,8 @@ class Ina219(Profiler):
         namespace: str = "",
     ) -> None:
         super().__init__(name=name)
-        for parameter, value in (("shunt_ohm", shunt_ohm), ("rate_hz", rate_hz)):
-            if value is not None and not value > 0:
-                raise PluginError(
-                    f"{parameter} is {value!r}",
-                    where=self.name,
-                    fix=f"Give {parameter} a number above 0, or leave it out.",
-                )
+        given = {"shunt_ohm": shunt_ohm, "rate_hz": rate_hz}
+        check_positive(self.name, **{parameter: value for parameter, value in given.items() if value is not None})
         config = None if ssh_config is None else Path(ssh_config).expanduser()
         self.way = Way(
             port=port, card=card, sysfs=sysfs, host=host, ssh_config=config, address=address, namespace=namespace

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import mmap
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from robot_runner.meters.machine.others_load import Load
 
 _PERCENT, _MEGA = 100.0, 1e6
-_PAGE = 4096  # bytes, on the processors of robots and of the computers beside them
 _NAMED = 3
 _FLAGS = {1: "under-voltage", 2: "a capped frequency", 4: "throttling", 8: "the soft temperature limit"}
 
@@ -121,7 +121,8 @@ class MachineReport:
         return f"other processes took {self.load.foreign:.0f} % of a core during {self.run_id} ({'; '.join(parts)})"
 
     def _memory(self) -> Iterator[str]:
-        moved = (self._swapped or 0) * _PAGE
+        # Of this machine, as no other one tells; a page of a Raspberry Pi 5 has 16 KiB.
+        moved = (self._swapped or 0) * mmap.PAGESIZE
         if moved >= self.thresholds.swap:
             yield f"{moved / _MEGA:,.1f} MB went to swap or came from there during {self.run_id}"
         stalled = self._stalled or 0.0

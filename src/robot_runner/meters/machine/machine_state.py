@@ -27,11 +27,11 @@ _PLAUSIBLE = (-40.0, 150.0)
 #: Zones that measure nothing: NVIDIA's Jetsons show 100 degC there, always (balena-os/balena-jetson, issue 142).
 _DUMMY_ZONES = ("PMIC-Die",)
 #: Cooling devices that hold the processor back; the others are fans and the like.
-_PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "thermal-idle")
+PROCESSOR_COOLERS = ("Processor", "cpufreq", "thermal-cpufreq", "cpuidle", "thermal-idle")
 #: The firmware of a Raspberry Pi (raspberrypi/linux, pull request 2397), in hexadecimal: bit 0 is under-voltage; bits
 #: 1 to 3 are a capped frequency, throttling and the soft temperature limit; 16 bits higher the same since the start.
-_FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
-_UNDER_VOLTAGE, _HELD_BACK, _EVER = 0b0001, 0b1110, 16
+FIRMWARE = "/sys/devices/platform/soc/soc:firmware/get_throttled"
+UNDER_VOLTAGE, HELD_BACK, _EVER = 0b0001, 0b1110, 16
 _CPU = "/sys/devices/system/cpu"
 #: 1 switches turbo off in the first (Intel), and on in the second (the others): Linux, admin-guide/pm.
 _NO_TURBO, _BOOST = f"{_CPU}/intel_pstate/no_turbo", f"{_CPU}/cpufreq/boost"
@@ -208,10 +208,10 @@ class MachineFiles:
         self._coolers = [
             f"{path.removesuffix('type')}cur_state"
             for path, kind in kinds.items()
-            if "cooling_device" in path and (kind or "").startswith(_PROCESSOR_COOLERS)
+            if "cooling_device" in path and (kind or "").startswith(PROCESSOR_COOLERS)
         ]
         self._cheap = [
-            *(_NO_TURBO, _BOOST, _FIRMWARE),
+            *(_NO_TURBO, _BOOST, FIRMWARE),
             *self._governors,
             *self._frequencies,
             *self._limits,
@@ -260,7 +260,7 @@ class MachineFiles:
 
         temperatures = [each * _MILLI for each in numbers(self._temperatures)]
         counts, coolers = numbers(self._counters), numbers(self._coolers)
-        flags = _hexadecimal(texts[_FIRMWARE])
+        flags = _hexadecimal(texts[FIRMWARE])
         tells = bool(coolers) or flags is not None
         now = flags or 0
         return Conditions(
@@ -269,10 +269,11 @@ class MachineFiles:
             frequency=_mean(numbers(self._frequencies), _KILO),
             limit=_mean(numbers(self._limits), _KILO),
             temperature=max(filter(is_plausible, temperatures), default=None),
-            throttle_count=int(sum(counts)) if counts else None,
-            is_held_back=any(coolers) or bool(now & _HELD_BACK) if tells else None,
-            is_under_voltage=None if flags is None else bool(now & _UNDER_VOLTAGE),
-            firmware_flags=(now | now >> _EVER) & (_UNDER_VOLTAGE | _HELD_BACK),
+            # Without the counters of a core that is switched off, the sum would rise when it comes back.
+            throttle_count=int(sum(counts)) if counts and len(counts) == len(self._counters) else None,
+            is_held_back=any(coolers) or bool(now & HELD_BACK) if tells else None,
+            is_under_voltage=None if flags is None else bool(now & UNDER_VOLTAGE),
+            firmware_flags=(now | now >> _EVER) & (UNDER_VOLTAGE | HELD_BACK),
         )
 
 

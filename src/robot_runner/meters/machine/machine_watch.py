@@ -10,7 +10,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import Profiler
@@ -21,6 +21,7 @@ from robot_runner.measuring.periodic import PeriodicSampler
 from robot_runner.meters.machine.machine_doubts import MachineReport, Thresholds
 from robot_runner.meters.machine.machine_state import MachineFiles, SystemFiles
 from robot_runner.meters.machine.others_load import load_between
+from robot_runner.meters.parameter_checks import check_list, check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
@@ -68,10 +69,8 @@ class MachineWatch(Profiler):
         root: str | Path = "/",
     ) -> None:
         super().__init__(name=name)
-        if isinstance(hosts, str):
-            raise PluginError(f"hosts is {hosts!r}", where=self.name, fix=f"Give a list: hosts=[{hosts!r}].")
-        if not load > 0:
-            raise PluginError(f"load is {load!r}", where=self.name, fix="Give load a percentage above 0.")
+        check_list(self.name, hosts=hosts)
+        check_positive(self.name, load=load)
         self.hosts = tuple(hosts)
         self.thresholds = Thresholds(load=load)
         self.root = Path(root)

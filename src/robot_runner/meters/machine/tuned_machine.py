@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ClassVar
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.plugin import System
 from robot_runner.meters.machine.tuning import Machine, Wishes
+from robot_runner.meters.parameter_checks import check_list
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -75,6 +76,7 @@ class Tune(System):
         super().__init__(name=name)
         if scope not in _SCOPES:
             raise PluginError(f"scope is {scope!r}", where=self.name, fix=did_you_mean(scope, _SCOPES))
+        check_list(self.name, cores=cores)
         odd = [core for core in cores if isinstance(core, bool) or not isinstance(core, int) or core < 0]
         if odd:
             raise PluginError(f"there is no core {odd[0]!r}", where=self.name, fix="Number the cores from 0.")

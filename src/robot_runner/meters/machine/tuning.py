@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -101,7 +101,9 @@ class Machine:
         errors = [finding for finding in self.left_behind(where, blocks=True) if finding.is_error]
         if errors:
             raise PluginError(errors[0].problem, where=where, fix=errors[0].fix)
-        self.restore()  # what somebody who was killed left
+        problems = self.restore()  # what somebody who was killed left
+        if self._kept() is not None:
+            raise PluginError(problems[0], where=where, fix=_AS_ROOT)
         kept = self._planned(wishes, owner)
         kept.write(self.state)
         try:
@@ -115,7 +117,7 @@ class Machine:
     def restore(self) -> list[str]:
         """Put back what was there before, and return what could not be; nothing to do is fine.
 
-        What somebody else has set since is left as it is, and told.
+        What somebody else has set since is left as it is, and told. What the kernel refuses stays written down.
 
         Raises:
             PluginError: the file of state cannot be read.
@@ -124,6 +126,7 @@ class Machine:
         if kept is None:
             return []
         problems = []
+        refused: list[Change] = []
         for change in reversed(kept.changes):
             path = self.root / change.path
             try:
@@ -134,8 +137,12 @@ class Machine:
                     problems.append(f"{path} is {now!r} and not {change.wanted!r}, as it was set: it is left so")
             except OSError as error:
                 problems.append(f"{path} cannot be put back to {change.before!r}: {error.strerror}")
+                refused.insert(0, change)
         self._free(kept)
-        self.state.unlink(missing_ok=True)
+        if refused:
+            replace(kept, changes=tuple(refused), everything=()).write(self.state)
+        else:
+            self.state.unlink(missing_ok=True)
         return problems
 
     def describe(self) -> dict[str, str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import AnalysisError
 from robot_runner.meters.counters import unwrapped
-from robot_runner.meters.network import WORD
+from robot_runner.meters.network import wraps_at
 from robot_runner.meters.power_model.raw_columns import heading_of, read_numbers
 
 if TYPE_CHECKING:
@@ -83,7 +83,8 @@ class Components:
         if not self.traffic or not places:
             return None
         before, after = places
-        total = sum(unwrapped([int(column[before]), int(column[after])], WORD)[-1] for column in self.traffic.columns)
+        counts = [[int(column[before]), int(column[after])] for column in self.traffic.columns]
+        total = sum(unwrapped(each, wraps_at(counts))[-1] for each in counts)
         return total / _MEGA / (self.traffic.times[after] - self.traffic.times[before])
 
     def gpu(self, start: float, end: float) -> float | None:

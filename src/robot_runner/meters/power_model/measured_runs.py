@@ -10,7 +10,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.storage.guarded_files import MissingFileError, read_json
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.measuring.quality import MINIMUM_COVERAGE
-from robot_runner.measuring.series import Series, energy
+from robot_runner.measuring.series import Series, cut, mean
 from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.raw_columns import read_numbers
 from robot_runner.meters.power_model.states import read_states
@@ -71,7 +71,7 @@ def read_runs(experiment: Path, sources: Sources, run_ids: Sequence[str]) -> tup
         AnalysisError: no run can be used.
     """
     runs, left_out = [], {}
-    for run_id in run_ids:
+    for run_id in dict.fromkeys(run_ids):  # one that is named twice would be held out from itself
         try:
             runs.append(_read_run(ExperimentFolder(experiment).run(run_id), sources))
         except AnalysisError as error:
@@ -88,8 +88,7 @@ def read_runs(experiment: Path, sources: Sources, run_ids: Sequence[str]) -> tup
 def _read_run(folder: Path, sources: Sources) -> MeasuredRun:
     quality = _read_quality(folder / sources.power / "quality.json")
     window = Window(**quality["window"])
-    times, watts = read_numbers(folder / sources.power / "samples.csv", ("time_s", "power_W"))
-    power = Series(times, watts)
+    power = Series(*read_numbers(folder / sources.power / "samples.csv", ("time_s", "power_W")))
     states, means = [], []
     found = read_states(
         folder,
@@ -99,10 +98,10 @@ def _read_run(folder: Path, sources: Sources) -> MeasuredRun:
         components=sources.components,
     )
     for state in found:
-        joules = energy(power, Window(state.start, state.end)) if state.seconds >= _SHORTEST else None
-        if joules is not None:
+        watts = mean(cut(power, Window(state.start, state.end))) if state.seconds >= _SHORTEST else None
+        if watts is not None:
             states.append(state)
-            means.append(joules / state.seconds)
+            means.append(watts)
     return MeasuredRun(folder.name, states, means, bool(quality.get("is_simulated")))
 
 
