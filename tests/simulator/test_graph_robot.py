@@ -155,6 +155,14 @@ def test_it_stands_still_when_its_run_falls_silent_and_moves_on_when_it_is_heard
     assert link.speed > 0.1
 
 
+def test_a_velocity_that_is_no_number_moves_nothing(link, make, caplog):
+    robot = make()
+    link.heard_by["cmd_vel"]({"linear": {"x": float("nan")}, "angular": {"z": 0.0}})
+    robot.live(seconds=0.2)
+    assert link.speed == pytest.approx(0.0, abs=0.001)
+    assert "nan m/s" in caplog.text
+
+
 @pytest.mark.usefixtures("by_hand")
 def test_a_person_may_drive_a_robot_that_was_released(link, make):
     robot = make(real_time_factor=1.0)

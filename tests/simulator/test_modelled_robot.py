@@ -225,6 +225,19 @@ def test_physics_that_diverges_is_said(simulate, tmp_path, monkeypatch):
         last(simulation, link, "odom", after=5.0)
 
 
+@pytest.mark.parametrize("value", [math.nan, 1e12])
+def test_a_command_that_is_no_number_or_too_large_for_the_physics_is_refused(simulate, value):
+    simulation, link = simulate(ROVER)
+    link.publish("cmd_vel", TWIST, {"linear": {"x": 0.3}})
+    simulation.clock.sleep(1.0)
+    robot = simulation.robot()
+    with pytest.raises(LinkError, match=r"'left_wheel' would be driven by"):
+        robot.command("cmd_vel", {"linear": {"x": value}, "angular": {"z": 0.0}})
+    with pytest.raises(LinkError, match=r"'right_wheel' would be driven by"):
+        robot.command("joint_commands", {"name": ["right_wheel"], "position": [], "velocity": [value], "effort": []})
+    assert last(simulation, link, "odom", after=0.5)["twist"]["twist"]["linear"]["x"] == pytest.approx(0.3, abs=0.03)
+
+
 def test_a_model_starts_where_its_room_says(simulate, tmp_path):
     room = tmp_path / "room.toml"
     room.write_text("[[robot]]\nat = [1.0, 2.0]\nyaw = 1.5707963", "utf-8")

@@ -13,7 +13,7 @@ from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 TASKS = ("computation", "video", "network")
-SEEDS = range(8)
+SEEDS = range(5)
 
 
 class Mission:

@@ -149,6 +149,8 @@ def test_the_battery_of_each_robot_of_a_room_is_looked_at_whoever_is_asked():
         ("[[box]]\nat = [1, 2]\nsize = [0, 1]", "size is"),
         ("[[box]]\nat = [1, nan]\nsize = [1, 1]", "at is"),
         ("[[cylinder]]\nat = [1, 2]\nradius = -1", "radius is -1"),
+        (f"[[cylinder]]\nat = [2, 2]\nradius = 1{400 * '0'}", "radius is 1"),
+        ("[[robot]]\nat = [1e20, 0]", "at is .1e.20"),
         ("[[cylinder]]\nat = [2, 2]\nradius = 0.1\nheigth = 2", "heigth is not known"),
         ("[[cylinder]]\nat = [0.1, 0]\nradius = 0.1", "within or at an obstacle"),
         ("[[robot]]\nat = [0, 0]\nnamespace = 'a b'", "namespace"),

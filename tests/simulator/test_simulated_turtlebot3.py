@@ -9,6 +9,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.simulator.onboard import Task
 from robot_runner.simulator.simulated_turtlebot3 import SERVICES, Simulation
+from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 
 @pytest.fixture
@@ -131,6 +132,29 @@ def test_what_is_commanded_takes_effect_after_it_was_commanded():
         return robot.energy
 
     assert energy(look=True) == energy(look=False)
+
+
+def drive_for_three_seconds(simulation, robot):
+    robot.drive(0.2, 0.1)
+    simulation.clock.sleep(3.0)
+    robot.drive(0.0, 0.0)
+
+
+@pytest.mark.parametrize("extreme", [{"floor_friction": 1e-9}, {"servo_settling_time": 0.001}])
+def test_physics_that_diverges_is_said(tmp_path, monkeypatch, extreme):
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log of its own there
+    simulation = Simulation(seed=1, parameters=Turtlebot3Parameters(**extreme))
+    robot = simulation.turtlebot3()
+    with pytest.raises(LinkError, match="the physics of the simulated robot diverged"):
+        drive_for_three_seconds(simulation, robot)
+
+
+def test_a_velocity_that_is_no_number_is_refused(robot):
+    with pytest.raises(LinkError, match="nan m/s"):
+        robot.drive(math.nan, 0.0)
+    with pytest.raises(LinkError, match="nan rad/s"):
+        robot.drive(0.1, math.nan)
+    robot.drive(math.inf, 0.0)  # as fast as it can
 
 
 def test_a_closed_simulation_makes_no_robots(simulation):

@@ -40,7 +40,12 @@ def test_value_and_source_of_every_parameter_are_documented():
             ("battery_temperature", 90),
         ],
         # Its two wheels weigh 57 g; and nothing happens more often than at each point of the simulation's grid.
-        *[("mass", 0.05), ("odometry_rate", 201), ("imu_rate", 400), ("scan_rate", 1000)],
+        *[("mass", 0.05), ("odometry_rate", 201), ("imu_rate", 400), ("scan_rate", 1000), ("meter_rate", 201)],
+        # No share is above the whole; and what the meter says of its shunt are whole microhms of 32 bits.
+        *[("initial_charge", 150), ("motor_efficiency", 101), ("turning_motor_share", 101), ("cpu_idle", 101)],
+        *[("memory_video", 101), ("meter_shunt", 1e-7), ("meter_shunt", 5000), ("scan_minimum", 4)],
+        *[("meter_rate", 10**400), ("encoder_ticks", 10**400), ("mass", 10**400)],
+        *[("mass", True), ("mass", "1"), ("mass", None), ("odometry_rate", 30.5)],
     ],
 )
 def test_figures_that_cannot_be_are_refused(name, value):

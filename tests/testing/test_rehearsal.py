@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.core.errors import ConfigError, PluginError
+from robot_runner.core.errors import ConfigError, MeasureError, PluginError
 from robot_runner.core.events.measure import Measure
 from robot_runner.plugins import Profiler, System, treatment
 from robot_runner.testing import make_context, rehearse
@@ -62,14 +62,65 @@ def test_the_mission_happens_between_start_and_stop_of_the_measurement(tmp_path)
 
 
 def test_what_was_published_is_returned(tmp_path):
-    class Scale(Profiler):
+    class Publishing(Profiler):
         measures = (Measure("Mass", "kg", "Mass of the robot."),)
 
         def populate_run_data(self, context):
             context.publish("Mass", 1.0)
 
-    scale = Scale()
+    scale = Publishing()
     assert dict(rehearse(make_context(tmp_path, scale, robot=None), scale)) == {"Mass": 1.0}
+
+
+class Scale(Profiler):
+    measures = (Measure("Mass", "kg", "Mass of the robot."),)
+
+    def __init__(self, mass):
+        super().__init__()
+        self.mass = mass
+
+    def populate_run_data(self, context):
+        return self.mass
+
+
+def test_what_populating_returns_is_published_as_in_a_run(tmp_path):
+    scale = Scale({"Mass": 1.0})
+    assert dict(rehearse(make_context(tmp_path, scale, robot=None), scale)) == {"Mass": 1.0}
+    for wrong, problem in (({"Mas": 1.0}, "Mas"), (3, "returned 3")):
+        scale = Scale(wrong)
+        with pytest.raises(MeasureError, match=problem):
+            rehearse(make_context(tmp_path, scale, robot=None), scale)
+
+
+def test_a_mission_that_is_stopped_early_is_no_failure(tmp_path):
+    journal = []
+    robot, scale = recorder(System, "robot", journal), Scale({"Mass": 1.0})
+    context = make_context(tmp_path, robot, scale, robot=None)
+    measures = rehearse(context, robot, scale, mission=lambda: context.stop_mission("it is there"))
+    assert measures == {"Mass": 1.0}
+    assert [event for _, event in journal][-3:] == ["stop_run", "make_safe", "populate_run_data"]
+
+
+def test_who_was_not_reached_by_an_opening_event_is_not_closed(tmp_path):
+    journal = []
+    first = recorder(System, "first", journal, fails_at="start_run")
+    second = recorder(System, "second", journal)
+    with pytest.raises(RuntimeError, match="start_run"):
+        rehearse(make_context(tmp_path, first, second, robot=None), first, second)
+    assert ("first", "stop_run") in journal
+    assert [event for name, event in journal if name == "second"] == ["make_safe"]
+
+
+def test_all_systems_are_made_safe_although_one_cannot_be(tmp_path):
+    class Stuck(System):
+        def make_safe(self, context):
+            raise OSError("stuck")
+
+    journal = []
+    robot = recorder(System, "robot", journal, fails_at="populate_run_data")
+    with pytest.raises(OSError, match="stuck"):
+        rehearse(make_context(tmp_path, robot, robot=None), robot, Stuck())
+    assert journal[-1] == ("robot", "make_safe")
 
 
 def test_a_callback_with_a_wrong_signature_is_refused(tmp_path):

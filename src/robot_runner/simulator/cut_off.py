@@ -128,10 +128,11 @@ class ProtectedDrive:
 
 
 def _highest_power(parameters: Turtlebot3Parameters) -> float:
-    """Return a power (W) that the robot never exceeds: each part at its most, and both motors stalled."""
+    """Return a power (W) that the robot never exceeds: each part at its most, both motors stalled and at full speed."""
     tasks = max(parameters.computation_power, parameters.video_power, parameters.network_power)
     levels = max(parameters.asleep_power, parameters.awake_power) + tasks * parameters.task_power_factor
     noise = parameters.sample_power_deviation + parameters.wandering_power_deviation
     spread = 1 + _DEVIATIONS / 100 * (parameters.run_power_deviation + parameters.task_power_deviation)
-    motors = parameters.moving_power + 2 * parameters.battery_voltage * parameters.motor_stall_current
+    work = parameters.motor_stall_torque * parameters.max_wheel_speed / (parameters.motor_efficiency / 100)
+    motors = parameters.moving_power + 2 * (parameters.battery_voltage * parameters.motor_stall_current + work)
     return (levels + motors) * spread + _DEVIATIONS * noise

@@ -231,7 +231,7 @@ class WheelOdometry:
         self._step = step
 
     def _read(self, step: int) -> tuple[int, int]:
-        left, right = self._drive.wheel_angles[step]
+        left, right = self._drive.wheel_angles[step].tolist()
         return (
             math.floor(left * self._ticks_per_radian + self._phases[0]),
             math.floor(right * self._ticks_per_radian + self._phases[1]),

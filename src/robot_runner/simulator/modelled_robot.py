@@ -13,6 +13,7 @@ from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
 from robot_runner.simulator.mjcf_interface import ActuatorKind, read_interface, read_model
+from robot_runner.simulator.physics import check_converged
 from robot_runner.simulator.sensors import (
     RAYS,
     PublishedTopic,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
 
-    from robot_runner.simulator.mjcf_interface import WheelPair
+    from robot_runner.simulator.mjcf_interface import Joint, WheelPair
     from robot_runner.simulator.rooms import Pose, Room
     from robot_runner.simulator.simulated_clock import SimulatedClock
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
@@ -42,10 +43,8 @@ if TYPE_CHECKING:
 _PAST = 1e-6
 _TWIST = "geometry_msgs/Twist"
 _JOINTS = "sensor_msgs/JointState"
-#: What MuJoCo notes where a number became too large or none, before it begins anew by itself.
-_DIVERGED = tuple(
-    map(int, (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC))
-)
+#: From here on (mjMAXVAL) MuJoCo takes a command for none, and sets all to zero.
+_TOO_LARGE = 1e10
 
 
 class RobotModel:
@@ -99,6 +98,7 @@ class ModelledRobot:
         self._clock = clock
         self._model, self._interface = made_of.model, made_of.interface
         self._data = mujoco.MjData(self._model)
+        self._warnings = self._data.warning.number
         self._substeps = round(1 / STEPS_PER_SECOND / self._model.opt.timestep)
         self._steps = 0
         self._place = None if made_of.room is None else made_of.room.robots.get(namespace)
@@ -161,13 +161,10 @@ class ModelledRobot:
             if self._interface.wheels is not None:
                 self._count_wheels(self._interface.wheels)
         self._steps = max(self._steps, self._clock.step)
-        if any(self._data.warning[each].number for each in _DIVERGED):
-            raise LinkError(
-                "the physics of the model diverged, and MuJoCo put the robot back to its beginning",
-                where=str(self.path),
-                fix="Give the model a shorter time step, softer actuators or more damping; `python -m mujoco.viewer` "
-                "shows it.",
-            )
+        fix = (
+            "Give the model a shorter time step, softer actuators or more damping; `python -m mujoco.viewer` shows it."
+        )
+        check_converged(self._warnings, "model", where=str(self.path), fix=fix)
 
     def _drive(self, linear: float, angular: float) -> None:
         wheels = self._interface.wheels
@@ -175,7 +172,7 @@ class ModelledRobot:
             turning = angular * wheels.separation / 2
             speeds = (linear - turning, linear + turning)
             for joint, sense, speed in zip((wheels.left, wheels.right), wheels.senses, speeds, strict=True):
-                self._data.ctrl[joint.actuator] = sense * speed / wheels.radius * joint.scale
+                self._actuate(joint, sense * speed / wheels.radius)
 
     def _move_joints(self, message: Message) -> None:
         driven = {each.name: each for each in self._interface.joints if each.actuator is not None}
@@ -189,7 +186,14 @@ class ModelledRobot:
             if place >= len(given):
                 problem = f"{name!r} is driven by its {joint.kind.value}, and none is given"
                 raise LinkError(problem, where="joint_commands", fix=f"Give {joint.kind.value}, one for each name.")
-            self._data.ctrl[joint.actuator] = given[place] * joint.scale
+            self._actuate(joint, given[place])
+
+    def _actuate(self, joint: Joint, value: float) -> None:
+        control = value * joint.scale
+        if not abs(control) <= _TOO_LARGE:
+            problem = f"{joint.name!r} would be driven by {control:g}, which the physics does not take"
+            raise LinkError(problem, where=str(self.path), fix=f"Give a number within {_TOO_LARGE:g} of zero.")
+        self._data.ctrl[joint.actuator] = control
 
     def _wheel_angles(self) -> tuple[float, float]:
         wheels = self._interface.wheels

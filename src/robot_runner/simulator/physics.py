@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
 
+from robot_runner.core.errors import LinkError
 from robot_runner.simulator.model import Body, holding_torque, world_model
 from robot_runner.simulator.rooms import ARENA
 
@@ -21,8 +23,29 @@ if TYPE_CHECKING:
     Floats = npt.NDArray[np.float64]
 
 _SETTLING_STEPS = 200
+#: What MuJoCo notes where a number became too large or none, before it begins anew by itself.
+_diverged = itemgetter(
+    *map(int, (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC))
+)
 #: How many numbers a robot has in MuJoCo's arrays: seven of its pose (six of its velocity) and two of its wheels.
 _POSITIONS, _VELOCITIES = 9, 8
+
+
+def check_converged(warnings: npt.NDArray[np.int32], what: str, *, where: str, fix: str) -> None:
+    """See that the physics of something has not diverged so far.
+
+    Args:
+        warnings: how often MuJoCo noted each (a view of its `data.warning.number`: looked up each time, it costs more).
+        what: diverged.
+        where: it did.
+        fix: what to do.
+
+    Raises:
+        LinkError: it has, and MuJoCo went on from the beginning as if nothing had been.
+    """
+    if any(_diverged(warnings.tolist())):
+        problem = f"the physics of the {what} diverged, and MuJoCo put the robot back to its beginning"
+        raise LinkError(problem, where=where, fix=fix)
 
 
 class Rider(Protocol):
@@ -45,6 +68,7 @@ class Physics:
     ) -> None:
         self._model = mujoco.MjModel.from_xml_string(world_model(parameters, bodies, obstacles))
         self._data = mujoco.MjData(self._model)
+        self._warnings = self._data.warning.number
         self._riders: list[Rider] = []
         # On a slope the motors hold their robot from the beginning on.
         self._data.act[:] = self._data.ctrl[:] = holding_torque(parameters) / parameters.servo_gain
@@ -66,13 +90,19 @@ class Physics:
         return BodyState(self._data, number)
 
     def advance(self, steps: int) -> None:
-        """Go on until this many steps were made since the beginning; those already made are not repeated."""
+        """Go on until this many steps were made since the beginning; those already made are not repeated.
+
+        Raises:
+            LinkError: the physics diverged.
+        """
         model, data, riders = self._model, self._data, self._riders
         for row in range(self.steps + 1, steps + 1):
             mujoco.mj_step(model, data)
             for rider in riders:
                 rider.note(row)
         self.steps = max(self.steps, steps)
+        fix = "Give its parameters less extreme values: what is heavy, slippery or stiff."
+        check_converged(self._warnings, "simulated robot", where="Turtlebot3Parameters", fix=fix)
 
     def put_back(self, number: int) -> None:
         """Put a body back where it settled at the beginning, and stop it; its wheels keep their angles."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import binascii
 import struct
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.measuring.serial_line import Chunk
 from robot_runner.simulator.simulated_clock import STEP_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     import numpy.typing as npt
 
@@ -116,14 +117,6 @@ _HELLO_REQUEST = b"?"
 _SEQUENCES = 2**16  # hellos go by the number as it is sent, which wraps
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
-    """Bytes that came out of the line together, and when the last of them did (ns)."""
-
-    time_ns: int
-    data: bytes
-
-
 class Ina219Meter:
     """The device, switched on when it is made: opening the port of an Arduino resets it.
 
@@ -163,40 +156,31 @@ class Ina219Meter:
         if _HELLO_REQUEST in data:
             self._hello_before = self._clock.now_ns * self._rate // _SECOND_NS + 1 - self._first
 
-    def arrived(self) -> list[Arrival]:
-        """Return what has come out of the line by now and was not returned before, oldest first."""
-        count = self._count_arrived()
-        if count == 0:
+    def arrived(self) -> list[Chunk]:
+        """Return what has come out of the line by now and was not returned before, oldest first.
+
+        What came without a pause comes together: an adapter such as the CH340 hands it over once the line is silent.
+        """
+        numbers = np.arange(self._next, self._next + self._count_arrived())
+        if not len(numbers):
             return []
-        numbers = np.arange(self._next, self._next + count)
-        frames, ends = self._stream(numbers)
-        self._next += count
-        return list(self._packets(frames, ends))
+        self._next += len(numbers)
+        due_ns = (self._first + numbers) * _SECOND_NS // self._rate
+        samples = self._sample(numbers, due_ns)
+        has_hello = (numbers % _SEQUENCES % self._rate == 0) | (numbers == self._hello_before)
+        times = (due_ns + (SAMPLE_SIZE + HELLO_SIZE * has_hello) * _BYTE_NS) / _SECOND_NS
+        starts = range(0, len(samples), SAMPLE_SIZE)
+        chunks = [Chunk(time, samples[at : at + SAMPLE_SIZE]) for time, at in zip(times.tolist(), starts, strict=True)]
+        for index in has_hello.nonzero()[0].tolist():
+            hello = self._hello(int(numbers[index]), int(due_ns[index]))
+            chunks[index] = replace(chunks[index], data=hello + chunks[index].data)
+        return chunks
 
     def _count_arrived(self) -> int:
         # A sample counts once its frame, and a hello before it, are through the line.
         line_ns = (SAMPLE_SIZE + HELLO_SIZE) * _BYTE_NS
         due = (self._clock.now_ns - line_ns) * self._rate // _SECOND_NS + 1 - self._first
         return max(0, due - self._next)
-
-    def _stream(self, numbers: npt.NDArray[np.int64]) -> tuple[bytes, list[tuple[int, int]]]:
-        """Return the bytes of these samples and of the hellos between them, with (end, arrival in ns) of each frame."""
-        due_ns = (self._first + numbers) * _SECOND_NS // self._rate
-        samples = self._sample(numbers, due_ns)
-        pieces: list[bytes] = []
-        ends: list[tuple[int, int]] = []
-        position = 0
-        for index, number in enumerate(numbers.tolist()):
-            sent_ns = int(due_ns[index])
-            if number % _SEQUENCES % self._rate == 0 or number == self._hello_before:
-                pieces.append(self._hello(number, int(due_ns[index])))
-                sent_ns += HELLO_SIZE * _BYTE_NS
-                position += HELLO_SIZE
-                ends.append((position, sent_ns))
-            pieces.append(samples[index * SAMPLE_SIZE : (index + 1) * SAMPLE_SIZE])
-            position += SAMPLE_SIZE
-            ends.append((position, sent_ns + SAMPLE_SIZE * _BYTE_NS))
-        return b"".join(pieces), ends
 
     def _sample(self, numbers: npt.NDArray[np.int64], due_ns: npt.NDArray[np.int64]) -> bytes:
         steps = due_ns // STEP_NS
@@ -213,15 +197,6 @@ class Ina219Meter:
             shunts=_register(shunt / _SHUNT_LSB, -_SHUNT_LIMIT, _SHUNT_LIMIT),
             buses=(_register(bus / _BUS_LSB, 0, _BUS_LIMIT) << 3) | _CONVERSION_READY,
         )
-
-    @staticmethod
-    def _packets(data: bytes, ends: list[tuple[int, int]]) -> Iterator[Arrival]:
-        """Yield what came without a pause: an adapter such as the CH340 hands it over once the line is silent."""
-        start = 0
-        for (end, arrived_ns), (_, later_ns) in zip(ends, [*ends[1:], (0, 0)], strict=True):
-            if later_ns - arrived_ns != SAMPLE_SIZE * _BYTE_NS:
-                yield Arrival(arrived_ns, data[start:end])
-                start = end
 
     def _hello(self, number: int, due_ns: int) -> bytes:
         return hello_frame(

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 #: A room of a thousand walls has 100 kB; what is longer is no room.
 _LARGEST = 4 * 1024 * 1024
 _THICKNESS = 0.1
+#: No room is larger (m), and the physics still tells places in it apart.
+_FARTHEST = 1e6
 #: A robot's body reaches so far (m) from its axle at most: 101 mm behind, 89 mm to its sides (ROBOTIS' URDF).
 _ROBOT_RADIUS = 0.14
 _GUIDE = "Look at docs/simulator-rooms.md for what a room is made of."
@@ -169,7 +171,7 @@ class _Table:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _FARTHEST
 
 
 def _wall(table: _Table) -> Wall:

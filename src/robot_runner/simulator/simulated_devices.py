@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
 from robot_runner.measuring.host import UtilisationSample
-from robot_runner.measuring.serial_line import SIMULATED_PORT, Chunk
+from robot_runner.measuring.serial_line import SIMULATED_PORT
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from robot_runner.measuring.serial_line import Chunk
     from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
     from robot_runner.simulator.simulated_turtlebot3 import SimulatedTurtlebot3, Simulation
 
@@ -59,7 +60,7 @@ class SimulatedSerialLine:
             LinkError: the line was closed.
         """
         self._check_open()
-        return [Chunk(arrival.time_ns / _SECOND_NS, arrival.data) for arrival in self._meter.arrived()]
+        return self._meter.arrived()
 
     def write(self, data: bytes) -> None:
         """Send bytes to the meter.

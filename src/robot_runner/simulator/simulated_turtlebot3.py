@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -156,7 +157,14 @@ class SimulatedTurtlebot3:
         return float(self._supply.energy[-1])
 
     def drive(self, linear: float, angular: float) -> None:
-        """Drive at these velocities (m/s, rad/s), limited to what the robot can do, until told otherwise."""
+        """Drive at these velocities (m/s, rad/s), limited to what the robot can do, until told otherwise.
+
+        Raises:
+            LinkError: one of them is no number.
+        """
+        if math.isnan(linear + angular):
+            problem = f"the robot is told to drive at {linear:g} m/s and {angular:g} rad/s"
+            raise LinkError(problem, where=f"robot {self.namespace or '/'}", fix="Give two numbers.")
         self._powered.reach(self._clock.step)
         self._powered.command(linear, angular)
 

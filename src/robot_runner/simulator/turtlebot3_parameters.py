@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 import zlib
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
@@ -22,8 +22,8 @@ _MAY_BE_ZERO = (
     *("activation_energy", "cold_loss", "cut_off_voltage"),
 )
 #: What has a largest value, or may be negative: a slope that rises by as much as it is long, the temperatures at which
-#: lithium-polymer batteries can be discharged at all, pictures that a laptop renders without a graphics card, and what
-#: happens at the points of the simulation's grid.
+#: lithium-polymer batteries can be discharged at all, pictures that a laptop renders without a graphics card, what
+#: happens at the points of the simulation's grid, and what the meter can say of its shunt in whole microhms.
 _BOUNDS = {
     "floor_slope": (-100.0, 100.0),
     "battery_temperature": (-30.0, 60.0),
@@ -34,7 +34,12 @@ _BOUNDS = {
     "camera_width": (16, 1280),
     "camera_height": (16, 960),
     "camera_view": (10.0, 150.0),
+    "meter_rate": (1, STEPS_PER_SECOND),
+    "meter_shunt": (0.001, 100.0),
+    "encoder_ticks": (1, 2**31),
 }
+#: What is a share of a whole; a task's load comes on top of that of the idle computer.
+_SHARES = ("initial_charge", "turning_motor_share", "motor_efficiency", "cpu_", "memory_")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +60,7 @@ class Turtlebot3Parameters:
             of a software can be compared: with 1.1 every task draws 10 % more.
 
     Raises:
-        LinkError: a figure is not finite, or is negative, zero or out of its range where that cannot be.
+        LinkError: a figure is no finite number, or is negative, zero or out of its range where that cannot be.
 
     Example:
         >>> Turtlebot3Parameters(task_power_factor=1.1).wheel_radius
@@ -145,10 +150,13 @@ class Turtlebot3Parameters:
 
     def __post_init__(self) -> None:
         for parameter in fields(self):
-            fix = _refused(parameter.name, value := getattr(self, parameter.name))
+            fix = _refused(parameter.name, value := getattr(self, parameter.name), is_whole=parameter.type == "int")
             if fix:
                 problem = f"the simulated robot's {parameter.name} is {value!r}"
                 raise LinkError(problem, where="Turtlebot3Parameters", fix=fix)
+        if self.scan_minimum >= self.scan_maximum:
+            problem = f"the simulated robot's scan_minimum is {self.scan_minimum!r} m, and scan_maximum no more"
+            raise LinkError(problem, where="Turtlebot3Parameters", fix="Give scan_minimum less, or scan_maximum more.")
         if self.mass <= 2 * self.wheel_mass:
             problem = (
                 f"the simulated robot's mass is {self.mass!r} kg, and each of its two wheels has {self.wheel_mass!r} kg"
@@ -167,15 +175,20 @@ class Turtlebot3Parameters:
         return ground_speed / self.wheel_radius
 
 
-def _refused(name: str, value: float) -> str:
+def _refused(name: str, value: float, *, is_whole: bool) -> str:
     """Return what to give instead of a value that a parameter cannot have; empty where it can."""
+    number = "whole number" if is_whole else "number"
+    if isinstance(value, bool) or not isinstance(value, int if is_whole else int | float):
+        return f"Give a {number}."
     if name in _BOUNDS:
         low, high = _BOUNDS[name]
-        return "" if low <= value <= high else f"Give a number from {low:g} to {high:g}."
+        return "" if low <= value <= high else f"Give a {number} from {low:g} to {high:g}."
+    is_share = name.startswith(_SHARES) and not name.endswith("_deviation")
     may_be_zero = any(part in name for part in _MAY_BE_ZERO)
-    if math.isfinite(value) and value >= 0 and (value > 0 or may_be_zero):
+    if 0 <= value <= (100 if is_share else sys.float_info.max) and (value or may_be_zero):
         return ""
-    return f"Give a finite number {'of at least' if may_be_zero else 'above'} 0."
+    least = "of at least" if may_be_zero else "above"
+    return f"Give a number {least} 0 and of at most 100." if is_share else f"Give a finite number {least} 0."
 
 
 _SEED_BITS = 64

@@ -12,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
 from robot_runner.core.events.context import RobotRunnerContext
+from robot_runner.core.events.early_end import MissionStopped
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, resolve_columns, with_phases
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
+from robot_runner.core.execution.run_events import made_safe, publish_returned
 from robot_runner.core.links.connect import SIMULATED, is_simulated, open_clock
 from robot_runner.core.links.declared_host import named_hosts
 from robot_runner.core.links.host_commands import DeclaredHosts
@@ -25,10 +27,11 @@ from robot_runner.core.treatments import bind, factors_of
 from robot_runner.ros.missions.joint_missions import sleep_with_others
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.manager import Emission
     from robot_runner.core.events.measure import Measure, MeasureValue
     from robot_runner.core.events.resources import Closable
     from robot_runner.core.links.declared_host import Host
@@ -274,40 +277,61 @@ class Rehearsal:
             kind = OwnerKind.SYSTEM if isinstance(plugin, System) else OwnerKind.PROFILER
             self._manager.subscribe_methods(plugin, owner=plugin.name, kind=kind)
 
-    def emit(self, event: RobotRunnerEvents) -> None:
-        """Emit one event and raise what a callback raised.
+    def emit(self, event: RobotRunnerEvents, *, but_not: Collection[str] = ()) -> None:
+        """Emit one event, publish what `populate_run_data` returned, and raise what a callback raised.
 
-        The mission begins with `launch_mission`, and has ended when the measurement is stopped.
+        The mission begins with `launch_mission`, and has ended when the measurement is stopped. The plugins named in
+        `but_not` do not hear the event.
         """
-        if event is RobotRunnerEvents.LAUNCH_MISSION:
-            self._times.begin()
-        elif event is RobotRunnerEvents.STOP_MEASUREMENT:
-            self._times.end()
-        emission = self._manager.emit(event, self._contexts.__getitem__)
-        for failure in emission.failures:
-            raise failure.error
+        self._check(self._emission(event, but_not))
 
     def execute(self, mission: Callable[[], None]) -> None:
         """Emit all six events, with `mission` beside the callbacks of `launch_mission`.
 
-        What was opened is closed and the systems are made safe before anything is raised.
+        What was opened is closed and the systems are made safe before anything is raised. A mission that
+        `context.stop_mission` ends is no failure: the systems are made safe, and the run goes on.
         """
+        is_stopped = False
         try:
             with ExitStack() as closing:
                 for event in (RobotRunnerEvents.START_RUN, RobotRunnerEvents.START_MEASUREMENT):
-                    closing.callback(self.emit, CLOSED_BY[event])
-                    self.emit(event)
-                self.emit(RobotRunnerEvents.LAUNCH_MISSION)
-                mission()
+                    emission = self._emission(event)
+                    heard = {subscriber.owner for subscriber in self._manager.subscribers(event)}
+                    closing.callback(self.emit, CLOSED_BY[event], but_not=heard.difference(emission.reached))
+                    self._check(emission)
+                try:
+                    self.emit(RobotRunnerEvents.LAUNCH_MISSION)
+                    mission()
+                except MissionStopped:
+                    is_stopped = True
+            if is_stopped:
+                self.make_safe()
+            self.emit(RobotRunnerEvents.POPULATE_RUN_DATA)
         except BaseException:
             self.make_safe()
             raise
-        self.emit(RobotRunnerEvents.POPULATE_RUN_DATA)
 
     def make_safe(self) -> None:
-        """Make all systems safe, the last one first."""
-        for system in reversed(self._systems):
-            system.make_safe(self._contexts[system.name])
+        """Make all systems safe, the last one first; what one of them raises is raised after all were asked."""
+        with ExitStack() as asking:
+            for system in self._systems:
+                asking.callback(made_safe, system, self._contexts[system.name])
+
+    def _emission(self, event: RobotRunnerEvents, but_not: Collection[str] = ()) -> Emission:
+        if event is RobotRunnerEvents.LAUNCH_MISSION:
+            self._times.begin()
+        elif event is RobotRunnerEvents.STOP_MEASUREMENT:
+            self._times.end()
+        emission = self._manager.emit(event, self._contexts.__getitem__, but_not=but_not)
+        if event is RobotRunnerEvents.POPULATE_RUN_DATA:
+            for owner, returned in emission.returned:
+                publish_returned(self._contexts[owner], returned)
+        return emission
+
+    @staticmethod
+    def _check(emission: Emission) -> None:
+        for failure in emission.failures:
+            raise failure.error
 
 
 def rehearse(
