@@ -70,13 +70,22 @@ def visit_folder(
     return _call_all(hostile.name, COMMANDS_OF_FOLDERS[first % every :: every], server, box, tally, said)
 
 
-def visit_package(hostile: Hostile, original: Original, server: CallServer, box: Path, tally: Tally) -> list[int]:
-    """Make a hostile package and call each command on it; return the exit codes."""
+def visit_package(
+    hostile: Hostile,
+    original: Original,
+    server: CallServer,
+    box: Path,
+    tally: Tally,
+    *,
+    every: int = 1,
+    first: int = 0,
+) -> list[int]:
+    """Make a hostile package and call each command on it, or every so many; return the exit codes."""
     work = _made(box)
     work.mkdir()
     shutil.copy(original.package, work / "hostile")
     hostile.damage(work / "hostile", box / "outside")
-    return _call_all(hostile.name, COMMANDS_OF_PACKAGES, server, box, tally)
+    return _call_all(hostile.name, COMMANDS_OF_PACKAGES[first % every :: every], server, box, tally)
 
 
 def _made(box: Path) -> Path:

@@ -44,7 +44,8 @@ def test_hostile_folders(original: Original, server: CallServer, tmp_path: Path,
     tally = Tally()
     for number, hostile in enumerate(folders):
         # With a step that shares no factor with the number of commands, each is called on several kinds.
-        visit_folder(hostile, original, server, tmp_path / "box", tally, every=10, first=3 * number)
+        every = len(COMMANDS_OF_FOLDERS)
+        visit_folder(hostile, original, server, tmp_path / "box", tally, every=every, first=3 * number)
     tell(record_property, tally.in_words("hostile folders"))
     assert tally.faults == {}
 

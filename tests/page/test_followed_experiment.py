@@ -14,7 +14,7 @@ from robot_runner.core.execution import experiment_status
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import Holder
-from robot_runner.page import followed_experiment
+from robot_runner.page import followed_experiment, found_experiments
 from robot_runner.page.followed_experiment import FollowedExperiment
 from robot_runner.page.found_experiments import FoundExperiments, id_of
 from robot_runner.page.journal_tail import JournalTail
@@ -92,7 +92,7 @@ def test_records_reach_rows_means_and_findings(root: Path) -> None:
 @pytest.fixture
 def held(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have every experiment be executed by somebody: no process sees the locks that are its own."""
-    for module in (experiment_status, followed_experiment):
+    for module in (experiment_status, followed_experiment, found_experiments):
         monkeypatch.setattr(module, "holder_of", lambda _: Holder(1, "lab", AT))
 
 
@@ -124,8 +124,13 @@ def test_who_comes_while_a_run_goes_on_is_told_what_is_left_by_then(root: Path) 
         followed = FollowedExperiment(root)
         told = settled(followed)["state"]["left"]
         assert told == pytest.approx(450.0, abs=60)
-        followed._history._left_at = (begun - timedelta(seconds=200)).isoformat()  # as if that long had passed since
+        found = FoundExperiments(root.parent)
+        assert found.look()["experiments"][0]["left"] == pytest.approx(told, abs=60)
+        for each in (followed, *found._followed.values()):  # as if that long had passed since
+            each._history._left_at = (begun - timedelta(seconds=200)).isoformat()
         assert followed.snapshot()["state"]["left"] == pytest.approx(told - 200, abs=60)
+        assert followed.snapshot()["state"]["left_of_others"] == 50.0
+        assert found.look()["experiments"][0]["left"] == pytest.approx(told - 200, abs=60)
 
 
 def test_a_folder_that_is_gone_is_told_and_shown_again_once_it_is_back(root: Path) -> None:

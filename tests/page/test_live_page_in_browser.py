@@ -60,6 +60,13 @@ def wait_for_whole_samples(browser: Browser, run: str) -> None:
     assert len(names) == len({*names})
 
 
+def left_an_hour_later(browser: Browser) -> str:
+    """Return what a pause of an hour leaves of the time left, which the page counts once a second."""
+    browser.evaluate("{ const now = performance.now.bind(performance); performance.now = () => now() + 36e5; }")
+    browser.evaluate("new Promise(done => setTimeout(done, 1200))")
+    return text(browser, "#left")
+
+
 def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
     browser: Browser, serve_page: Callable[..., ServedPage], executed_demo: Path, tmp_path: Path
 ) -> None:
@@ -91,10 +98,10 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
         browser.press("[data-action=pause]")
         browser.wait_for(seen("#said", "It pauses after r_1"))
         browser.press("#ask-form [type=submit]")
-        browser.wait_for(seen("#word", "is paused"))
-        browser.wait_for(seen("#counts", "1 of 15 runs done"))
+        browser.wait_for(seen("#word", "is paused") + " && " + seen("#counts", "1 of 15 runs done"))
         browser.wait_for("[...document.querySelectorAll('#rows tr.done')].length === 1")
         assert browser.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        assert re.search("(?:about|at least) (?!0 s)[0-9]+ .*left", left_an_hour_later(browser))
         browser.press("[data-action=end-pause]")
         for run in ("r_2", "r_3"):
             title = "swap the battery" if run == "r_3" else f"May {run} start"

@@ -18,6 +18,9 @@ with warnings.catch_warnings():
     from rocrate_validator import models, services
     from rocrate_validator.utils.http import HttpRequester
 
+from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
+from robot_runner.replication.about import About
+from robot_runner.replication.crate import Executed, crate_text
 from robot_runner.replication.crate_requirements import crate_faults
 from robot_runner.replication.packing import pack
 
@@ -169,3 +172,19 @@ def test_the_experiment_is_one_action_with_its_robot_runner_and_plugins(unpacked
     assert action["agent"]["@id"] == "https://orcid.org/0000-0002-1825-0097"
     assert {"@id": "run_table.csv"} in action["result"]
     assert action["actionStatus"].endswith("CompletedActionStatus")
+
+
+def test_what_has_no_ascii_name_keeps_an_identity_of_its_own():
+    authors = ({"name": "Ada", "affiliation": "東京大学"}, {"name": "Bob", "affiliation": "京都大学"})
+    columns = [
+        ColumnDescription(name=name, role=ColumnRole.MEASURE) for name in ("エネルギー", "時間", "CPU %", "CPU_")
+    ]
+    about = About("small", authors, None, None, "2026-01-31T12:00:00Z")
+    entities = json.loads(crate_text(about, {}, Executed(columns, [], {}), []))["@graph"]
+    names = {each["@id"]: each["name"] for each in entities if "name" in each}
+    people = [each for each in entities if each["@type"] == "Person"]
+    assert {each["name"]: names[each["affiliation"]["@id"]] for each in people} == {
+        each["name"]: each["affiliation"] for each in authors
+    }
+    root = next(each for each in entities if each["@id"] == "./")
+    assert [names[each["@id"]] for each in root["variableMeasured"]] == [each.name for each in columns]

@@ -10,6 +10,8 @@ from tests.analysis.experiment_folders import two_tasks
 from tests.replication.small_experiment import CONFIG
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.journal import Journal
+from robot_runner.replication.config_lines import ConfigLines
 from robot_runner.replication.explanation import explain_run
 
 
@@ -30,7 +32,7 @@ def test_a_value_of_a_plugin(experiment):
     assert facts["Raw data"].startswith("runs/r_2/Ina219/quality.json (")
     assert "integral of power" in facts["Aggregation"]
     assert facts["Config"].startswith(f"config/small.py:{_line('Ina219()')}  ")
-    assert facts["Published"] == "in populate_run_data of attempt 1 (journal.jsonl)"
+    assert facts["Published"] == "in attempt 1 (journal.jsonl)"
 
 
 def test_a_value_of_a_callback(experiment):
@@ -92,3 +94,92 @@ def test_what_is_not_there_is_named_with_the_nearest(experiment, run, name, near
     with pytest.raises(StorageError) as refused:
         explain_run(experiment, run, [name])
     assert near in refused.value.fix
+
+
+HELPER = """\
+class Meter:
+    def before_run(self, context): ...
+    def populate_run_data(self, context):
+        return {"Energy": 1.0}
+    def create_run_table(self): ...
+
+
+class Base:
+    def before_run(self, context): ...
+    def start_run(self, context):
+        context.publish("Early", 1.0)
+"""
+BASED = """\
+from a_helper import Base
+
+
+class RobotRunnerConfig(Base):
+    plugins = [
+        PsUtil(name="second"),
+        PsUtil(),
+    ]
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", TASKS)], repetitions=2, data_columns=["Energy", "Early"])
+    def populate_run_data(self, context):
+        return {"Energy": 2.0}
+"""
+
+
+@pytest.fixture
+def lines(tmp_path):
+    """Return the lines of a config whose local module, earlier in the alphabet, has methods of the same names."""
+    (tmp_path / "config").mkdir()
+    (tmp_path / "config" / "a_helper.py").write_text(HELPER, encoding="utf-8")
+    (tmp_path / "config" / "config.py").write_text(BASED, encoding="utf-8")
+    return ConfigLines(tmp_path, {"file": "config.py", "class": "RobotRunnerConfig"})
+
+
+def test_the_line_of_a_callback_is_that_of_the_config_or_of_its_base_class(lines):
+    assert lines.of_method("populate_run_data").place == "config/config.py:11"
+    assert lines.of_method("create_run_table").place == "config/config.py:9"
+    assert lines.of_method("before_run").place == "config/a_helper.py:9"
+    assert lines.of_method("stop_run") is None
+
+
+def test_the_line_of_a_measure_is_in_the_method_that_yields_it(lines):
+    assert lines.of_measure("Energy").place == "config/config.py:11"
+    assert lines.of_measure("Early").place == "config/a_helper.py:10"
+
+
+def test_the_line_of_a_plugin_is_not_that_of_another_of_its_kind(lines):
+    assert lines.of_plugin("second", "PsUtil").place == "config/config.py:6"
+    assert lines.of_plugin("PsUtil", "PsUtil").place == "config/config.py:7"
+
+
+def test_a_config_that_is_its_own_base_or_nested_beyond_measure_is_explained_all_the_same(tmp_path):
+    (tmp_path / "config").mkdir()
+    circle = "class A(B): ...\nclass B(A):\n    def start_run(self): ...\n"
+    (tmp_path / "config" / "a.py").write_text(circle, encoding="utf-8")
+    (tmp_path / "config" / "b.py").write_text(f"x = {'-' * 100_000}1\n", encoding="utf-8")
+    assert ConfigLines(tmp_path, {"file": "a.py", "class": "A"}).of_method("start_run").place == "config/a.py:3"
+
+
+@pytest.mark.parametrize(
+    ("where", "manifest", "robot", "host"),
+    [
+        (
+            {"place": "left", "slot": 2},
+            {"robots": {"left": "ros2", "right": "simulated"}},
+            "left: ros2",
+            "Linux, Python",
+        ),
+        ({"place": "pi-3", "slot": 0}, {}, "ros1", "worker pi-3 of a cluster, directed from Linux, Python"),
+        ({}, {}, "ros1", "Linux, Python"),
+    ],
+)
+def test_robot_and_host_are_those_that_executed_the_run(tmp_path, where, manifest, robot, host):
+    folder = two_tasks(tmp_path / "made", (1.0,), (3.0,), name="made", manifest=manifest)
+    with Journal(folder.files.journal) as journal:
+        journal.append("attempt_started", run="r_1", attempt=2, **where)
+    facts = dict(explain_run(folder.root, "r_1").facts)
+    assert facts["Robot"] == robot
+    assert facts["Host"].startswith(host)
+
+
+def test_an_event_that_was_not_emitted_is_said_to_be_none(experiment):
+    assert _facts(experiment, "r_1", "continue_at")[1]["Event"] == "continue, not emitted in this run"

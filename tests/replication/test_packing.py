@@ -15,12 +15,14 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from tests.analysis.experiment_folders import two_tasks
 from tests.linked_environment import is_locked_environment
 from tests.replication.small_experiment import RUNS, SECRET, home
 
 from robot_runner.core.config.authors import Author
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.lock import ExperimentLock
+from robot_runner.replication.contents import choose_contents, fault_of_name
 from robot_runner.replication.packing import pack
 from robot_runner.replication.sealing import Packing
 
@@ -129,6 +131,29 @@ def test_keys_links_and_what_is_half_written_stay_behind(copied, tmp_path):
     assert {each.name for each in packed.left_out} == {"known_hosts", "robot.pem", "passwords", "elsewhere"}
     assert not {"known_hosts", "robot.pem", "passwords"} & _names(packed.path)
     assert "`robot.pem`" in _text(packed.path, "README.md")
+
+
+def test_raw_data_are_packed_or_listed_whatever_their_names(tmp_path):
+    folder = two_tasks(tmp_path / "made", (1.0,), (3.0,))
+    run = folder.files.run("r_1")
+    for name in (
+        "Bag/scan.tmp",
+        "Bag/scan~",
+        "Bag/trace.pyc",
+        "Bag/.git/config",
+        "Bag/__pycache__/a.pyc",
+        "Bag/.x.7.tmp",
+    ):
+        (run / name).parent.mkdir(parents=True, exist_ok=True)
+        (run / name).write_bytes(b"raw")
+    chosen = choose_contents(folder.files, ["r_1", "r_2"])
+    below = f"{run.relative_to(folder.root).as_posix()}/Bag"
+    assert {each.name for each in chosen.files if "Bag" in each.name} == {
+        f"{below}/scan.tmp",
+        f"{below}/scan~",
+        f"{below}/trace.pyc",
+    }
+    assert [each.name for each in chosen.left_out] == [f"{below}/.git"]
 
 
 def test_a_file_whose_name_is_no_text_stays_behind_and_is_told(copied, tmp_path):
@@ -255,3 +280,9 @@ def test_what_is_missing_is_said(copied, tmp_path):
 
 def test_the_table_of_the_package_has_every_run(packed):
     assert len(_text(packed.path, "run_table.csv").splitlines()) == RUNS + 1
+
+
+@pytest.mark.parametrize("name", ["\u00e9" * 121, "\U0001f916" * 61, "/".join(["\u20ac" * 70] * 20)])
+def test_a_name_that_no_disk_takes_is_no_name_of_a_package(name):
+    assert fault_of_name(name) == "the file's name is longer, or in more folders, than a disk takes"
+    assert fault_of_name(name[: len(name) // 3]) is None

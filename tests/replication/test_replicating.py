@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 import zipfile
 from pathlib import Path
 
 import pytest
+from tests.analysis.experiment_folders import two_tasks
 from tests.replication.small_experiment import SECRET, execute, own_modules, write_config
 
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
@@ -21,7 +23,7 @@ from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
-from robot_runner.replication.replicating import prepare_replication
+from robot_runner.replication.replicating import prepare_replication, replicated_folder
 from robot_runner.replication.run_by_run import Sameness, identical_values
 
 GROWING = """
@@ -259,3 +261,18 @@ def test_a_run_in_an_interpreter_of_its_own_writes_into_the_replication_and_know
     _replicate(original, tmp_path / "again")
     assert _written_at(original) == before
     assert (tmp_path / "again" / "growing" / "runs" / "r_3" / "task").read_text("utf-8") == "Audio"
+
+
+def test_of_several_executions_of_one_package_the_one_that_was_set_so_is_found(tmp_path):
+    original = two_tasks(tmp_path / "original", (1.0,), (3.0,)).root
+    digest = hashlib.sha256((original / "manifest.json").read_bytes()).hexdigest()
+    target = tmp_path / "to"
+    for day, name in enumerate(("a", "b", "c"), start=1):
+        deviations = {"experiment_name": name} if name == "b" else {}
+        manifest = {"replication": {"sha256": digest, "deviations": deviations}}
+        manifest["executions"] = [{"started_at": f"2026-02-0{day}T12:00:00.000Z"}]
+        two_tasks(target / name, (1.0,), (3.0,), manifest=manifest)
+    assert replicated_folder(target, original, {"experiment_name": "b"}).name == "b"
+    assert replicated_folder(target, original, {}).name == "c"
+    with pytest.raises(PackageError, match="not executed again here"):
+        replicated_folder(target, original, {"experiment_name": "d"})

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from tests.analysis.experiment_folders import two_tasks
 from tests.command_line import PROGRAM
 from tests.replication.small_experiment import own_modules
 
@@ -15,7 +16,7 @@ from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.replication.commands import replication_verdict
 from robot_runner.replication.needed_runs import needed_runs, runs_for_difference, runs_for_equivalence
-from robot_runner.replication.run_by_run import Sameness
+from robot_runner.replication.run_by_run import Sameness, identical_values
 from robot_runner.replication.verdicts import (
     Conclusion,
     margins_of,
@@ -226,6 +227,21 @@ def test_no_run_in_common_is_undecided():
     for same in ({}, {"Energy": Sameness(0, 0)}):
         verdict = reached_verdict([_measure("Energy")], {}, same, margins, None)
         assert (verdict.conclusion.exit_code, "could not be compared" in verdict.sentence) == (4, True)
+
+
+def test_results_are_not_identical_where_runs_of_the_original_have_failed_here(tmp_path):
+    original = two_tasks(tmp_path / "original", (1.0, 2.0), (3.0, None)).root
+    again = two_tasks(
+        tmp_path / "again", (1.0, 2.0), (3.0, None), statuses={1: "Failed", 2: "Failed", 3: "Failed"}
+    ).root
+    same = identical_values(original, again)
+    assert same == {"Energy": Sameness(1, 1, lacking=2)}
+    assert identical_values(again, original) == {"Energy": Sameness(1, 1)}
+    verdict = reached_verdict([_measure("Energy")], {}, same, margins_of(["Energy"], {}, []), None)
+    assert verdict.conclusion is Conclusion.UNDECIDED
+    assert "identical in the one run that can be compared, and 2 runs of the original are not done" in (
+        verdict.measures[0].sentence
+    )
 
 
 def test_the_runs_that_are_said_to_be_needed_decide_in_a_simulation():

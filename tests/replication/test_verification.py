@@ -12,6 +12,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from tests.analysis.experiment_folders import two_tasks
 
 from robot_runner.core.errors import PackageError
 from robot_runner.replication.opening import open_package
@@ -270,3 +271,33 @@ def test_another_package_is_not_mixed_with_the_one_that_is_there(packed, tmp_pat
 def test_a_replication_is_not_written_into_its_original(unpacked):
     with pytest.raises(PackageError, match="into its original"):
         find_source(unpacked, lambda _, __: None).refuse_target(unpacked / "again")
+
+
+@pytest.mark.parametrize(
+    ("name", "key", "value", "fault"),
+    [
+        ("package.json", "left_out", None, "left_out is None, not a list"),
+        ("package.json", "replaced", None, "replaced is None, not a list"),
+        (
+            "environment/environment.json",
+            "packages",
+            {"numpy": {"is_needed": True}},
+            "packages.numpy.version is missing",
+        ),
+        ("environment/environment.json", "packages", {"numpy": {"version": "1", "fingerprint": []}}, "fingerprint is"),
+        ("environment/environment.json", "host", {"memory_bytes": "much"}, "host.memory_bytes is 'much'"),
+        ("environment/environment.json", "ros", {"distro": "jazzy"}, "ros.version is missing"),
+        ("environment/environment.json", "ros", {"version": 2, "packages": {"nav2": 1}}, "ros.packages.nav2 is 1"),
+    ],
+)
+def test_what_is_compared_with_this_machine_is_refused_unless_it_is_as_it_has_to_be(unpacked, name, key, value, fault):
+    facts = json.loads((unpacked / name).read_text(encoding="utf-8"))
+    (unpacked / name).write_text(json.dumps({**facts, key: value}), encoding="utf-8")
+    _with_sums(unpacked)
+    assert fault in _refusal(unpacked).problem
+
+
+def test_so_is_that_of_a_folder_that_nobody_sealed(tmp_path):
+    folder = two_tasks(tmp_path / "made", (1.0,), (3.0,), manifest={"ros": {"distro": "jazzy"}}).root
+    with pytest.raises(PackageError, match=re.escape("ros.version is missing")):
+        find_source(folder, lambda _, __: None)

@@ -255,7 +255,8 @@ class FollowedExperiment:
             "word": self._word(),
             "counts": {name: getattr(status, name) for name in ("run_count", "done", "failed", "todo", "warm_ups")},
             "excluded": len(status.excluded),
-            "left": self._seconds_left(status),
+            "left": self.seconds_left,
+            "left_of_others": left.others if (left := self._history.left) is not None else None,
             "left_is_least": status.left_is_least,
             "told_at": time.time(),
             "in_flight": [self._flying(each) for each in status.in_flight],
@@ -273,10 +274,13 @@ class FollowedExperiment:
             "problem": None,
         }
 
-    def _seconds_left(self, status: ExperimentStatus) -> float | None:
-        """Return how long it takes from this moment: the status is as old as the last record."""
-        left = self._history.left if status.holder is not None else None
-        return status.seconds_left if left is None else left.after(self._history.since_left)
+    @property
+    def seconds_left(self) -> float | None:
+        """How long it takes from this moment: the status is as old as the last record."""
+        if self._status is None:
+            return None
+        left = self._history.left if self._status.holder is not None else None
+        return self._status.seconds_left if left is None else left.after(self._history.since_left)
 
     def _problem(self) -> dict[str, str] | None:
         if self._error is None:

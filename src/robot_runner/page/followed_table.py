@@ -31,16 +31,6 @@ _LONGEST = 200
 _ENDS = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
 
 
-def words_of_status(status: RunStatus) -> str:
-    """Return the word for a status.
-
-    Example:
-        >>> words_of_status(RunStatus.TODO)
-        'to do'
-    """
-    return _WORDS[status]
-
-
 class FollowedTable:
     """The rows of a run table, brought up to date by the journal's records.
 

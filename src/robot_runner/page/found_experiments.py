@@ -94,7 +94,7 @@ class FoundExperiments:
         sign = (holder, is_requested(files.pause), *_sizes(files))
         known = self._summaries.get(experiment_id)
         if known is not None and known[0] == sign:
-            return known[1]
+            return self._as_of_now(experiment_id, known[1])
         followed = self._followed.pop(experiment_id, None) or FollowedExperiment(folder)
         end = time.monotonic() + _PATIENCE
         parts = followed.look()
@@ -108,6 +108,12 @@ class FoundExperiments:
             self._summaries[experiment_id] = (sign, summary)
         return summary
 
+    def _as_of_now(self, experiment_id: str, summary: dict[str, Any]) -> dict[str, Any]:
+        """Return a summary with what is left of a long run by now: in steps, so that it is not sent at each look."""
+        followed = self._followed.get(experiment_id)
+        left = followed.seconds_left if followed is not None else None
+        return summary if left is None else {**summary, "left": round(left, -1)}
+
 
 def _shortened(state: dict[str, Any]) -> dict[str, Any]:
     names = (
@@ -116,7 +122,6 @@ def _shortened(state: dict[str, Any]) -> dict[str, Any]:
         "counts",
         "left",
         "left_is_least",
-        "told_at",
         "waiting",
         "host",
         "started_at",

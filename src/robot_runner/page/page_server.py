@@ -20,7 +20,7 @@ from robot_runner.page.found_experiments import FoundExperiments
 from robot_runner.page.page_access import Keys, RateLimit, Role, is_known_host, is_of_same_origin
 from robot_runner.page.page_metrics import metrics_text
 from robot_runner.page.person_actions import ACTIONS, RefusedAnswersError
-from robot_runner.page.report_copy import Reports
+from robot_runner.page.report_copy import report_in
 from robot_runner.page.robot_pictures import RobotPictures
 
 if TYPE_CHECKING:
@@ -122,7 +122,6 @@ class LivePage:
         self._found = FoundExperiments(settings.folder, is_one=settings.is_one)
         self._index = Channel(self._found, _INDEX_EVERY)
         self._followers = Followers()
-        self._reports = Reports()
         self._pictures: dict[str, RobotPictures] = {}
         self._assets = {name: _asset(name, package) for name, package in _ASSETS.items()}
         acts, looks = Role.ACTS, Role.LOOKS
@@ -173,7 +172,6 @@ class LivePage:
         finally:
             self._followers.close()
             self._index.stop()
-            self._reports.close()
             for pictures in self._pictures.values():
                 pictures.close()
 
@@ -273,7 +271,7 @@ class LivePage:
         return self._pictures.setdefault(experiment.robot, RobotPictures(experiment.robot)).picture(pose)
 
     async def _report(self, request: Request) -> Response:
-        content = await asyncio.to_thread(self._reports.content, await self._folder(request))
+        content = await asyncio.to_thread(report_in, await self._folder(request))
         return Response(content, media_type="text/html", headers={"content-security-policy": _REPORT_POLICY})
 
     async def _act(self, request: Request) -> Response:

@@ -13,21 +13,15 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class Reports:
-    """Reports that were written, and those that this page had made."""
+def report_in(folder: Path) -> bytes:
+    """Return the report in an experiment's folder.
 
-    def content(self, folder: Path) -> bytes:
-        """Return the report in an experiment's folder.
-
-        Raises:
-            StorageError: it cannot be read.
-            ExecutionError: none was made yet.
-        """
-        try:
-            return read_bytes(ExperimentFolder(folder).report / "report.html", folder)
-        except MissingFileError as error:
-            fix = f"Make it: robot-runner report {shlex.quote(folder.name)}"
-            raise ExecutionError("there is no report yet", where=folder.name, fix=fix) from error
-
-    def close(self) -> None:
-        """End what is being made."""
+    Raises:
+        StorageError: it cannot be read.
+        ExecutionError: none was made yet.
+    """
+    try:
+        return read_bytes(ExperimentFolder(folder).report / "report.html", folder)
+    except MissingFileError as error:
+        fix = f"Make it: robot-runner report {shlex.quote(folder.name)}"
+        raise ExecutionError("there is no report yet", where=folder.name, fix=fix) from error

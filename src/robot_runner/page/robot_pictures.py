@@ -66,16 +66,19 @@ class RobotPictures:
                     stream.close()
 
     def _rendered(self, pose: Pose) -> bytes:
-        given = os.environ.get("MUJOCO_GL")
+        if self._process is not None:
+            with suppress(OSError, ValueError):  # one that has crashed is started anew
+                return _asked(self._process, pose, _NEXT)
+            self.close()
+        given, problem = os.environ.get("MUJOCO_GL"), ""
         for way in (given,) if given else _WAYS:
-            is_new = self._process is None
             try:
-                if self._process is None:
-                    self._process = self._started(way)
-                return _asked(self._process, pose, _FIRST if is_new else _NEXT)
+                self._process = self._started(way)
+                return _asked(self._process, pose, _FIRST)
             except (OSError, ValueError) as error:
-                self._problem = str(error) or type(error).__name__
+                problem = str(error) or type(error).__name__
                 self.close()
+        self._problem = problem
         raise self._refusal()
 
     def _started(self, way: str) -> subprocess.Popen[bytes]:
@@ -90,7 +93,7 @@ class RobotPictures:
         )
 
     def _refusal(self) -> ExecutionError:
-        problem = f"no picture can be rendered here: {self._problem.splitlines()[0][:200] if self._problem else ''}"
+        problem = f"no picture can be rendered here: {self._problem.splitlines()[0][:200]}"
         fix = "Install the extra 'sim' and an EGL library (Debian: libegl1), or go without."
         return ExecutionError(problem, where="the robot's picture", fix=fix)
 

@@ -9,8 +9,13 @@ from typing import TYPE_CHECKING
 from robot_runner.core.storage.guarded_files import read_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
+    from typing import Any
+
+
+#: Where measures are named that others yield.
+_DECLARING = frozenset({"__init__", "create_run_table"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,17 +52,23 @@ class ConfigLines:
 
     Example:
         >>> from pathlib import Path
-        >>> ConfigLines(Path("nowhere")).of_factor("Task") is None
+        >>> ConfigLines(Path("nowhere"), {"file": "study.py"}).of_factor("Task") is None
         True
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, config: Mapping[str, Any]) -> None:
         """Read what is in the folder `config` of an experiment's folder; what does not parse is left out.
+
+        Args:
+            root: the experiment's folder.
+            config: what the manifest says of it: the name of its file and of its class, where they are known.
 
         Raises:
             OSError: a file cannot be read.
         """
-        self._sources = tuple(_sources(root))
+        first = f"config/{config.get('file')}"
+        self._sources = tuple(sorted(_sources(root), key=lambda source: source.name != first))
+        self._methods = _methods_of(str(config.get("class")), self._sources)
 
     def of_factor(self, name: str) -> ConfigLine | None:
         """Return the line that makes a factor."""
@@ -71,18 +82,23 @@ class ConfigLines:
             name: the plugin's.
             kind: the name of its class.
         """
+        # A call without a name that can be read may make this one; a call with another name does not.
         named = self._first(lambda node: _called(node) == kind and _keyword(node, "name") == name)
-        made = named or self._first(lambda node: _called(node) == kind)
+        made = named or self._first(lambda node: _called(node) == kind and _keyword(node, "name") is None)
         return made or self._first(lambda node: _imports(node, kind))
 
     def of_measure(self, name: str) -> ConfigLine | None:
         """Return the line on which a config yields a measure, or the method that does."""
-        within = self._first(lambda node: isinstance(node, ast.FunctionDef) and _yields(node, name))
-        return within or self.of_method("populate_run_data") or self._last_mention(name)
+        usual = self._methods.get("populate_run_data")
+        others = (method for called, method in self._methods.items() if called not in _DECLARING)
+        within = (method for method in (usual, *others) if method is not None and _mentions(method[1], name))
+        found = next(within, usual)
+        return found[0].line(found[1]) if found else self._last_mention(name)
 
     def of_method(self, name: str) -> ConfigLine | None:
-        """Return the line on which a method begins."""
-        return self._first(lambda node: isinstance(node, ast.FunctionDef) and node.name == name)
+        """Return the line on which a method of the config's class begins: its own, or that of a local base class."""
+        found = self._methods.get(name)
+        return found[0].line(found[1]) if found else None
 
     def _last_mention(self, value: str) -> ConfigLine | None:
         """Return where a text stands last: columns are named above the callbacks that fill them."""
@@ -98,20 +114,46 @@ def _sources(root: Path) -> Iterator[_Source]:
         text = read_text(path, root, errors="replace")
         try:
             tree = ast.parse(text)
-        except (SyntaxError, ValueError):
+        except (SyntaxError, ValueError, RecursionError, MemoryError):  # the last two: nested as no config is
             continue
         yield _Source(path.relative_to(root).as_posix(), tuple(text.split("\n")), tree)
+
+
+def _methods_of(name: str, sources: tuple[_Source, ...]) -> dict[str, tuple[_Source, ast.FunctionDef]]:
+    """Return the methods of a class, inherited ones too, as far as the classes stand in these files."""
+    classes: dict[str, tuple[_Source, ast.ClassDef]] = {}
+    for source in sources:
+        for node in ast.walk(source.tree):
+            if isinstance(node, ast.ClassDef):
+                classes.setdefault(node.name, (source, node))
+    methods: dict[str, tuple[_Source, ast.FunctionDef]] = {}
+    pending = [name]
+    while pending:
+        if found := classes.pop(pending.pop(0), None):  # each once: a stranger's may be its own base
+            source, made = found
+            pending[:0] = map(_name_of, made.bases)
+            own = {node.name: (source, node) for node in made.body if isinstance(node, ast.FunctionDef)}
+            methods = own | methods
+    return methods
 
 
 def _is_constant(node: ast.AST, value: str) -> bool:
     return isinstance(node, ast.Constant) and node.value == value
 
 
-def _called(node: ast.AST) -> str:
+def _mentions(node: ast.AST, value: str) -> bool:
+    return any(_is_constant(each, value) for each in ast.walk(node))
+
+
+def _name_of(node: ast.AST) -> str:
     match node:
-        case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name)):
+        case ast.Name(id=name) | ast.Attribute(attr=name):
             return name
     return ""
+
+
+def _called(node: ast.AST) -> str:
+    return _name_of(node.func) if isinstance(node, ast.Call) else ""
 
 
 def _keyword(node: ast.AST, name: str) -> object:
@@ -129,7 +171,3 @@ def _is_factor(node: ast.AST, name: str) -> bool:
 def _imports(node: ast.AST, kind: str) -> bool:
     names = node.names if isinstance(node, ast.Import | ast.ImportFrom) else []
     return any(alias.name.rpartition(".")[2] == kind for alias in names)
-
-
-def _yields(function: ast.FunctionDef, name: str) -> bool:
-    return function.name == "populate_run_data" and any(_is_constant(node, name) for node in ast.walk(function))

@@ -72,8 +72,8 @@ DESCRIBED = {
 }
 
 _DRIVE = re.compile(r"[A-Za-z]:")
-#: A path has at most 4096 bytes on Linux, and a name 255 (in UTF-8, with up to 4 a character).
-_DEEPEST, _LONGEST_PART = 60, 240
+#: A path has at most 4096 bytes on Linux, and a name 255, both in UTF-8.
+_DEEPEST, _LONGEST_PART, _LONGEST = 60, 240, 3500
 
 
 def fault_of_name(name: str) -> str | None:
@@ -89,7 +89,8 @@ def fault_of_name(name: str) -> str | None:
     if name.startswith("/") or _DRIVE.match(name):
         return "the file's name is absolute"
     parts = name.split("/")
-    if len(parts) > _DEEPEST or max(map(len, parts)) > _LONGEST_PART:
+    longest = max(len(part.encode()) for part in parts)
+    if len(parts) > _DEEPEST or longest > _LONGEST_PART or len(name.encode()) > _LONGEST:
         return "the file's name is longer, or in more folders, than a disk takes"
     if ".." in parts:
         return "the file's name leaves the folder"
@@ -173,13 +174,14 @@ ALL, NONE = "all", "none"
 CONFIG_OWNER = "config"
 
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
+#: Of an execution: what is there while it lasts, and what is half written. Other people's files have other names.
 _TRANSIENT = re.compile(
-    r"\.(?:lock|control|outliving|(?:alive|standing_by)(?:_\d+)?)|current_log(?:_\d+)?\.txt"
-    r"|.*\.tmp|.*\.pyc|.*~"
+    r"\.(?:lock|control|outliving|(?:alive|standing_by)(?:_\d+)?)|current_log(?:_\d+)?\.txt|\..*\.tmp"
 )
 #: What file managers leave in folders that somebody has looked at.
 DESKTOP_FILES = frozenset({".DS_Store", "Thumbs.db"})
-_TRANSIENT_FOLDERS = frozenset({"__pycache__", ".git", ".ipynb_checkpoints", ".venv"})
+_BYTE_CODE = "__pycache__"
+_WORKING_FOLDERS = frozenset({".git", ".ipynb_checkpoints", ".venv"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,16 +268,16 @@ def _run_owner(folder: ExperimentFolder, runs: set[str], name: str) -> str | Non
 
 
 def _walk(root: Path) -> Iterator[tuple[str, Path, os.stat_result]]:
-    """Yield the name below `root`, the path and the status of each file and link."""
+    """Yield the name below `root`, the path and the status of each file, link, and folder that is not entered."""
 
     def fail(error: OSError) -> None:
         raise storage_error(root, "read", error) from error
 
     for folder, folders, names in os.walk(root, onerror=fail):
-        wanted = sorted(set(folders) - _TRANSIENT_FOLDERS)
-        links = [name for name in wanted if Path(folder, name).is_symlink()]
-        folders[:] = [name for name in wanted if name not in links and Path(folder, name) != root / WHEELS]
-        for path in sorted(Path(folder, name) for name in (*names, *links)):
+        wanted = sorted(set(folders) - {_BYTE_CODE})
+        closed = [name for name in wanted if name in _WORKING_FOLDERS or Path(folder, name).is_symlink()]
+        folders[:] = [name for name in wanted if name not in closed and Path(folder, name) != root / WHEELS]
+        for path in sorted(Path(folder, name) for name in (*names, *closed)):
             yield path.relative_to(root).as_posix(), path, path.lstat()
 
 
@@ -283,6 +285,8 @@ def _fault(name: str, status: os.stat_result) -> str | None:
     """Return why a file cannot go into a package."""
     if stat.S_ISLNK(status.st_mode):
         return "a symbolic link"
+    if stat.S_ISDIR(status.st_mode):
+        return "a folder that a version control, a notebook or an environment works in"
     if not stat.S_ISREG(status.st_mode):
         return "not a regular file"
     if name in GENERATED:

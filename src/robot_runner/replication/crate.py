@@ -199,7 +199,7 @@ class _Crate:
             root["publisher"] = organisations[0]
         root["variableMeasured"] = [
             self._entity(
-                f"#measure-{_slug(column.name)}",
+                f"#measure-{_fragment(column.name)}",
                 "PropertyValue",
                 name=column.name,
                 unitText=column.unit,
@@ -221,7 +221,7 @@ class _Crate:
         affiliation = None
         if organisation:
             url = author.get("affiliation_url")
-            identifier = url or f"#organisation-{_slug(organisation)}"
+            identifier = url or f"#organisation-{_fragment(organisation)}"
             affiliation = self._crate.dereference(identifier) or self._entity(
                 identifier, "Organization", name=organisation, url=url
             )
@@ -290,7 +290,7 @@ class _Crate:
             package = plugin.get("package")
             page = _page_of(package)
             yield self._entity(
-                f"{page}#plugin-{_slug(name)}",
+                f"{page}#plugin-{_fragment(name)}",
                 "SoftwareApplication",
                 name=kind if kind == name else f"{kind} {name}",
                 url=page,
@@ -319,5 +319,6 @@ def _compact(entity: dict[str, Any]) -> dict[str, Any]:
     return {name: value[0] if isinstance(value, list) and len(value) == 1 else value for name, value in entity.items()}
 
 
-def _slug(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-") or "unnamed"
+def _fragment(text: str) -> str:
+    """Return a text as it can stand in an identifier, in which no two texts are the same."""
+    return quote(text, safe="") or "unnamed"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
-from robot_runner.core.events.measure import OPERATOR_OWNER, quality_text
+from robot_runner.core.events.measure import OPERATOR_OWNER, ROBOTS_OWNER, quality_text
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -93,7 +93,7 @@ class _Explaining:
         self._row = rows.row(place)
         self._history = RunHistory.read(self._files.journal, run_id)
         try:
-            self._lines = ConfigLines(root)
+            self._lines = ConfigLines(root, self._manifest.get("config") or {})
         except OSError as error:
             raise storage_error(self._files.config, "read", error) from error
 
@@ -147,8 +147,9 @@ class _Explaining:
         yield from history.waits
         if history.waited:
             yield "Waited in all", shown_duration(history.waited)
-        yield "Robot", str(self._manifest.get("robot") or "as the config says")
-        yield "Host", self._host()
+        takes_turns = history.place in _mapping(self._manifest.get("robots"))
+        yield "Robot", f"{history.place}: {self._reached}" if takes_turns else self._reached or "as the config says"
+        yield "Host", f"{self._worker}, directed from {self._host()}" if self._worker else self._host()
         yield "System", self._system()
         yield from (("Program", self._program(path, owner)) for path, owner in history.programs)
         yield "Commit", history.commit
@@ -220,12 +221,23 @@ class _Explaining:
         place = f"as number {executed.index(self._run_id) + 1} of the {len(executed)} runs so far"
         return f"{place}, out of the order of the run table"
 
+    @property
+    def _reached(self) -> str:
+        """How the robot was reached; of several that take turns, the one that executed the run."""
+        own = _mapping(self._manifest.get("robots")).get(self._history.place)
+        return str(own or self._manifest.get("robot") or "")
+
     def _host(self) -> str:
         host = self._manifest.get("host") or {}
         software = self._manifest.get("software") or {}
         parts = [host.get("processor"), host.get("system"), host.get("release")]
         machine = " ".join(str(part) for part in parts if part)
         return f"{machine}, Python {software['python']}" if software.get("python") else machine
+
+    @property
+    def _worker(self) -> str:
+        """Which worker of a cluster executed the run, on a machine that the manifest does not describe."""
+        return f"worker {self._history.place} of a cluster" if self._history.is_elsewhere else ""
 
     def _system(self) -> str:
         software = _mapping(self._manifest.get("software"))
@@ -262,6 +274,9 @@ class _Explaining:
         if owner == OPERATOR_OWNER:
             yield "From", "a person, who was asked before the run"
             return
+        if owner == ROBOTS_OWNER:
+            yield "From", "Robot Runner: the robot whose turn it was"
+            return
         if owner == CONFIG_OWNER:
             yield "From", "the config"
             yield "Config", _shown(self._lines.of_measure(measure))
@@ -291,7 +306,7 @@ class _Explaining:
     def _published(self, name: str) -> str:
         if name not in self._history.measures:
             return "" if self._history.attempt else "not executed yet"
-        return f"in populate_run_data of attempt {self._history.attempt} ({self._files.journal.name})"
+        return f"in attempt {self._history.attempt} ({self._files.journal.name})"
 
     def _factor_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         design = self._manifest.get("design") or {}
@@ -327,16 +342,19 @@ class _Explaining:
 
     def _stamp_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         event = column.name.removesuffix("_at")
-        where = "the orchestrator" if event in _ORCHESTRATED else "the run's own process"
-        yield "Event", f"{event}, emitted in {where}, before anybody was called; UTC of {self._host()}"
+        is_own = event not in _ORCHESTRATED
+        if self._row[column.name] is None:
+            yield "Event", f"{event}, not emitted in this run"
+        else:
+            where = "the run's own process" if is_own else "the orchestrator"
+            clock_of = (is_own and self._worker) or self._host()
+            yield "Event", f"{event}, emitted in {where}, before anybody was called; UTC of {clock_of}"
         clock = self._history.clocks.get(event)
-        if clock is not None and event not in _ORCHESTRATED:
-            yield "Run's clock", f"{clock:.3f} s{' (simulated time)' if self._is_simulated() else ''}"
+        if clock is not None and is_own:
+            simulated = " (simulated time)" if self._reached.startswith("simulated") else ""
+            yield "Run's clock", f"{clock:.3f} s{simulated}"
         heard = self._lines.of_method("continue_experiment" if event == "continue" else event)
         yield "Config", _shown(heard)
-
-    def _is_simulated(self) -> bool:
-        return str(self._manifest.get("robot") or "").startswith("simulated")
 
     def _progress_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         yield "From", f"Robot Runner: {column.description or 'how far the run has come'}"

@@ -14,6 +14,7 @@ from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
+from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.guarded_files import make_experiment_folder, open_to_read
 from robot_runner.core.storage.input_files import missing_inputs
 from robot_runner.core.storage.journal import Journal
@@ -28,7 +29,7 @@ from robot_runner.replication.contents import DESCRIPTION, SUMS
 from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.distributions import canonical
 from robot_runner.replication.opening import open_package, unpack
-from robot_runner.replication.verification import refuse_faults, verify_package
+from robot_runner.replication.verification import Environment, refuse_faults, verify_package
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -108,23 +109,30 @@ def find_source(path: Path, progress: Progress) -> Source:
         problem = "this is an experiment's folder and no package: nothing tells whether it was altered"
         finding = Finding.warning(str(path), problem, "Seal it: robot-runner pack")
         name = str(manifest.get("experiment_name", path.name))
-        return Source(path, False, name, manifest, {}, _environment(manifest), (finding,))  # noqa: FBT003
+        return Source(path, False, name, manifest, {}, _environment(path, manifest), (finding,))  # noqa: FBT003
     with open_package(path) as package:
         found = verify_package(package, progress)
     refuse_faults(found)
-    environment = found.environment or _environment(found.manifest)
+    environment = found.environment or _environment(path, found.manifest)
     return Source(path, True, found.experiment, found.manifest, found.description, environment, found.findings)  # noqa: FBT003
 
 
-def _environment(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the manifest tells of the environment, in the form that a package has it in."""
+def _environment(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what the manifest tells of the environment, in the form that a package has it in.
+
+    Raises:
+        PackageError: it is not as it has to be.
+    """
     software = manifest.get("software") or {}
     packages = {
         canonical(name): {"name": name, "version": release, "is_needed": True}
         for name, release in (software.get("packages") or {}).items()
     }
     known = {name: manifest.get(name) for name in ("robot", "ros", "host", "programs")}
-    return {"python": software.get("python"), "packages": packages, "system": software.get("system"), **known}
+    found = {"python": software.get("python"), "packages": packages, "system": software.get("system"), **known}
+    if faults := shape_findings(str(path), "manifest", found, Environment, "Ask its authors for the original."):
+        raise PackageError.of_findings(faults)
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,9 +252,7 @@ def _refuse_other(experiment: Experiment, facts: Mapping[str, Any], deviations: 
         problem = "another experiment is in this folder"
         raise PackageError(problem, where=str(experiment.folder.root), fix="Name another folder with --to.")
     before = recorded.get("deviations") or {}
-    if before.keys() != deviations.keys() or not all(
-        is_same_setting(before[name], deviations[name]) for name in before
-    ):
+    if not _are_same(before, deviations):
         was = " ".join(f"--set {name}={text}" for name, text in shown_settings(before).items()) or "no --set"
         problem = f"this replication was begun with {was}"
         raise PackageError(problem, where=str(experiment.folder.root), fix="Go on with the same, or name another --to.")
@@ -306,21 +312,33 @@ def _has_exclusions(files: ExperimentFolder) -> bool:
     return files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
 
 
-def replicated_folder(target: Path, root: Path) -> Path:
-    """Return the folder in which a package was executed again.
+def replicated_folder(target: Path, root: Path, deviations: Mapping[str, str]) -> Path:
+    """Return the folder in which a package was executed again; of several, the one that was executed last.
 
     Args:
         target: the folder below which it is.
         root: the unpacked package, or the experiment's folder that was replicated.
+        deviations: what was set otherwise: with another name or path, the same package may have been executed before.
 
     Raises:
         PackageError: there is none.
         StorageError: something cannot be read.
     """
     digest = _identity(ExperimentFolder.found_at(root))[1]
+    found = []
     for folder in sorted(each for each in target.iterdir() if each.resolve() != root.resolve()):
-        manifest = ExperimentFolder.found_at(folder).manifest
-        if manifest.is_file() and (read_manifest(manifest).get("replication") or {}).get("sha256") == digest:
-            return folder
-    fix = "Repeat the command: what was executed before is kept."
-    raise PackageError("the package was not executed again here", where=str(target), fix=fix)
+        path = ExperimentFolder.found_at(folder).manifest
+        manifest = read_manifest(path) if path.is_file() else {}
+        facts = manifest.get("replication") or {}
+        if facts.get("sha256") == digest and _are_same(facts.get("deviations") or {}, deviations):
+            found.append((str((manifest.get("executions") or [{}])[-1].get("started_at")), folder))
+    if not found:
+        fix = "Repeat the command: what was executed before is kept."
+        raise PackageError("the package was not executed again here", where=str(target), fix=fix)
+    return max(found)[1]
+
+
+def _are_same(before: Mapping[str, str], deviations: Mapping[str, str]) -> bool:
+    return before.keys() == deviations.keys() and all(
+        is_same_setting(before[name], deviations[name]) for name in before
+    )

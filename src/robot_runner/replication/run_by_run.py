@@ -24,19 +24,26 @@ class Sameness:
     Attributes:
         runs: how many of them have a value in either.
         identical: in how many of these the two values are the same, to the last digit.
+        lacking: how many more have a value in the original, and are not done in the replication.
 
     Example:
-        >>> Sameness(15, 15).is_complete
-        True
+        >>> Sameness(15, 15).is_complete, Sameness(1, 1, lacking=14).is_complete
+        (True, False)
     """
 
     runs: int
     identical: int
+    lacking: int = 0
+
+    @property
+    def is_same(self) -> bool:
+        """Whether there are values, and all that can be compared are the same."""
+        return self.runs > 0 and self.identical == self.runs
 
     @property
     def is_complete(self) -> bool:
-        """Whether there are values, and all are the same."""
-        return self.runs > 0 and self.identical == self.runs
+        """Whether all values of the original are there again, and the same."""
+        return self.is_same and not self.lacking
 
 
 def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
@@ -50,12 +57,10 @@ def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
     """
     ours, theirs = _rows(original), _rows(replication)
     pairs = [
-        (place, other)
+        (place, other if other is not None and theirs.status(other) is RunStatus.DONE else None)
         for place in range(len(ours))
-        if (other := theirs.place_of(ours.run_id(place))) is not None
-        and ours.status(place) is theirs.status(other) is RunStatus.DONE
-        and ours.excluded(place) is theirs.excluded(other) is None
-        and not ours.is_warm_up(place)
+        if ours.status(place) is RunStatus.DONE and ours.excluded(place) is None and not ours.is_warm_up(place)
+        if (other := theirs.place_of(ours.run_id(place))) is None or theirs.excluded(other) is None
     ]
     return {
         name: _sameness(ours, theirs, name, pairs) for name in ours.layout.measures if name in theirs.layout.measures
@@ -73,11 +78,12 @@ def is_executed(folder: Path) -> bool:
     return RunStatus.DONE in statuses and set(statuses) <= {RunStatus.DONE, RunStatus.FAILED}
 
 
-def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[tuple[int, int]]) -> Sameness:
+def _sameness(ours: RunTableRows, theirs: RunTableRows, name: str, pairs: list[tuple[int, int | None]]) -> Sameness:
     first_values, second_values = list(ours.values(name)), list(theirs.values(name))
-    values = [(first_values[place], second_values[other]) for place, other in pairs]
+    values = [(first_values[place], second_values[other]) for place, other in pairs if other is not None]
     with_value = [pair for pair in values if pair != (None, None)]
-    return Sameness(len(with_value), sum(first == second for first, second in with_value))
+    lacking = sum(other is None and first_values[place] is not None for place, other in pairs)
+    return Sameness(len(with_value), sum(first == second for first, second in with_value), lacking)
 
 
 def _rows(folder: Path) -> RunTableRows:

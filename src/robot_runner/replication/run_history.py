@@ -25,6 +25,8 @@ class RunHistory:
     Attributes:
         attempt: the number of the last attempt; 0 where there was none.
         started_at, finished_at: of the last attempt (UTC).
+        place: where that was executed; empty where there was one place only.
+        is_elsewhere: whether that was a worker of a cluster.
         measures: what it published: a mapping with `value`, `owner`, `origin` for each.
         clocks: when its events were emitted, s on the run's clock.
         doubts: what the owners of measures found odd about their samples, by owner.
@@ -47,6 +49,8 @@ class RunHistory:
     attempt: int = 0
     started_at: str | None = None
     finished_at: str | None = None
+    place: str = ""
+    is_elsewhere: bool = False
     measures: dict[str, dict[str, Any]] = field(default_factory=dict)
     clocks: dict[str, float] = field(default_factory=dict)
     doubts: dict[str, list[str]] = field(default_factory=dict)
@@ -90,6 +94,7 @@ class RunHistory:
         if self.gate_of != record["attempt"]:  # else the gates before it belong to it
             self.waits, self.waited = [], 0.0
         self.attempt, self.started_at, self.finished_at = int(record["attempt"]), record["at"], None
+        self.place, self.is_elsewhere = str(record.get("place") or ""), record.get("slot") == 0
         self.measures, self.clocks, self.doubts, self.hosts = {}, {}, {}, []
         self.bound, self.readers, self.stopped, self.subjects, self.programs = [], None, "", [], []
 

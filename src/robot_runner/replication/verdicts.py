@@ -225,6 +225,10 @@ def _judged(judged: _Judged, *, has_comparison: bool, is_simulated: bool, second
     elif same is None or not runs:
         told = "could not be decided: no run has a value of it in both experiments."
         conclusion = Conclusion.UNDECIDED
+    elif same.is_same:
+        told = f"could not be decided: it is identical in {_all_runs(runs)} that can be compared, and "
+        told += f"{counted(same.lacking, 'run')} of the original {'is' if same.lacking == 1 else 'are'} not done here."
+        conclusion = Conclusion.UNDECIDED
     elif judged.found is None:
         why = (
             "its values are no numbers, and one execution does not tell whether that is chance"
@@ -236,7 +240,7 @@ def _judged(judged: _Judged, *, has_comparison: bool, is_simulated: bool, second
         told = f"could not be decided: it differs in {runs - same.identical} of {counted(runs, 'run')}, and {why}."
     else:
         conclusion, told = _by_statistics(judged, judged.found, is_simulated=is_simulated)
-    is_bounded = judged.found is not None and conclusion is not Conclusion.IDENTICAL
+    is_bounded = judged.found is not None and not (same is not None and same.is_same)
     return MeasureConclusion(
         judged.name,
         judged.unit,

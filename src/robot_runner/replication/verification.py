@@ -37,19 +37,41 @@ class _Named(TypedDict, total=False):
 class _Description(TypedDict, total=False):
     format: int
     experiment: str | None
-    left_out: list[_Named] | None
-    replaced: list[_Named] | None
+    left_out: list[_Named]
+    replaced: list[_Named]
 
 
-class _Environment(TypedDict, total=False):
-    packages: dict[str, dict[str, Any]] | None
-    host: dict[str, Any] | None
-    ros: dict[str, Any] | None
+class _Package(TypedDict):
+    version: str
+
+
+class _KnownPackage(_Package, total=False):
+    fingerprint: str | None
+
+
+class _Host(TypedDict, total=False):
+    memory_bytes: int | None
+
+
+class _Ros(TypedDict):
+    version: Any
+
+
+class _RosWithPackages(_Ros, total=False):
+    packages: dict[str, str] | None
+
+
+class Environment(TypedDict, total=False):
+    """`environment.json`: what comparing it with this machine relies on."""
+
+    packages: dict[str, _KnownPackage] | None
+    host: _Host | None
+    ros: _RosWithPackages | None
 
 
 _SHAPES: dict[str, Any] = {
     contents.DESCRIPTION: _Description,
-    contents.ENVIRONMENT: _Environment,
+    contents.ENVIRONMENT: Environment,
     contents.MANIFEST: Manifest,
 }
 _LARGEST = dict.fromkeys((*_SHAPES, contents.REGISTRATION), JSON_LIMIT)

@@ -88,7 +88,8 @@ function tick() {
   const state = shown.state;
   if (!state || !state.counts) { setText($("left"), ""); return; }
   const passed = (performance.now() - shown.arrived) / 1000;
-  const still = state.left === null ? null : state.host ? Math.max(0, state.left - passed) : state.left;
+  // However long a run takes or a person is waited for, the other runs do not get shorter.
+  const still = state.left === null ? null : state.host ? Math.max(state.left_of_others ?? state.left, state.left - passed) : state.left;
   const about = still === null || !state.counts.todo ? "" : (state.left_is_least ? "at least " : "about ") + duration(still) + " left";
   const when = state.host ? (state.started_at ? "began " + moment(state.started_at) : "") : state.finished_at ? "ended " + moment(state.finished_at) : "";
   setText($("left"), [about, when].filter(Boolean).join(" · "));

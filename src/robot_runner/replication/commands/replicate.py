@@ -217,7 +217,7 @@ def _ended(arguments: Namespace, comparing: Comparing, ending: Ending) -> Ending
     """Return how it ended, with its verdict where every run was executed; say how to go on where some were not."""
     if arguments.without_verdict or ending.exit_code not in {0, SOME_FAILED}:
         return ending
-    folder = replicated_folder(comparing.target, comparing.root)
+    folder = replicated_folder(comparing.target, comparing.root, parse_assignments(arguments.set))
     is_complete = is_executed(folder)
     if is_complete:
         ending = comparing.end(folder, ending)

@@ -179,7 +179,7 @@ class Comparing:
 
 
 def _differs(same: Sameness | None) -> bool:
-    return same is not None and same.runs > 0 and not same.is_complete
+    return same is not None and same.runs > 0 and not same.is_same
 
 
 def _has_libraries() -> bool:
