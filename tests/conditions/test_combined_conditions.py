@@ -152,6 +152,7 @@ def test_what_can_hold_is_not_refused() -> None:
         (all_of, "there is no condition"),
         (lambda: any_of("port 8080"), "'port 8080' is no condition"),
         (lambda: Between(1.0).held_for(0), "nothing can hold for 0 s"),
+        (lambda: Between(1.0).held_for("5"), "nothing can hold for '5' s"),
         (lambda: load_below(float("nan")), "nan is no limit"),
         (lambda: load_below(True), "True is no limit"),
         (lambda: measure_above("Energy", 10**400), "is no limit"),

@@ -21,7 +21,7 @@ def test_a_process_is_selected_by_number_name_or_node(process, selector):
     assert process_selector(process) == selector
 
 
-@pytest.mark.parametrize("process", ["", "  ", "pid:x", "node:", True, 1.5, None, "nod:/talker"])
+@pytest.mark.parametrize("process", ["", "  ", "pid:x", "node:", True, 1.5, None, -5, 0, "nod:/talker"])
 def test_what_selects_no_process_is_refused(process):
     with pytest.raises(LinkError, match="selects no process"):
         process_selector(process)

@@ -183,3 +183,20 @@ def test_robot_and_host_are_those_that_executed_the_run(tmp_path, where, manifes
 
 def test_an_event_that_was_not_emitted_is_said_to_be_none(experiment):
     assert _facts(experiment, "r_1", "continue_at")[1]["Event"] == "continue, not emitted in this run"
+
+
+def test_the_host_is_that_of_the_execution_in_which_the_run_was_executed(tmp_path):
+    manifest = {
+        "executions": [
+            {"started_at": "2000-01-01T00:00:00.000Z"},
+            {
+                "started_at": "2000-01-02T00:00:00.000Z",
+                "changed": {"python": {"was": "3.11.7", "is": "3.13.1"}, "processor": {"was": None, "is": "Cortex"}},
+            },
+        ],
+        "host": {"processor": None, "system": "Linux"},
+    }
+    folder = two_tasks(tmp_path / "made", (1.0,), (3.0,), name="made", manifest=manifest)
+    with Journal(folder.files.journal) as journal:
+        journal.append("attempt_started", run="r_1", attempt=2)
+    assert dict(explain_run(folder.root, "r_1").facts)["Host"] == "Cortex Linux, Python 3.13.1"

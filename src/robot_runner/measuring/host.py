@@ -221,7 +221,7 @@ def process_selector(process: str | int) -> str:
         >>> [process_selector(process) for process in (4711, "talker", "node:/talker")]
         ['pid:4711', 'name:talker', 'node:/talker']
     """
-    if isinstance(process, bool) or not isinstance(process, int | str):
+    if isinstance(process, bool) or not isinstance(process, int | str) or (isinstance(process, int) and process < 1):
         raise LinkError(f"{process!r} selects no process", where="processes", fix=_SELECT)
     if isinstance(process, int):
         return f"pid:{process}"

@@ -228,11 +228,19 @@ class _Explaining:
         return str(own or self._manifest.get("robot") or "")
 
     def _host(self) -> str:
-        host = self._manifest.get("host") or {}
-        software = self._manifest.get("software") or {}
-        parts = [host.get("processor"), host.get("system"), host.get("release")]
-        machine = " ".join(str(part) for part in parts if part)
-        return f"{machine}, Python {software['python']}" if software.get("python") else machine
+        """Which machine executed the run, or directed it, and with which Python: that of its execution."""
+        python = _mapping(self._manifest.get("software")).get("python")
+        facts = {**_mapping(self._manifest.get("host")), "python": python}
+        changed = self._changed_until(self._history.started_at or "")
+        facts |= {name: each["is"] for name, each in changed.items() if name in facts}
+        machine = " ".join(str(facts[part]) for part in ("processor", "system", "release") if facts.get(part))
+        return f"{machine}, Python {facts['python']}" if facts["python"] else machine
+
+    def _changed_until(self, moment: str) -> Mapping[str, Mapping[str, Any]]:
+        """Return how the execution that was going on at a moment differed from the first one."""
+        executions = self._manifest.get("executions") or ()
+        begun = [each for each in executions if str(each.get("started_at", "")) <= moment]
+        return (begun[-1].get("changed") or {}) if begun else {}
 
     @property
     def _worker(self) -> str:

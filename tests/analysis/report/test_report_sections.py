@@ -71,6 +71,16 @@ def test_executions_in_parts_are_told(two_tasks):
     assert "a = 1" in found["Parameters were set by hand"].text
 
 
+def test_whether_machine_and_software_changed_between_executions_is_told(two_tasks):
+    stamps = {"started_at": "2026-01-31T12:00:00.000Z"}
+    found = threats(two_tasks(manifest={"executions": [stamps, {**stamps, "changed": {}}]}))
+    assert found["Executed in parts"].text == "The experiment was executed in 2 parts, on one machine and software."
+    changed = {"package numpy": {"was": "1.0", "is": "2.0"}}
+    found = threats(two_tasks(manifest={"executions": [stamps, {**stamps, "changed": changed}, stamps]}))
+    assert "package numpy (1.0, later 2.0)" in found["Machine or software changed on the way"].text
+    assert "Executed in parts" not in found
+
+
 def test_gaps_and_saturation_are_threats(two_tasks):
     folder = two_tasks()
     counts = {"expected": 100, "got": 90, "coverage": 90.0, "lost": 10, "corrupt": 1, "largest_gap": 0.5}

@@ -136,6 +136,11 @@ def test_factors_that_make_no_design_are_refused(factors: Any, finding: str) -> 
     assert findings_of(factors) == [finding]
 
 
+def test_a_design_of_more_runs_than_python_writes_is_refused_with_their_power_of_ten() -> None:
+    (finding,) = findings_of([Factor(f"F{number}", range(10)) for number in range(5000)])
+    assert "the design has 10^5000 runs before exclusions" in finding
+
+
 def test_a_single_factor_is_no_list_of_factors() -> None:
     assert findings_of(TASK)[0].endswith("is of type Factor → Give a list of Factor(...).")
 

@@ -10,6 +10,7 @@ import pytest
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.execution import circumstances
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption, TableChoice
@@ -240,6 +241,43 @@ def test_the_manifest_tells_every_execution(execute: Execute) -> None:
     manifest = json.loads((executed.folder / "manifest.json").read_text(encoding="utf-8"))
     assert len(manifest["executions"]) == 2
     assert all(execution["finished_at"] for execution in manifest["executions"])
+
+
+def test_what_changed_of_machine_and_software_since_the_first_execution_is_told(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "manifest.json"
+    manifest = json.loads(path.read_text(encoding="utf-8"))
+    packages = manifest["software"]["packages"] | {"numpy": "1.0", "gone": "2.1"}
+    manifest["software"] |= {"packages": packages, "system_packages": {"libc6": "1"}}
+    path.write_text(json.dumps(manifest), encoding="utf-8")
+    monkeypatch.setattr(circumstances, "describe_host", lambda: {**manifest["host"], "processor": "another", "x": 1})
+    monkeypatch.setattr(
+        circumstances,
+        "describe_software",
+        lambda: manifest["software"] | {"packages": packages | {"numpy": "2.0", "gone": None, "come": "1"}},
+    )
+    experiment = prepare_or_refuse(executed.config)
+    finished = execute_experiment(experiment, SilentObserver())
+    (finding,) = (each for each in finished.findings if "machine" in each.problem)
+    assert "processor" in finding.problem
+    assert "package numpy (1.0, now 2.0), package gone (2.1, now absent)" in finding.problem
+    first, second = json.loads(path.read_text(encoding="utf-8"))["executions"]
+    assert "changed" not in first
+    assert second["changed"] == {
+        "processor": {"was": manifest["host"]["processor"], "is": "another"},
+        "package numpy": {"was": "1.0", "is": "2.0"},
+        "package gone": {"was": "2.1", "is": None},
+    }
+
+
+def test_the_same_machine_and_software_are_told_as_such(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    finished = execute_experiment(prepare_or_refuse(executed.config), SilentObserver())
+    assert finished.findings == ()
+    manifest = json.loads((executed.folder / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["executions"][1]["changed"] == {}
 
 
 def test_a_folder_that_holds_something_else_is_refused(write_config: Write) -> None:

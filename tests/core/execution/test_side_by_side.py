@@ -5,13 +5,17 @@ from __future__ import annotations
 import itertools
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
+
+import pytest
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import AttemptStarted
+from robot_runner.core.execution.side_by_side import SideBySide
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 EIGHT = """
@@ -253,3 +257,23 @@ def test_status_and_notices_tell_of_places(execute: Callable[..., Any]) -> None:
     status = read_status(executed.folder)
     assert status.done == 8
     assert status.in_flight == ()
+
+
+def test_where_the_end_of_one_run_fails_the_others_are_ended_all_the_same() -> None:
+    ended: list[str] = []
+
+    def steps(name: str) -> Iterator[None]:
+        try:
+            yield
+        finally:
+            ended.append(name)
+            if name == "second":
+                raise OSError("no disk")
+
+    side = SideBySide.__new__(SideBySide)
+    side._busy = [Mock(steps=steps(name)) for name in ("first", "second", "third")]
+    for each in side._busy:
+        next(each.steps)
+    with pytest.raises(OSError, match="no disk"):
+        side._let_go()
+    assert set(ended) == {"first", "second", "third"}

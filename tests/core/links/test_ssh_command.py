@@ -21,7 +21,7 @@ def test_a_config_of_the_experiment_takes_the_place_of_the_users():
     assert ssh_command("robot", "true", config=Path("lab/ssh_config"))[1:3] == ["-F", "lab/ssh_config"]
 
 
-@pytest.mark.parametrize("host", ["", "-oProxyCommand=touch x", "a b", "a\nb"])
+@pytest.mark.parametrize("host", ["", "-oProxyCommand=touch x", "a b", "a\nb", 5])
 def test_a_host_that_would_pass_for_something_else_is_refused(host):
     with pytest.raises(LinkError, match="no host that ssh could connect to"):
         ssh_command(host, "true")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from math import prod
+from math import log10, prod
 from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION, WARM_UP, column_name, name_findings
@@ -38,6 +38,8 @@ def listed_elsewhere() -> Iterator[None]:
 
 #: More runs than this are taken for a slip: at one second a run they would take four months.
 MAX_RUNS = 10_000_000
+#: What is larger is told by its power of ten: Python refuses to write numbers of thousands of digits.
+_READABLE = 10**18
 
 
 def design_findings(
@@ -169,7 +171,8 @@ def size_findings(factors: Sequence[Factor], repetitions: int) -> Iterator[Findi
     """Say whether a design has too many runs."""
     runs = prod(len(factor.treatments) for factor in factors) * repetitions
     if runs > MAX_RUNS:
-        problem = f"the design has {runs:,} runs before exclusions; {MAX_RUNS:,} is the most"
+        shown = f"{runs:,}" if runs < _READABLE else f"10^{log10(runs):.0f}"
+        problem = f"the design has {shown} runs before exclusions; {MAX_RUNS:,} is the most"
         yield Finding.error("factors", problem, "Give fewer treatments or repetitions.")
 
 

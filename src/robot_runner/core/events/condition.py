@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, ConditionTimeout
 from robot_runner.core.events.context import SystemClock
 
@@ -118,7 +119,7 @@ class Condition(ABC):
         Raises:
             ConditionError: the time is not positive.
         """
-        if not 0 < seconds < float("inf"):
+        if not (is_number(seconds) and seconds > 0):
             fix = "Give held_for a number of seconds above 0."
             raise ConditionError(f"nothing can hold for {seconds!r} s", where=str(self), fix=fix)
         return HeldFor(self, seconds)
@@ -137,7 +138,7 @@ class Condition(ABC):
             ConditionTimeout: it did not hold in time; what was seen last is told.
             ConditionError: the time is no number.
         """
-        if not isinstance(timeout_s, int | float) or math.isnan(timeout_s):
+        if isinstance(timeout_s, bool) or not isinstance(timeout_s, int | float) or math.isnan(timeout_s):
             fix = "Give wait a number of seconds."
             raise ConditionError(f"timeout_s is {timeout_s!r}", where=str(self), fix=fix)
         clock = self.clock(context)

@@ -11,7 +11,12 @@ from robot_runner.core.config.treatment_makers import Workshop, made_treatments
 from robot_runner.core.design.batches import GrownRunTableModel, as_configured
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.circumstances import manifest_of, restored_manifest, resumed_manifest
+from robot_runner.core.execution.circumstances import (
+    change_findings,
+    manifest_of,
+    restored_manifest,
+    resumed_manifest,
+)
 from robot_runner.core.execution.recovery import ACCEPT, config_changes
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.manifest import read_manifest
@@ -68,7 +73,8 @@ def _found(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, A
         config, others = experiment.config_path, config_changes(experiment, of_design=False, of_settings=False)
         unplanned = unplanned_additions(config, experiment.model, manifest, has_other_changes=bool(others))
         raise ExecutionError.of_findings([*changes, *unplanned])
-    return resumed_manifest(experiment, manifest), ()
+    manifest = resumed_manifest(experiment, manifest)
+    return manifest, change_findings(experiment, manifest)
 
 
 def refuse_unfit_treatments(

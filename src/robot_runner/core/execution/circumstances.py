@@ -21,9 +21,10 @@ from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.treatments import factors_of
+from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
@@ -83,7 +84,7 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
             where=str(experiment.folder.manifest),
             fix="Choose another experiment_name or results_output_path.",
         )
-    manifest["executions"].append(_execution(experiment))
+    manifest["executions"].append(_execution(experiment) | {"changed": changed_circumstances(manifest)})
     if experiment.model.batches:  # the journal has them, and an extension that broke off left the manifest behind
         manifest["design"] |= described_design(experiment.model)
     if _analysis(experiment) != manifest.get("analysis"):
@@ -95,6 +96,44 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
         manifest.setdefault("repeat_until_changes", []).append({"at": utc_now(), "was": manifest.get("repeat_until")})
         manifest["repeat_until"] = rule
     return manifest
+
+
+#: Facts of the host by which measures differ; its memory is told in bytes, and changes with each kernel.
+_OF_HOST = ("processor", "machine", "cores", "system", "release", "governor")
+#: So many of what has changed are named in a finding.
+_NAMED = 8
+
+
+def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return what differs here from what the manifest says of the first execution: `was` and `is`, by what it is.
+
+    A part that the manifest lacks, as an earlier version wrote it, counts as unchanged.
+    """
+    host, software = describe_host(), describe_software()
+    first, then = manifest.get("host") or {}, manifest.get("software") or {}
+    pairs = [
+        *((name, first[name], host[name]) for name in _OF_HOST if name in first),
+        *((name, then[name], software[name]) for name in ("python", "robot_runner") if name in then),
+        *_pairs("package", then.get("packages"), software["packages"]),
+        *_pairs("system package", then.get("system_packages"), software["system_packages"]),
+    ]
+    return {name: {"was": was, "is": now} for name, was, now in pairs if was != now}
+
+
+def _pairs(what: str, before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Yield what each package was and is, None where it is gone; those that have come were nobody's before."""
+    return ((f"{what} {name}", release, now.get(name)) for name, release in (before or {}).items())
+
+
+def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """Return a warning where the execution that begins differs from the first one in its machine or its software."""
+    changed = manifest["executions"][-1].get("changed") or {}
+    if not changed:
+        return ()
+    named = listed((f"{name} ({each['was']}, now {each['is'] or 'absent'})" for name, each in changed.items()), _NAMED)
+    problem = f"the machine or its software is not what the experiment began with: {named}"
+    fix = "Go on where it began if runs are to be compared; the manifest and the report tell the difference."
+    return (Finding.warning(str(experiment.folder.manifest), problem, fix),)
 
 
 def _last_registration(manifest: Mapping[str, Any]) -> Any:

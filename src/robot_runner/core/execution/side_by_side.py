@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict, deque
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Any
@@ -219,8 +220,9 @@ class SideBySide:
         """End what is still in flight where the experiment cannot go on: all together, then one after another."""
         for each in self._busy:
             each.awaited.stop("the experiment could not go on")
-        for each in self._busy:
-            each.steps.close()
+        with ExitStack() as closing:  # all of them, whatever one of them raises
+            for each in self._busy:
+                closing.callback(each.steps.close)
         self._busy.clear()
 
 

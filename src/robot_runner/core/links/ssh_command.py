@@ -55,7 +55,8 @@ def checked_destination(host: str) -> str:
         >>> checked_destination("pi@robot")
         'pi@robot'
     """
-    if not host or host.startswith("-") or any(character.isspace() or character == "\0" for character in host):
+    is_text = isinstance(host, str) and bool(host)
+    if not is_text or host.startswith("-") or any(character.isspace() or character == "\0" for character in host):
         raise LinkError(
             f"{host!r} is no host that ssh could connect to",
             where="host",

@@ -50,7 +50,10 @@ class _Execution(TypedDict):
     deviations: NotRequired[dict[str, Scalar]]
     selection: NotRequired[dict[str, list[str]]]
     repository: NotRequired[Repository | None]
+    changed: NotRequired[dict[str, "_Change"]]
 
+
+_Change = TypedDict("_Change", {"was": Scalar, "is": Scalar})
 
 _Plugin = TypedDict(
     "_Plugin",
