@@ -183,3 +183,19 @@ def test_texts_are_not_aligned(tmp_path):
     write_samples(made, "r_1", "time_s,state\n0.0,on\n1.0,off\n")
     with pytest.raises(AnalysisError, match="column 'state' holds no numbers"):
         load_results(made.root).aligned_samples({"Meter": ["state"]}, period=0.5)
+
+
+def test_a_way_of_resampling_that_is_none_is_refused(results):
+    # The text of one is another thing: values would be means, and called the last ones.
+    with pytest.raises(AnalysisError, match="resampling is 'previous'") as refused:
+        results.aligned_samples({"Meter": "power_W"}, period=0.5, resampling="previous")
+    assert "Resampling.PREVIOUS" in refused.value.fix
+    with pytest.raises(AnalysisError, match="no columns"):
+        results.aligned_samples({}, period=0.5)
+
+
+def test_one_name_alone_may_be_given_as_it_is(results):
+    told = results.samples("Meter", columns="power_W", runs="r_1")
+    pd.testing.assert_frame_equal(told, results.samples("Meter", columns=["power_W"], runs=["r_1", "r_1"]))
+    found = results.lazy_samples("Meter", phases="drive", runs="r_1")
+    assert found.frame()["time_s"].tolist() == told.loc[told["phase"] == "drive", "time_s"].tolist()

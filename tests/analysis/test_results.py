@@ -226,3 +226,13 @@ def test_samples_of_any_plugin_are_found_by_their_times(tmp_path, run_count):
 def test_whole_numbers_beyond_64_bits_are_numbers(tmp_path, number):
     root = two_tasks(tmp_path / "trial", (number, number + 1), (2, 3)).root
     assert load_results(root).runs["Energy"].tolist() == [float(number), float(number + 1), 2.0, 3.0]
+
+
+def test_what_a_user_does_to_a_frame_is_done_to_no_other(tmp_path):
+    results = load_results(make_experiment(tmp_path / "e").root)
+    for name, column in (("runs", "Energy"), ("attempts", "seconds"), ("published", "value"), ("odd", "problem")):
+        frame = getattr(results, name)
+        frame[column] = 7.0
+        frame["mine"] = 1
+        assert "mine" not in getattr(results, name)
+        assert 7.0 not in set(getattr(results, name)[column])

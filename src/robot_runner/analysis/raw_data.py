@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from robot_runner.analysis.alignment import AlignedColumn, AlignedSamples, align_values, grid_of, median_period
+from robot_runner.analysis.alignment import (
+    AlignedColumn,
+    AlignedSamples,
+    Resampling,
+    align_values,
+    grid_of,
+    median_period,
+)
 from robot_runner.analysis.lazy_samples import LazySamples
+from robot_runner.analysis.run_frame import require_choice, several
 from robot_runner.analysis.sample_files import (
     PHASES,
     PhaseSpans,
@@ -35,7 +43,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.alignment import Aligned, Resampling
+    from robot_runner.analysis.alignment import Aligned
     from robot_runner.analysis.journal_frames import History
 
 
@@ -70,14 +78,14 @@ class RawData:
         """The phases of each run."""
         return phase_spans(self.phases)
 
-    def known_runs(self, runs: Sequence[str], *, where: str) -> list[str]:
+    def known_runs(self, runs: str | Sequence[str], *, where: str) -> list[str]:
         """Return the ids of runs, one or several, as a list.
 
         Raises:
             AnalysisError: there is no such run.
         """
         known = list(self.runs[RUN_ID])
-        wanted = [runs] if isinstance(runs, str) else list(runs)
+        wanted = list(dict.fromkeys(several(runs)))
         for run_id in set(wanted).difference(known):
             raise AnalysisError(f"there is no run {run_id!r}", where=where, fix=did_you_mean(run_id, known))
         return wanted
@@ -96,7 +104,7 @@ class RawData:
         self,
         kind: SampleFile,
         runs: Iterable[str],
-        columns: Sequence[str] | None,
+        columns: str | Sequence[str] | None,
         *,
         with_factors: bool = True,
         with_phases: bool = True,
@@ -110,7 +118,7 @@ class RawData:
         return SampleRequest(
             kind,
             run_ids,
-            tuple(kind.columns if columns is None else columns),
+            tuple(kind.columns if columns is None else several(columns)),
             starts={**self.history.starts, **{run: start for run, (start, _) in windows.items()}},
             windows=windows if with_window else None,
             phases=self.phase_spans if with_phases else None,
@@ -137,26 +145,31 @@ class RawData:
             table = table[table[factor].astype("str").isin(words)]
         return list(table.index)
 
-    def lazy(self, request: SampleRequest, *, within_window: bool, phases: Sequence[str] | None) -> LazySamples:
+    def lazy(self, request: SampleRequest, *, within_window: bool, phases: str | Sequence[str] | None) -> LazySamples:
         """Return samples that are read when they are used.
 
         Raises:
             AnalysisError: there is no such phase.
         """
         known = list(dict.fromkeys(name for spans in self.phase_spans.values() for name in spans.names))
-        for name in phases or ():
+        chosen = None if phases is None else frozenset(several(phases))
+        for name in chosen or ():
             if name not in known:
                 raise AnalysisError(f"there is no phase {name!r}", where="samples", fix=did_you_mean(name, known))
-        return LazySamples(request, within_window, None if phases is None else frozenset(phases))
+        return LazySamples(request, within_window, chosen)
 
     def aligned(
-        self, columns: Mapping[str, Sequence[str]], run_ids: Sequence[str], period: float, how: Resampling
+        self, columns: Mapping[str, str | Sequence[str]], run_ids: Sequence[str], period: float, how: Resampling
     ) -> AlignedSamples:
         """Return samples of several profilers on one grid of times, run by run; see `Results.aligned_samples`."""
         if not (math.isfinite(period) and period > 0):
             fix = "Give seconds, as in 0.1."
             raise AnalysisError(f"{period!r} is no period of a grid", where="aligned samples", fix=fix)
-        sources = [_Source.of(self.sample_files, label, names) for label, names in columns.items()]
+        if not columns:
+            fix = "Name them by plugin, as in {'Ina219': ['power_W']}."
+            raise AnalysisError("no columns are given", where="aligned samples", fix=fix)
+        require_choice(how, Resampling, "resampling", "aligned samples")
+        sources = [_Source.of(self.sample_files, label, several(names)) for label, names in columns.items()]
         shared = [run_id for run_id in run_ids if all(run_id in source.kind.paths for source in sources)]
         pieces = [piece for run_id in shared if (piece := self._aligned_run(run_id, sources, period, how)) is not None]
         headings = [source.heading(name) for source in sources for name in source.names]
@@ -221,7 +234,7 @@ class _Source:
     def of(cls, kinds: Sequence[SampleFile], label: str, names: Sequence[str]) -> _Source:
         """Return a source by its plugin, or by plugin and file as in `Meter/packets.csv`."""
         plugin, _, file = label.partition("/")
-        return cls(choose_file(kinds, plugin, file or None), tuple([names] if isinstance(names, str) else names))
+        return cls(choose_file(kinds, plugin, file or None), tuple(names))
 
     def heading(self, name: str) -> str:
         return f"{self.kind.plugin}.{name}"

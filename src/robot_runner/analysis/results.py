@@ -134,7 +134,7 @@ class Results(ExperimentFacts):
 
         `seconds` are of real time, as the orchestrator saw them.
         """
-        return self._history.attempts
+        return self._history.attempts.copy(deep=False)
 
     @property
     def published(self) -> pd.DataFrame:
@@ -142,13 +142,13 @@ class Results(ExperimentFacts):
 
         One row a value: `run_id`, `measure`, `value` (object), `owner`, `origin`.
         """
-        published = self._history.published
+        published = self._history.published.copy(deep=False)
         return published if self.with_excluded else published[~published["run_id"].isin(self.excluded[RUN_ID])]
 
     @property
     def odd(self) -> pd.DataFrame:
         """What plugins found odd about runs: `run_id`, `attempt`, `owner`, `problem`, `fix`."""
-        return self._history.odd
+        return self._history.odd.copy(deep=False)
 
     @property
     def quality(self) -> pd.DataFrame:
@@ -177,7 +177,7 @@ class Results(ExperimentFacts):
         """
         return self._history.readers
 
-    def events(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
+    def events(self, runs: str | Sequence[str] | None = None) -> pd.DataFrame:
         """Return the events of runs (of all for None), of the last attempt at each.
 
         Columns: `run_id`, `event` (ordered categorical), `at` (datetime64, UTC), `clock_s` (s on the run's clock) and
@@ -190,7 +190,7 @@ class Results(ExperimentFacts):
         events = self._history.events
         return events[events["run_id"].isin(self._chosen(runs))].reset_index(drop=True)
 
-    def phases(self, runs: Sequence[str] | None = None) -> pd.DataFrame:
+    def phases(self, runs: str | Sequence[str] | None = None) -> pd.DataFrame:
         """Return the phases of missions (of all runs for None), as systems wrote them to `phases.csv`.
 
         Columns: `run_id`, the factors, `plugin`, `number`, `phase`, `start_s` and `end_s` (s since the start of the
@@ -211,8 +211,8 @@ class Results(ExperimentFacts):
         plugin: str | None = None,
         *,
         file: str | None = None,
-        runs: Sequence[str] | None = None,
-        columns: Sequence[str] | None = None,
+        runs: str | Sequence[str] | None = None,
+        columns: str | Sequence[str] | None = None,
         with_factors: bool = True,
         with_phases: bool = True,
         with_window: bool = True,
@@ -254,10 +254,10 @@ class Results(ExperimentFacts):
         plugin: str | None = None,
         *,
         file: str | None = None,
-        runs: Sequence[str] | None = None,
+        runs: str | Sequence[str] | None = None,
         treatments: Mapping[str, object] | None = None,
-        columns: Sequence[str] | None = None,
-        phases: Sequence[str] | None = None,
+        columns: str | Sequence[str] | None = None,
+        phases: str | Sequence[str] | None = None,
         within_window: bool = False,
     ) -> LazySamples:
         """Choose raw samples without reading them: they come in batches, however many there are.
@@ -280,11 +280,11 @@ class Results(ExperimentFacts):
 
     def aligned_samples(
         self,
-        columns: Mapping[str, Sequence[str]],
+        columns: Mapping[str, str | Sequence[str]],
         *,
         period: float,
         resampling: Resampling = Resampling.MEAN,
-        runs: Sequence[str] | None = None,
+        runs: str | Sequence[str] | None = None,
         treatments: Mapping[str, object] | None = None,
     ) -> AlignedSamples:
         """Return samples of several profilers on one grid of times, with what was interpolated.
@@ -356,7 +356,7 @@ class Results(ExperimentFacts):
         runs = self._run_frame.frame
         return RawData(run_files(self._files, runs[RUN_ID]), runs, self._labels, self._history)
 
-    def _chosen(self, runs: Sequence[str] | None) -> list[str]:
+    def _chosen(self, runs: str | Sequence[str] | None) -> list[str]:
         if runs is None:
             return list(self.runs[RUN_ID])
         return self._raw.known_runs(runs, where=self.name)
@@ -382,3 +382,8 @@ def load_results(folder: Path | str, *, with_excluded: bool = False, with_warm_u
     manifest = read_manifest(files.manifest)
     columns = {column.name: column for column in column_descriptions(files, manifest)}
     return Results(root, MappingProxyType(manifest), MappingProxyType(columns), with_excluded, with_warm_ups)
+
+
+def results_of(experiment: Results | Path | str) -> Results:
+    """Return the results of an experiment that was given by these, or by its folder."""
+    return experiment if isinstance(experiment, Results) else load_results(experiment)

@@ -12,7 +12,7 @@ from robot_runner.analysis.wording import labelled
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
-from robot_runner.core.errors import StorageError
+from robot_runner.core.errors import AnalysisError, StorageError
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
 from robot_runner.core.storage.executed_runs import ExcludedRuns
@@ -23,11 +23,33 @@ from robot_runner.core.storage.table_schema import read_schema, type_of_values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+    from enum import Enum
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
+
+
+def several(names: str | Sequence[str]) -> Sequence[str]:
+    """Return names that were given, of which one alone may be given as it is.
+
+    Example:
+        >>> several("Energy"), several(["Energy", "CPU"])
+        (('Energy',), ['Energy', 'CPU'])
+    """
+    return (names,) if isinstance(names, str) else names
+
+
+def require_choice(given: object, kind: type[Enum], what: str, where: str) -> None:
+    """Refuse what is no member of an enumeration, such as the text of one: compared with a member it is another.
+
+    Raises:
+        AnalysisError: it is none.
+    """
+    if not isinstance(given, kind):
+        names = ", ".join(f"{kind.__name__}.{each.name}" for each in kind)
+        raise AnalysisError(f"{what} is {given!r}", where=where, fix=f"Give one of {names}.")
 
 
 @dataclass(frozen=True)

@@ -183,6 +183,13 @@ def test_an_experiment_whose_values_do_not_vary_is_left_out_and_named(lab):
     assert any(each.what == "Energy in constant" and "equal" in each.why for each in found.not_computed)
 
 
+def test_runs_that_a_design_searched_among_are_not_combined(lab):
+    search = {"design": {"source": "config", "factors": {"Task": list(TASKS)}, "facts": {"decides": "Optimise"}}}
+    (energy,) = meta_analyse(lab(TASKS), lab(TASKS), lab(TASKS, manifest=search)).measures
+    assert [each.experiment for each in energy.effects[0].experiments] == ["lab_0", "lab_1"]
+    assert "the best of many" in energy.not_computed[0].why
+
+
 def test_experiments_that_vary_nothing_in_common_say_so(lab):
     found = meta_analyse(lab(TASKS), lab({"slow": 1.0, "fast": 2.0}, factor="Speed")).measure("Energy")
     assert found.effects == ()
@@ -339,16 +346,18 @@ def test_the_standard_error_of_g_is_that_of_its_distribution():
 @pytest.mark.parametrize("count", [2, 3, 6])
 def test_a_meta_analysis_agrees_with_itself(lab, between, count):
     random = np.random.default_rng(int(10 * between) + count)
-    folders = [
-        lab(
-            {name: mean + between * random.normal() for name, mean in TASKS.items()},
-            spread=1 + place % 2,
-            runs=4 + place,
+    labs = [
+        load_results(
+            lab(
+                {name: mean + between * random.normal() for name, mean in TASKS.items()},
+                spread=1 + place % 2,
+                runs=4 + place,
+            )
         )
         for place in range(count)
     ]
-    assert disagreements_of_combined(facts_of(*folders)) == []
-    assert disagreements_of_combined(facts_of(*folders, alpha=0.3)) == []
+    assert disagreements_of_combined(facts_of(*labs)) == []
+    assert disagreements_of_combined(facts_of(*labs, alpha=0.3)) == []
 
 
 def test_what_contradicts_itself_is_found(lab):

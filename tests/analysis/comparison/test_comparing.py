@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import numpy as np
 import pytest
+from scipy import stats
 from statsmodels.stats.proportion import confint_proportions_2indep
 from tests.analysis.made_experiment import make_experiment
 
@@ -16,6 +18,7 @@ from robot_runner.analysis.comparison.comparison_document import (
     difference_table,
     json_of_comparison,
 )
+from robot_runner.analysis.comparison.equivalence import equivalent_proportions
 from robot_runner.analysis.results import load_results
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import AnalysisError, StorageError
@@ -226,7 +229,7 @@ def test_text_is_not_compared_as_numbers(make_folder):
     folder = make_folder(factors={"T": ["a"]}, rows=rows, measures={"State": ""}, types={"State": "string"})
     [difference] = compare(folder.root, folder.root).measure("State").differences
     assert difference.p_value is None
-    assert "There are 0" in difference.not_computed
+    assert "values that are no numbers" in difference.not_computed
 
 
 def test_a_measure_that_is_not_there_is_named(two_tasks):
@@ -312,3 +315,74 @@ def test_experiments_all_of_whose_runs_succeed_are_compared(tmp_path):
     assert (difference.difference, difference.p_value) == (0, 1)
     assert -0.1 < difference.interval.low < 0 < difference.interval.high < 0.1
     assert difference.verdict is Verdict.EQUIVALENT
+
+
+def test_a_bound_that_every_proportion_is_within_shows_nothing(tmp_path):
+    folders = of_answers(tmp_path / "one", 20, 20), of_answers(tmp_path / "other", 0, 20)
+    for bound in (1, 10.0):
+        measure = compare(*folders, bound=bound).measure("Success")
+        assert measure.verdict is Verdict.DIFFERENT
+        [missed] = measure.not_computed
+        assert "o proportions differ by more than 1" in missed.why
+    alike = compare(folders[0], folders[0], bound=10, is_paired=False).measure("Success")
+    assert alike.verdict is Verdict.UNDECIDED
+    assert "no proportions differ by more than 1" in alike.conclusion
+
+
+def test_answers_have_no_limits_of_agreement_and_are_said_to_be_proportions(tmp_path):
+    comparison = compare(of_answers(tmp_path / "one", 5, 9), of_answers(tmp_path / "other", 4, 9))
+    measure = comparison.measure("Success")
+    assert (measure.agreement.lower, measure.agreement.upper) == (None, None)
+    assert measure.agreement.error == pytest.approx(20.0)
+    assert "Newcombe's score intervals" in difference_table(comparison, measure).note
+    page = repr(comparison_document(comparison, made=""))
+    assert "Bland-Altman figure" not in page
+    assert "Welch" not in page
+
+
+def test_values_some_of_which_are_texts_are_not_compared(make_folder):
+    rows = [("a", "3"), ("a", "timeout"), ("a", "5"), ("a", "4")]
+    mixed = make_folder(factors={"T": ["a"]}, rows=rows, measures={"Time": "s"}, types={"Time": "any"})
+    numbers = make_folder(factors={"T": ["a"]}, rows=[("a", 3.0), ("a", 4.0), ("a", 5.5)], measures={"Time": "s"})
+    for folders in ((mixed.root, numbers.root), (numbers.root, mixed.root)):
+        [difference] = compare(*folders, bound="5%").measure("Time").differences
+        assert difference.difference is None
+        assert "values that are no numbers" in difference.not_computed
+
+
+def test_notes_tell_experiments_of_one_name_apart(make_folder):
+    one = make_folder(factors={"T": ["a", "b"]}, rows=[("a", 1.0), ("b", 1.1)], measures={"E": "J"})
+    other = make_folder(factors={"T": ["a", "c"]}, rows=[("a", 1.0), ("c", 1.2)], measures={"E": "kJ"})
+    first, second, converted = compare(one.root, other.root).notes
+    assert (first, second) == (f"Only {one.root.name} has b.", f"Only {other.root.name} has c.")
+    assert f"values of {other.root.name} are converted" in converted
+
+
+def test_doubtful_values_are_told(tmp_path):
+    tasks = [Factor("Task", ["Video", "Network"])]
+    one = make_experiment(tmp_path / "one", tasks, doubts={"r_2": "the sensor was stuck"}).root
+    other = make_experiment(tmp_path / "other", tasks).root
+    assert compare(one, other).notes == ("Energy of r_2 is doubtful in one, and counts all the same.",)
+    assert compare(other, other).notes == ()
+
+
+def test_a_single_name_and_a_bound_of_numpy_are_taken_as_they_are(two_tasks):
+    one, other = two_tasks().root, two_tasks().root
+    plain = compare(one, other, measures=["Energy"], bound=5)
+    for bound in (np.int64(5), np.float32(5)):
+        assert compare(one, other, measures="Energy", bound=bound) == plain
+
+
+@pytest.mark.parametrize(("n", "bound", "first", "second"), [(30, 50, 0.5, 0.75), (30, 25, 0.7, 0.875)])
+def test_proportions_are_equivalent_within_a_percentage_by_chance_in_few_of_the_cases(n, bound, first, second):
+    # Exactly: of all answers that so many runs may give where the second proportion lies at the bound.
+    answers = [np.repeat([1.0, 0.0], [yes, n - yes]) for yes in range(n + 1)]
+    chances = [stats.binom.pmf(range(n + 1), n, each) for each in (first, second)]
+    within = Bound(bound, is_relative=True)
+    rate = sum(
+        chances[0][one] * chances[1][other]
+        for one, other in itertools.product(range(1, n + 1), range(n + 1))
+        if chances[0][one] * chances[1][other] > 1e-6
+        and equivalent_proportions(answers[one], answers[other], within) < 0.05
+    )
+    assert 0.03 < rate < 0.06

@@ -73,6 +73,12 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
         set(),
         {"analysis": {"measures": ["Energy"], "outliers": {"interquartile_ranges": 0.4}}},
     ),
+    "no value within the bounds": (
+        [MAPS],
+        4,
+        set(),
+        {"analysis": {"measures": ["Energy"], "outliers": {"bounds": {"Energy": [None, 5.0]}}}},
+    ),
     "adjusted for a covariate": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "covariates": ["CPU"]}}),
     "blocks": ([TASKS], 7, set(), {"blocks": "Repetition"}),
     "few blocks, two factors, one lacking": ([TASKS, MAPS], 5, {2}, {"blocks": "Repetition"}),
@@ -253,6 +259,23 @@ def test_no_number_of_the_report_is_left_out(name: str, written: Callable[[str],
 
 def test_the_notebook_of_values_that_are_all_equal_is_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = make_experiment(tmp_path / "made", [MAPS], lambda treatments, repetition: {"Energy": 7.0}, repetitions=4)
+    (notebook,) = write_recomputations(folder.root, [Recomputation.NOTEBOOK])
+    assert "numbers agree" in executed(notebook, monkeypatch)
+
+
+def test_the_notebook_of_a_study_in_which_nothing_is_compared_is_executed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of_trimmed_means = {"measures": ["Energy"], "estimand": "trimmed mean"}  # which are not compared within blocks
+    values = iter(np.random.default_rng(1).normal(size=8))
+    folder = make_experiment(
+        tmp_path / "made",
+        [MAPS],
+        lambda treatments, repetition: {"Energy": float(next(values))},
+        repetitions=4,
+        blocks="Repetition",
+        analysis=of_trimmed_means,
+    )
     (notebook,) = write_recomputations(folder.root, [Recomputation.NOTEBOOK])
     assert "numbers agree" in executed(notebook, monkeypatch)
 

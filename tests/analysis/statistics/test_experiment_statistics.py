@@ -325,3 +325,13 @@ def test_whatever_was_measured_no_number_is_not_finite(tmp_path_factory, values,
         for effect in measure.test.effects if measure.test else ():
             assert effect.p_value is None or 0 <= effect.p_value <= 1
         assert measure.test is not None or measure.not_computed
+
+
+def test_a_folder_and_one_name_are_taken_and_what_is_no_correction_or_no_measure_is_refused(tmp_path):
+    folder = make_experiment(tmp_path / "e", [Factor("Task", ["Video", "Network"])]).root
+    assert [each.name for each in analyse(folder, measures="Energy").measures] == ["Energy"]
+    # The text of a correction is another thing: p-values would be Holm's, and called others.
+    with pytest.raises(AnalysisError, match="correction is 'benjamini-hochberg'"):
+        analyse(folder, correction="benjamini-hochberg")
+    with pytest.raises(AnalysisError, match="no measure 'Task'"):
+        analyse(folder, measures=["Task"])

@@ -170,6 +170,7 @@ def test_hypotheses_families_and_doubtful_runs_are_as_the_plan_has_them(tmp_path
             "factors": ["Planner"],
             "contrast": {"DWB": 1, "TEB": -1},
         },
+        {"statement": "It depends on the room.", "measure": "Success", "factors": ["Planner", "Room"]},
     ]
     found = analysed(
         tmp_path,
@@ -182,12 +183,13 @@ def test_hypotheses_families_and_doubtful_runs_are_as_the_plan_has_them(tmp_path
     assert [(each.run_id, each.reason) for each in measure.left_out] == [("r_1", Reason.DOUBTFUL)]
     assert measure.proportions is not None
     assert measure.proportions.overall.n == 59
-    differ, better = found.hypotheses
+    differ, better, interact = found.hypotheses
     assert measure.test is not None
     assert differ.is_supported
     assert differ.adjusted_p_value == measure.test.effects[0].adjusted_p_value
     assert better.is_supported is None
     assert "contrasts and bounds are of means" in better.conclusion
+    assert "interactions of proportions are not tested" in interact.conclusion
 
 
 def test_a_factor_that_goes_along_with_another_one_is_not_tested(tmp_path: Path) -> None:

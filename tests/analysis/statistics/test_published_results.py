@@ -266,7 +266,7 @@ def test_mixed_model_of_a_block_that_lacks_a_treatment():
     # nlme: lme(effort ~ Type, random = ~ 1 | Subject): standard deviations 1.332465 (subjects) and 1.100295 (residual)
     model = fit_model(data.one_factor(data.ERGO_STOOL, in_blocks=True))
     assert model.spread == pytest.approx(1.100295, abs=5e-6)
-    assert np.sqrt(float(model.results.cov_re[0, 0])) == pytest.approx(1.332465, abs=5e-5)
+    assert np.sqrt(model.fit.ratio) * model.spread == pytest.approx(1.332465, abs=5e-5)
     (effect,) = model.effects()
     assert effect.statistic == pytest.approx(22.3556, abs=5e-4)
     assert effect.freedom == (3.0, 24.0)
@@ -274,7 +274,7 @@ def test_mixed_model_of_a_block_that_lacks_a_treatment():
 
 def test_errors_of_a_mixed_model_whose_blocks_lack_different_treatments():
     # nlme: lme(effort ~ Type, random = ~ 1 | Subject) without Type 1 of Subject 1, 2 of 2, 3 of 3 and 4 of 4:
-    # F = 25.1455787, the error of T2 - T3 and of T1 - T4 is 0.517140711. statsmodels' own covariance has others.
+    # F = 25.1455787, the error of T2 - T3 and of T1 - T4 is 0.517140711.
     rows = [(name, place, value) for name, of in data.ERGO_STOOL.items() for place, value in enumerate(of, 1)]
     held = [row for row in rows if row[:2] not in {(f"T{each}", each) for each in (1, 2, 3, 4)}]
     measure = data.split_plot([(f"subject {place}", "all", name, float(value)) for name, place, value in held])
@@ -285,6 +285,23 @@ def test_errors_of_a_mixed_model_whose_blocks_lack_different_treatments():
     for one, other in (("T2", "T3"), ("T1", "T4")):
         found = model.difference([({"B": one}, 1.0), ({"B": other}, -1.0)])
         assert float(found.error) == pytest.approx(0.517140711, abs=5e-8)
+
+
+def test_blocks_that_do_not_differ_have_no_variance():
+    # nlme ends at a standard deviation of blocks of 1e-5 and less, and at the F of least squares.
+    random = np.random.default_rng(3)
+    held = [(block, name) for block in range(7) for at, name in enumerate("xyz") if block % 3 != at]
+    drawn = dict(zip(held, random.normal(size=len(held)), strict=True))
+    rows = []
+    for block, name in held:  # values of a block are alike by less than chance would have it
+        mine = [value for (other, _), value in drawn.items() if other == block]
+        rows.append((f"block {block}", "all", name, float(drawn[block, name] - np.mean(mine) + "xyz".index(name))))
+    model = fit_model(replace(data.split_plot(rows), factors=("B",)))
+    assert model.fit.ratio == 0
+    groups = [[value for *_, name, value in rows if name == each] for each in "xyz"]
+    (effect,) = model.effects()
+    assert effect.statistic == pytest.approx(stats.f_oneway(*groups).statistic)
+    assert effect.freedom == (2.0, 14 - 7 - 2)
 
 
 def test_split_plot_of_higgins():

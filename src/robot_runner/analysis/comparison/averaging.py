@@ -22,9 +22,11 @@ from robot_runner.analysis.comparison.harmonising import (
     value_findings,
 )
 from robot_runner.analysis.comparison.matching import differing_circumstances, names_of
-from robot_runner.analysis.results import Results, load_results
+from robot_runner.analysis.results import results_of
+from robot_runner.analysis.run_frame import several
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
+from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.statistics.tests import planned_model_of
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.comparison.harmonising import MeasureChoice
+    from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.tests import AnyModel
 
@@ -48,9 +51,9 @@ _MOST_PAIRS = 105
 
 def meta_analyse(
     *experiments: Results | Path | str,
-    measures: Sequence[str] | None = None,
+    measures: str | Sequence[str] | None = None,
     alpha: float = _ALPHA,
-    same: Sequence[str] = (),
+    same: str | Sequence[str] = (),
 ) -> MetaAnalysis:
     """Combine the effects of treatments over several experiments, each of which replicates the others.
 
@@ -75,14 +78,14 @@ def meta_analyse(
     """
     if not 0 < alpha < 1:
         raise AnalysisError(f"alpha is {alpha!r}", where="meta_analyse", fix="Give a number between 0 and 1.")
-    results = [each if isinstance(each, Results) else load_results(each) for each in experiments]
+    results = list(map(results_of, experiments))
     if len(results) < _FEWEST:
         raise AnalysisError(f"{len(results)} experiment is given", where="meta_analyse", fix="Give two and more.")
     given = [Experiment.of_results(*each) for each in zip(names_of(*results), results, strict=True)]
     findings = list(repeated(given))
-    alike, found = renamed(given, same)
+    alike, found = renamed(given, several(same))
     findings += [*found, *differing_names(alike)]
-    chosen, found = chosen_measures_of_all(alike, measures)
+    chosen, found = chosen_measures_of_all(alike, None if measures is None else several(measures))
     findings += found
     findings += [finding for of in (unit_findings, value_findings) for each in chosen for finding in of(each, alike)]
     if errors := [each for each in findings if each.is_error]:
@@ -146,6 +149,8 @@ def _combined(choice: MeasureChoice, experiments: Sequence[Experiment], alpha: f
 def _estimated(experiment: Experiment, choice: MeasureChoice) -> _Estimated | NotComputed:
     """Estimate the means of an experiment's combinations, as its report does."""
     what, column, plan = f"{choice.name} in {experiment.name}", choice.columns[experiment.name], experiment.results.plan
+    if experiment.results.confirming.is_exploratory:
+        return NotComputed(what, SEARCHED)
     if plan is not None and plan.doubtful is Doubtful.REFUSE and column in experiment.doubtful:
         return NotComputed(what, "its plan draws no conclusion on a measure with doubtful values.")
     data = experiment.data(column, choice.unit)

@@ -66,8 +66,17 @@ class Bound:
         """Return the bound in the unit of the measure, where the first experiment has this mean."""
         return abs(mean) * self.value / _PERCENT if self.is_relative else self.value
 
+    @property
+    def holds_all_proportions(self) -> bool:
+        """Whether no proportions, from 0 to 1, differ by more, so that nothing follows from their being within it."""
+        return not self.is_relative and self.value >= 1
+
     def __str__(self) -> str:
         return f"{self.value:g} %" if self.is_relative else f"{self.value:g}"
+
+
+#: Why no proportions are equivalent within a bound that all of them are within.
+TOO_WIDE = "no proportions differ by more than 1, so that the bound says nothing: give one below 1, or a percentage."
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +189,8 @@ class Difference:
         relative: the difference in percent of the first mean.
         p_value: of a t-test that there is none (Welch's, or of pairs); `adjusted_p_value` after Holm, for the number of
             combinations.
-        bound: what would not matter, in the unit of the measure; None where no bound was stated.
+        bound: what would not matter, in the unit of the measure; None where no bound was stated, or one that every
+            difference of proportions is within.
         equivalence_p_value: the larger one of the two one-sided tests.
         not_computed: why there is no verdict by numbers; empty where there is one.
         practical: the probabilities of a region of practical equivalence, where one was stated.
@@ -220,7 +230,8 @@ class Agreement:
         are_natural: whether the pairs belong together (the same run, or paired by the user); otherwise runs of one
             combination were put beside each other in the order of their repetitions.
         bias: mean difference.
-        lower, upper: limits of agreement: bias less and plus 1.96 standard deviations of the differences.
+        lower, upper: limits of agreement: bias less and plus 1.96 standard deviations of the differences; None of
+            measures that are yes or no.
         error: mean absolute percentage error in percent: of pairs if they are natural, else of the combinations' means;
             None where a value of the first is 0.
     """
@@ -246,6 +257,7 @@ class MeasureComparison:
         differences: one a combination.
         verdict: of all combinations together.
         not_computed: what could not be compared and why.
+        are_answers: whether it is yes or no in both, so that its means are proportions.
     """
 
     first_name: str
@@ -260,6 +272,7 @@ class MeasureComparison:
     conclusion: str
     not_computed: tuple[NotComputed, ...] = ()
     region: Bound | None = None
+    are_answers: bool = False
 
     @property
     def name(self) -> str:

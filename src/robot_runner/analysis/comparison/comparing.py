@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.analysis.comparison.compared import (
+    TOO_WIDE,
     Bound,
     Bounds,
     Comparison,
@@ -28,6 +30,7 @@ from robot_runner.analysis.comparison.equivalence import (
 )
 from robot_runner.analysis.comparison.matching import (
     are_answers,
+    are_numbers,
     can_be_converted,
     chosen_measures,
     differing_circumstances,
@@ -35,20 +38,23 @@ from robot_runner.analysis.comparison.matching import (
     match_runs,
     names_of,
 )
-from robot_runner.analysis.results import Results, load_results
+from robot_runner.analysis.results import results_of
 from robot_runner.analysis.statistics.post_hoc import adjusted
+from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.analysis.statistics.tested import NotComputed
+from robot_runner.analysis.wording import listed, sentence
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     import numpy as np
     from numpy.typing import NDArray
 
     from robot_runner.analysis.comparison.matching import Matching
+    from robot_runner.analysis.results import Results
 
     Floats = NDArray[np.float64]
 
@@ -60,7 +66,7 @@ def compare(
     first: Results | Path | str,
     second: Results | Path | str,
     *,
-    measures: Sequence[str] | None = None,
+    measures: str | Sequence[str] | None = None,
     bound: str | float | Bound | Iterable[str] | None = None,
     alpha: float = _ALPHA,
     is_paired: bool | None = None,
@@ -89,7 +95,7 @@ def compare(
     """
     if not 0 < alpha < 0.5:  # noqa: PLR2004 - 1 - 2 alpha is a level of confidence
         raise AnalysisError(f"alpha is {alpha!r}", where="compare", fix="Give a number between 0 and 0.5.")
-    ours, theirs = (each if isinstance(each, Results) else load_results(each) for each in (first, second))
+    ours, theirs = map(results_of, (first, second))
     paired = ours.folder == theirs.folder if is_paired is None else is_paired
     bounds = _bounds(bound)
     chosen = chosen_measures(ours, theirs, measures)
@@ -100,8 +106,9 @@ def compare(
         _compare_measure(matching, names, _Asked(bounds.of(names[0]), regions[names[0]], alpha, paired))
         for names in chosen
     )
-    is_one = ours.folder == theirs.folder and len(chosen) == 1 and len(set(chosen[0])) > 1
-    labels = chosen[0] if is_one else names_of(ours, theirs)
+    is_same, names = ours.folder == theirs.folder, names_of(ours, theirs)
+    labels = chosen[0] if is_same and len(chosen) == 1 and len(set(chosen[0])) > 1 else names
+    called = (ours.name, theirs.name) if is_same else names
     return Comparison(
         Side(labels[0], ours.name, ours.folder, len(ours.done)),
         Side(labels[1], theirs.name, theirs.folder, len(theirs.done)),
@@ -110,15 +117,24 @@ def compare(
         paired,
         compared,
         differing_circumstances(ours, theirs),
-        (*matching.notes, *_conversions(ours, theirs, chosen)),
+        tuple(dict.fromkeys([*matching.notes, *_notes_on_values((ours, theirs), called, chosen)])),
     )
 
 
-def _conversions(first: Results, second: Results, chosen: Sequence[tuple[str, str]]) -> Iterator[str]:
+def _notes_on_values(
+    experiments: tuple[Results, Results], called: tuple[str, ...], chosen: Sequence[tuple[str, str]]
+) -> Iterator[str]:
+    first, second = experiments
     for one, other in chosen:
         units = first.unit(one), second.unit(other)
         if units[0] != units[1] and can_be_converted(units[1], units[0]):
-            yield f"{one} is in {units[0]} and {units[1]}: values of {second.name} are converted to {units[0]}."
+            yield f"{one} is in {units[0]} and {units[1]}: values of {called[1]} are converted to {units[0]}."
+    for name, results, measures in zip(called, experiments, zip(*chosen, strict=True), strict=True):
+        doubtful = doubtful_runs(results)
+        for measure in measures:
+            if measure in doubtful:
+                runs = listed(doubtful[measure])
+                yield f"{measure} of {runs} is doubtful in {name}, and counts all the same."
 
 
 def _bounds(given: str | float | Bound | Iterable[str] | None) -> Bounds:
@@ -126,9 +142,9 @@ def _bounds(given: str | float | Bound | Iterable[str] | None) -> Bounds:
         return Bounds(None, {})
     if isinstance(given, Bound):
         return Bounds(given, {})
-    if isinstance(given, int | float):
-        return Bounds(Bound(float(given)), {})
-    return Bounds.parse([given] if isinstance(given, str) else given)
+    if isinstance(given, Iterable):
+        return Bounds.parse([given] if isinstance(given, str) else map(str, given))
+    return Bounds(Bound(float(given)), {})
 
 
 def _check_bounds(what: str, own: Iterable[str], names: Sequence[str], first: Results) -> None:
@@ -150,19 +166,28 @@ def _regions(regions: Regions, names: Sequence[str], first: Results) -> dict[str
 
 
 class _Asked(NamedTuple):
-    """What is asked of a measure."""
+    """What is asked of a measure; whether it is yes or no, and why it cannot be compared, if it cannot."""
 
     bound: Bound | None
     region: Bound | None
     alpha: float
     is_paired: bool
     are_answers: bool = False
+    obstacle: str = ""
+
+    @property
+    def is_bound_too_wide(self) -> bool:
+        """Whether all there is is within the bound."""
+        return self.are_answers and self.bound is not None and self.bound.holds_all_proportions
 
 
 def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) -> MeasureComparison:
     """Compare a measure in all combinations; p-values are adjusted after Holm for their number."""
     units = matching.first.unit(names[0]), matching.second.unit(names[1])
-    asked = asked._replace(are_answers=not asked.is_paired and are_answers(matching, names))
+    columns = matching.first.done[names[0]], matching.second.done[names[1]]
+    are_texts = any(each.notna().any() and not are_numbers(each) for each in columns)
+    obstacle = "One of the experiments has values that are no numbers." if are_texts else ""
+    asked = asked._replace(are_answers=are_answers(matching, names), obstacle=obstacle)
     found_values = (group.values(*names, is_paired=asked.is_paired) for group in matching.groups)
     values = [(one, in_unit(other, units[1], units[0])) for one, other in found_values]
     found = [_tested(group.treatments, *pair, asked) for group, pair in zip(matching.groups, values, strict=True)]
@@ -176,18 +201,20 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
         second_origin=theirs.origin,
         bound=asked.bound,
         differences=differences,
-        agreement=agreement_of(labelled, is_paired=asked.is_paired),
+        agreement=agreement_of(labelled, is_paired=asked.is_paired, has_limits=not asked.are_answers),
         verdict=Verdict.of_all([each.verdict for each in differences]),
         conclusion="",
         not_computed=tuple(_missed(differences, asked, *units)),
         region=asked.region,
+        are_answers=asked.are_answers,
     )
     return replace(compared, conclusion=conclusion_of(compared))
 
 
 def _tested(treatments: Mapping[str, str], first: Floats, second: Floats, asked: _Asked) -> Difference:
     """Compare the values of one combination; p-values are not adjusted yet."""
-    bound, region, alpha, is_paired, are_answers = asked
+    region, alpha, is_paired = asked.region, asked.alpha, asked.is_paired
+    bound = None if asked.is_bound_too_wide else asked.bound
     one, other = (float(values.mean()) if len(values) else None for values in (first, second))
     size = None if one is None or other is None else other - one
     described = Difference(
@@ -202,15 +229,16 @@ def _tested(treatments: Mapping[str, str], first: Floats, second: Floats, asked:
         relative=size / abs(one) * _PERCENT if size is not None and one else None,
         bound=None if bound is None or one is None else bound.in_units(one),
     )
-    if are_answers and size is not None:
+    if asked.obstacle:
+        return replace(described, not_computed=asked.obstacle)
+    if asked.are_answers and not is_paired and size is not None:
         told = proportion_test(first, second, alpha=alpha)
-        within = described.bound
         return replace(
             described,
             interval=told.interval,
             narrow_interval=told.narrow,
             p_value=told.p_value,
-            equivalence_p_value=equivalent_proportions(first, second, within) if within else None,
+            equivalence_p_value=equivalent_proportions(first, second, bound) if bound and described.bound else None,
         )
     if why := why_not_testable(first, second, is_paired=is_paired):
         return replace(described, not_computed=why)
@@ -242,6 +270,9 @@ def _judged(difference: Difference, alpha: float) -> Difference:
 
 
 def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: str) -> Iterator[NotComputed]:
+    if asked.is_bound_too_wide:
+        yield NotComputed("equivalence", sentence(TOO_WIDE))
+    are_proportions = asked.are_answers and not asked.is_paired
     for each in differences:
         if each.not_computed:
             yield NotComputed(f"test of {each.label}", each.not_computed)
@@ -250,7 +281,7 @@ def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: s
             yield NotComputed(f"equivalence of {each.label}", why)
         elif asked.region is not None and each.practical is None:
             why = "The runs of one experiment are all equal, so that there is no posterior distribution."
-            why = "They are computed of means, and not of proportions." if asked.are_answers else why
+            why = "They are computed of means, and not of proportions." if are_proportions else why
             yield NotComputed(f"probabilities of {each.label}", why)
     if one != other and not can_be_converted(other, one):
         why = f"The units are {one or 'not known'} and {other or 'not known'}: numbers are compared as they are."

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.comparison.compared import Verdict
+from robot_runner.analysis.comparison.compared import TOO_WIDE, Verdict
 from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences
 from robot_runner.analysis.report.blocks import (
     Badge,
@@ -116,6 +116,8 @@ def _why_undecided(measure: MeasureComparison) -> str:
         return f"nothing could be tested. {untested[0].not_computed}"
     if measure.bound is None:
         return "no difference was found, and without a bound nothing can be called equivalent."
+    if measure.are_answers and measure.bound.holds_all_proportions:
+        return TOO_WIDE
     if without := [each.label for each in undecided if each.bound == 0]:
         return f"the bound is a percentage of the first mean, which is 0 for {listed(without)}: give it in its unit."
     return (
@@ -191,7 +193,8 @@ def difference_table(comparison: Comparison, measure: MeasureComparison) -> Tabl
     ]
     if measure.region is not None:
         fields += [_probability(name) for name in ("below", "within", "above")]
-    test = "t-test of pairs" if comparison.is_paired else "Welch's t-test"
+    of_means = "t-test of pairs" if comparison.is_paired else "Welch's t-test"
+    test = "Newcombe's score intervals" if measure.are_answers and not comparison.is_paired else of_means
     bound = f"two one-sided tests with a bound of {shown_bound(measure)}" if measure.bound else "no bound was stated"
     note = f"Difference: {test}, p-values adjusted after Holm. Equivalence: {bound}. {ALPHA} = {comparison.alpha:g}."
     if measure.region is not None:
@@ -277,7 +280,8 @@ def _estimates(comparison: Comparison, measure: MeasureComparison) -> FigureBloc
         for each in measure.differences
         if each.difference is not None and each.interval is not None
     ]
-    shaded = f" Shaded: the bound of {shown_bound(measure)}." if measure.bound is not None else ""
+    is_shaded = any(each.bound is not None for each in estimates)
+    shaded = f" Shaded: the bound of {shown_bound(measure)}." if is_shaded else ""
     label = labelled(f"Difference of {measure.name}", difference_unit(measure.unit))
     return FigureBlock(
         f"difference {measure.name}",
@@ -308,8 +312,13 @@ def _agreements(comparison: Comparison) -> Iterator[Block]:
         field("Relative error (MAPE)", error, is_number=True),
     )
     yield build_table("agreement", "Bias, limits of agreement and relative error.", measures, fields)
-    figures = (_agreement_figure(comparison, each, each.agreement) for each in measures if each.agreement is not None)
-    yield Gallery(tuple(figures))
+    figures = tuple(
+        _agreement_figure(comparison, each, each.agreement)
+        for each in measures
+        if each.agreement is not None and not each.are_answers  # of yes and no it would be three points
+    )
+    if figures:
+        yield Gallery(figures)
 
 
 def _about_pairs(comparison: Comparison) -> str:

@@ -117,10 +117,16 @@ def proportion_test(first: Floats, second: Floats, *, alpha: float) -> Differenc
     return DifferenceTest(p_value, wide, narrow)
 
 
-def equivalent_proportions(first: Floats, second: Floats, within: float) -> float:
-    """Return the p-value of two one-sided tests: the second proportion lies within a bound around the first one."""
+def equivalent_proportions(first: Floats, second: Floats, bound: Bound) -> float:
+    """Return the p-value of two one-sided tests: the second proportion lies within a bound around the first one.
+
+    With a bound in percent it is tested against multiples of the first one, which is not known exactly either.
+    """
     one, other = (Share(float(values.mean()), len(values)) for values in (first, second))
-    return float(max(stats.norm.sf(score_of(other, one, -within)), stats.norm.sf(score_of(one, other, -within))))
+    share = bound.value / _PERCENT if bound.is_relative else 0.0
+    edge = 0.0 if bound.is_relative else bound.value
+    scores = score_of(other, one, -edge, 1 - share), -score_of(other, one, edge, 1 + share)
+    return float(stats.norm.sf(min(scores)))
 
 
 def _t_test(one: NDArray[np.float64], other: NDArray[np.float64], *, is_paired: bool, **settings: str) -> Any:
@@ -137,13 +143,14 @@ _SPREAD = 1.96
 
 
 def agreement_of(
-    groups: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]], *, is_paired: bool
+    groups: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]], *, is_paired: bool, has_limits: bool = True
 ) -> Agreement | None:
     """Return relative error and limits of agreement, or None where there is no pair.
 
     Args:
         groups: by combination: the values of the first and the second experiment; of pairs in the same order.
         is_paired: whether values belong together; otherwise those of one combination are put beside each other.
+        has_limits: whether differences can be normal, as limits take for granted; those of yes and no cannot.
     """
     pairs = {
         label: [(float(one), float(other)) for one, other in zip(first, second, strict=False)]
@@ -154,7 +161,7 @@ def agreement_of(
     if not len(differences):
         return None
     bias = float(differences.mean())
-    spread = spread_of(differences)
+    spread = spread_of(differences) if has_limits else None
     reach = None if spread is None else spread * _SPREAD
     references = (
         [pair for several in pairs.values() for pair in several]

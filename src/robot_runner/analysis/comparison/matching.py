@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.importing.units import unit_of
+from robot_runner.analysis.run_frame import several
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.secret_names import shown_settings
@@ -36,7 +37,7 @@ class MatchedRuns:
 
     def values(self, first: str, second: str, *, is_paired: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the values of a measure in each, without missing ones; of pairs, both or none."""
-        ours, theirs = _numbers(self.first[first]), _numbers(self.second[second])
+        ours, theirs = numbers_of(self.first[first]), numbers_of(self.second[second])
         if not is_paired:
             return ours[np.isfinite(ours)], theirs[np.isfinite(theirs)]
         both = np.isfinite(ours) & np.isfinite(theirs)
@@ -63,9 +64,10 @@ def are_answers(matching: Matching, names: tuple[str, str]) -> bool:
 def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
     """Match the runs that are done by the treatments of the factors that both experiments have."""
     factors = tuple(name for name in first.factors if name in second.factors)
-    notes = _notes_on_factors(first, second, factors)
+    names = names_of(first, second)
+    notes = _notes_on_factors(dict(zip(names, (first, second), strict=True)), factors)
     ours, theirs = (_by_combination(each, factors) for each in (first, second))
-    for name, here, there in ((first.name, ours, theirs), (second.name, theirs, ours)):
+    for name, here, there in zip(names, (ours, theirs), (theirs, ours), strict=True):
         alone = [" / ".join(key) for key in here if key not in there]
         if alone:
             notes.append(f"Only {name} has {', '.join(alone[:6])}{' and others' if len(alone) > 6 else ''}.")  # noqa: PLR2004
@@ -77,7 +79,7 @@ def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
     return Matching(first, second, factors, tuple(groups), tuple(notes))
 
 
-def chosen_measures(first: Results, second: Results, wanted: Sequence[str] | None) -> list[tuple[str, str]]:
+def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str] | None) -> list[tuple[str, str]]:
     """Return the measures to compare, by their names in each experiment.
 
     Args:
@@ -95,7 +97,7 @@ def chosen_measures(first: Results, second: Results, wanted: Sequence[str] | Non
             fix = f"Say which to compare: --measure {ours}={theirs}."
             raise AnalysisError("the experiments have no measure of one name", where=second.name, fix=fix)
         return shared
-    return [_named(first, second, text) for text in wanted]
+    return [_named(first, second, text) for text in several(wanted)]
 
 
 def _named(first: Results, second: Results, text: str) -> tuple[str, str]:
@@ -110,12 +112,12 @@ def _named(first: Results, second: Results, text: str) -> tuple[str, str]:
     return names
 
 
-def _notes_on_factors(first: Results, second: Results, factors: tuple[str, ...]) -> list[str]:
+def _notes_on_factors(experiments: Mapping[str, Results], factors: tuple[str, ...]) -> list[str]:
     notes = []
-    for results in (first, second):
+    for called, results in experiments.items():
         own = [name for name in results.factors if name not in factors]
         if own:
-            notes.append(f"Only {results.name} has the factor {', '.join(own)}: its runs are taken together.")
+            notes.append(f"Only {called} has the factor {', '.join(own)}: its runs are taken together.")
     if not factors:
         notes.append("The experiments have no factor in common: all runs are compared as one group.")
     return notes
@@ -176,9 +178,16 @@ def in_unit(values: Any, own: str, wanted: str) -> Any:
     return (ours.to_si(values) - theirs.offset) / theirs.factor
 
 
-def _numbers(values: pd.Series) -> NDArray[np.float64]:
-    numbers: NDArray[np.float64] = pd.to_numeric(values, errors="coerce").to_numpy(dtype="float64", na_value=np.nan)
-    return numbers
+def are_numbers(values: pd.Series) -> bool:
+    """Whether a measure can be computed with: a text among its values may say why there is no number."""
+    return bool(pd.api.types.is_numeric_dtype(values))
+
+
+def numbers_of(values: pd.Series) -> NDArray[np.float64]:
+    """Return the values of a measure; NaN where one is missing, and everywhere where they are no numbers."""
+    if not are_numbers(values):
+        return np.full(len(values), np.nan)
+    return np.asarray(values.to_numpy(dtype=np.float64, na_value=np.nan))
 
 
 _SET_BY_HAND = ("deviations",)

@@ -45,6 +45,7 @@ _MOST_NAMED_OUTLIERS = 6
 _APART_UPRIGHT, _APART_ALONG = 0.05, 0.3
 _ROW = 0.17  # height of a group that lies, inches
 _LETTERS_BESIDE = 46  # of names along the axis
+_BESIDE_NAMES = 30  # letters of a line beneath the half of the figure that names of groups leave
 _MANY_POINTS = 60
 _MOST_NAMES = 60
 
@@ -127,7 +128,8 @@ def _name_groups(axes: Axes, labels: Sequence[str], value_label: str, group_labe
     else:
         axes.set_yticks(ticks, names[::step])
         axes.set_ylim(len(names) - 0.4, -0.6)
-        label_axes(axes, value_label, group_label, grid="x")
+        label_axes(axes, "", group_label, grid="x")
+        axes.set_xlabel(wrapped(value_label, _BESIDE_NAMES))
 
 
 def _draw_group(axes: Axes, place: int, group: Group, look: Look, *, is_upright: bool) -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from robot_runner.analysis.figures.style import (
     COLUMN,
@@ -124,7 +125,7 @@ def draw_agreement(
         first, second = np.asarray(pairs[name], dtype=float).reshape(-1, 2).T
         draw_points(axes, (first + second) / 2, second - first, look, label=verbatim(name))
     for level, word in ((bias, "bias"), (lower, "lower limit"), (upper, "upper limit")):
-        if level is not None:
+        if level is not None and (word == "bias" or lower != upper):  # what lies on each other cannot be read
             axes.axhline(level, color=INK, linewidth=0.9, linestyle="-" if word == "bias" else DASHED)
             axes.annotate(
                 f"{word} {level:+.4g} {verbatim(unit)}".rstrip().replace("-", MINUS),
@@ -235,6 +236,7 @@ def draw_power(curves: Mapping[str, Sequence[tuple[int, float, float, float]]], 
             label=verbatim(name),
         )
     axes.set_ylim(0, 102)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     label_axes(axes, "Repetitions", "Power (%)", grid="both")
     add_legend(figure, len(curves), columns=2)
     return figure

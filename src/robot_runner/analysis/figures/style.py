@@ -192,14 +192,14 @@ def shortened(label: str, longest: int = 28) -> str:
     return verbatim(label if len(label) <= longest else f"{label[: longest - 1 - end]}…{label[-end:]}")
 
 
-def wrapped(text: str) -> str:
-    r"""Return a text for an axis, on as many lines as it takes.
+def wrapped(text: str, line: int = _LINE) -> str:
+    r"""Return a text for an axis, on as many lines as it takes, each of so many letters at most.
 
     Example:
         >>> wrapped("Difference of Ina219.Energy and PowerModel.Energy (J)")
         'Difference of Ina219.Energy and\nPowerModel.Energy (J)'
     """
-    return textwrap.fill(verbatim(text), _LINE)
+    return textwrap.fill(verbatim(text), line)
 
 
 def verbatim(text: str, kept: str = "") -> str:

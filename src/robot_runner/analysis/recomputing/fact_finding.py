@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.recomputing.measure_facts import facts_of_measure
 from robot_runner.analysis.recomputing.study_facts import Adjustment, FactorColumn, Reported, StudyFacts, TableSource
+from robot_runner.analysis.run_frame import several
 from robot_runner.analysis.statistics.analysed_design import BATCH, PLACE, design_of
 from robot_runner.analysis.statistics.disclosed import Beside, Reason
 from robot_runner.analysis.statistics.experiment_statistics import analyse
@@ -41,7 +42,7 @@ def facts_of_study(
     results: Results,
     folder: Path,
     *,
-    measures: Sequence[str] | None = None,
+    measures: str | Sequence[str] | None = None,
     alpha: float | None = None,
     plan: AnalysisPlan | None = None,
     made: str = "",
@@ -65,14 +66,13 @@ def facts_of_study(
     followed = plan or results.plan
     planned = followed.measures if followed is not None else ()
     primary = [name for name in planned if name in results.columns]
-    names = None if measures is None else list(dict.fromkeys([*measures, *primary]))
+    names = None if measures is None else list(dict.fromkeys([*several(measures), *primary]))
     statistics = analyse(results, measures=names, alpha=alpha, plan=plan)
     shown = statistics if names in (None, measures) else analyse(results, measures=measures, alpha=alpha, plan=plan)
     plan = statistics.plan
     design = design_of(results, blocks=plan.blocks if plan is not None else None)
     facts = dict(_measures(design, statistics, plan))
     cells = Cells(ExperimentFolder.found_at(results.folder).run_table, results)
-    tested = [each for each in statistics.measures if each.overall is not None]
     block = design.block or ""
     return StudyFacts(
         name=results.name,
@@ -82,7 +82,7 @@ def facts_of_study(
         source=source_of(results, design, cells, folder),
         factors=factor_columns(design, cells),
         varied=design.factors,
-        numbers=tuple(each.name for each in tested),
+        numbers=tuple(dict.fromkeys(each.name for each in facts.values() if each.answered is None)),
         block=block,
         blocks_are_of_batches=bool(block) and BATCH in design.frame and block == results.repetition,
         batch=(results.batch or "") if BATCH in design.frame else "",

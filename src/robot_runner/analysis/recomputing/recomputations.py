@@ -13,7 +13,7 @@ from robot_runner.analysis.recomputing.fact_finding import facts_of_study
 from robot_runner.analysis.recomputing.literals import Code, python_literal, r_literal, rendered
 from robot_runner.analysis.recomputing.study_facts import LEVEL
 from robot_runner.analysis.report.writing import made_by, report_folder
-from robot_runner.analysis.results import Results, load_results
+from robot_runner.analysis.results import results_of
 from robot_runner.core.storage.guarded_files import make_folder, replace
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.recomputing.study_facts import Compared, Contrasted, Reported, StudyFacts, TestedEffect
+    from robot_runner.analysis.results import Results
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 
@@ -182,7 +183,7 @@ def write_recomputations(
     kinds: Sequence[Recomputation] = tuple(Recomputation),
     *,
     output: Path | None = None,
-    measures: Sequence[str] | None = None,
+    measures: str | Sequence[str] | None = None,
     alpha: float | None = None,
     plan: AnalysisPlan | None = None,
 ) -> tuple[Path, ...]:
@@ -200,7 +201,7 @@ def write_recomputations(
         StorageError: there is no experiment, or the folder cannot be written.
         AnalysisError: there is no such measure.
     """
-    results = experiment if isinstance(experiment, Results) else load_results(experiment)
+    results = results_of(experiment)
     root, folder = report_folder(results.folder, output)
     make_folder(folder, root)
     made = made_by("Report", datetime.now(UTC))

@@ -15,7 +15,7 @@ from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
 from robot_runner.analysis.report.document import json_of_report, report_document
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.rendering import SafeNames, csv_of, html_of, latex_label, latex_of, markdown_of
-from robot_runner.analysis.results import Results, load_results
+from robot_runner.analysis.results import results_of
 from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.storage.guarded_files import make_folder, replace
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.analysis.report.blocks import Document
+    from robot_runner.analysis.results import Results
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
 #: With more, figures as PDF are not left to a process of its own.
@@ -56,7 +57,7 @@ def write_report(
     *,
     output: Path | None = None,
     figures: Sequence[FigureFormat] = tuple(FigureFormat),
-    measures: Sequence[str] | None = None,
+    measures: str | Sequence[str] | None = None,
     alpha: float | None = None,
     plan: AnalysisPlan | None = None,
 ) -> WrittenReport:
@@ -77,7 +78,7 @@ def write_report(
     """
     draws = kind is not ReportFormat.JSON
     with ExitStack() as closing:
-        results = (experiment if isinstance(experiment, Results) else load_results(experiment)).confirming
+        results = results_of(experiment).confirming
         # The worker is started early, so that it is ready when the first figure is. On one core it would only compete,
         # and with thousands of runs figures take little of the time, and the worker much of the memory.
         helps = draws and FigureFormat.PDF in figures and (os.cpu_count() or 1) > 1 and len(results.runs) <= _MOST_RUNS

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+from robot_runner.analysis.results import results_of
+from robot_runner.analysis.run_frame import require_choice, several
 from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.correlations import correlations_of
 from robot_runner.analysis.statistics.disclosed import Beside, LeftOut, Reason
@@ -29,6 +31,7 @@ from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.analysed_design import Design
@@ -42,9 +45,9 @@ _MOST_CORRELATED = 20
 
 
 def analyse(
-    results: Results,
+    results: Results | Path | str,
     *,
-    measures: Sequence[str] | None = None,
+    measures: str | Sequence[str] | None = None,
     alpha: float | None = None,
     correction: Correction | None = None,
     plan: AnalysisPlan | None = None,
@@ -56,7 +59,7 @@ def analyse(
     everything where alpha or the correction are other than the plan's.
 
     Args:
-        results: the experiment.
+        results: those of the experiment, or its folder.
         measures: which measures; None for those of the plan, then all others.
         alpha: the level of significance; None for that of the plan, or 0.05.
         correction: how p-values are adjusted; None for that of the plan, or Holm.
@@ -64,17 +67,19 @@ def analyse(
             results that were made elsewhere, say.
 
     Raises:
-        AnalysisError: there is no such measure, alpha is no probability, or the plan has names that the results lack.
+        AnalysisError: there is no such measure, alpha is no probability, the correction is none, or the plan has names
+            that the results lack.
 
     Example:
         >>> from robot_runner.analysis import analyse, load_results
         >>> analyse(load_results("experiments/basic_experiment")).measure("Energy").test.reason  # doctest: +SKIP
     """
-    results = results.confirming
+    results = results_of(results).confirming
     is_given = plan is not None
     plan = results.plan if plan is None else _checked(plan, results)
     chosen_alpha = alpha if alpha is not None else plan.alpha if plan else _ALPHA
     chosen_correction = correction or (plan.correction if plan else Correction.HOLM)
+    require_choice(chosen_correction, Correction, "correction", "analyse")
     if not 0 < chosen_alpha < 1:
         raise AnalysisError(f"alpha is {chosen_alpha!r}", where="analyse", fix="Give a number between 0 and 1.")
     kept = plan if plan is not None and (chosen_alpha, chosen_correction) == (plan.alpha, plan.correction) else None
@@ -84,7 +89,7 @@ def analyse(
     if kept is not None:
         choices = replace(choices, estimand=kept.estimand, statistic=kept.statistic)
         design = replace(design, covariates=kept.covariates)
-    names = _chosen(results, measures, planned)
+    names = _chosen(results, None if measures is None else several(measures), planned)
     # Errors are controlled among all primary measures, whichever are asked for.
     others = [name for name in (kept.measures if kept else ()) if name in results.columns and name not in names]
     doubtful = doubtful_runs(results)
@@ -167,12 +172,12 @@ def _analysed(
         why = f"the plan draws no conclusion on a measure with doubtful values ({listed(doubted)})."
         planned = _refused(planned, why)
     if design.results.is_exploratory:
-        return _Analysed(replace(_refused(planned, _SEARCHED), power=None, drift=None), {}, runs)
+        return _Analysed(replace(_refused(planned, SEARCHED), power=None, drift=None), {}, runs)
     return _Analysed(planned, beside, runs)
 
 
 #: Why runs of a search are not tested.
-_SEARCHED = (
+SEARCHED = (
     "the design decided on the runs from their results: they are exploratory, and the best of many looks better than "
     "it is. Plan confirm=10, say, for runs that are tested."
 )
@@ -189,7 +194,7 @@ def _chosen(results: Results, measures: Sequence[str] | None, planned: Sequence[
         present = [name for name in planned if name in results.columns]
         return list(dict.fromkeys([*present, *results.measures]))
     for name in measures:
-        if name not in results.runs.columns or name not in results.columns:
+        if name not in results.measures:
             fix = did_you_mean(name, results.measures)
             raise AnalysisError(f"there is no measure {name!r}", where=results.name, fix=fix)
     return sorted(measures, key=lambda name: name not in planned)

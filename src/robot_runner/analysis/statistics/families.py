@@ -310,5 +310,7 @@ def _reason(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> str:
         return f"there is no measure {hypothesis.measure}."
     if measure.test is None:
         return measure.not_computed[0].why if measure.not_computed else "there is no test."
+    if measure.test.method is TestMethod.PROPORTIONS and len(hypothesis.factors) > 1:
+        return "interactions of proportions are not tested: compare the proportions of the combinations."
     missed = [each.why for each in measure.not_computed if repr(hypothesis.statement) in each.what]
     return missed[0] if missed else f"the test has no effect of {' x '.join(hypothesis.factors)}."

@@ -10,16 +10,15 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import optimize, stats
 
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
-from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
@@ -37,8 +36,25 @@ _MOST_CELLS = 500
 
 _BLOCK = " block"
 
-#: Of the gradient at the estimates: with statsmodels' own, the variance of blocks is known to four digits only.
+#: The variance of blocks over that within them, as logarithms among which the best one is looked for.
+_RATIOS = np.log(10.0) * np.arange(-10.0, 10.5, 0.5)
+#: Of the logarithm: estimates then agree with R's nlme to six digits.
 _PRECISION = 1e-9
+
+
+class _Fit(NamedTuple):
+    """Generalised least squares at one ratio of the variance of blocks to that within them.
+
+    Attributes:
+        deviance: -2 times the restricted log-likelihood, but for a constant.
+        scale: the variance within blocks.
+    """
+
+    deviance: float
+    ratio: float
+    beta: Floats
+    covariance: Floats
+    scale: float
 
 
 @dataclass(frozen=True)
@@ -49,15 +65,17 @@ class FittedModel:
         factors: the factors, with their treatments.
         terms: the factors of each effect, main effects first.
         blocks: the block of each value, or nothing where there are none.
+        exog: the design, one row a value.
+        fit: what was estimated.
         batches: how many there are; the last columns of the design are theirs.
-        results: as statsmodels returns them.
         note: why interactions are left out; empty where none is.
     """
 
     factors: Mapping[str, Sequence[str]]
     terms: tuple[tuple[str, ...], ...]
     blocks: NDArray[np.str_] | None
-    results: Any
+    exog: Floats
+    fit: _Fit
     note: str
     batches: int = 1
 
@@ -69,18 +87,13 @@ class FittedModel:
     @property
     def spread(self) -> float:
         """The standard deviation of what the model leaves unexplained."""
-        return math.sqrt(float(self.results.scale))
-
-    @property
-    def residuals(self) -> Floats:
-        """What the model leaves unexplained."""
-        return np.asarray(self.results.resid, dtype=np.float64)
+        return math.sqrt(self.fit.scale)
 
     def effects(self) -> Iterator[EffectTest]:
         """Yield the test of each effect: Wald's statistic as an F, with degrees of freedom by containment."""
         for factors in self.terms:
             place = self._place(factors)
-            beta, covariance = self._beta[place], self._covariance[place, place]
+            beta, covariance = self.fit.beta[place], self.fit.covariance[place, place]
             wald = float(beta @ np.linalg.solve(covariance, beta))
             freedom = (float(len(beta)), self._freedom(factors))
             f_value = wald / freedom[0]
@@ -95,40 +108,17 @@ class FittedModel:
             weights: treatments by factor, with the weight of their mean.
         """
         rows = [weight * marginal_row(self.factors, self.terms, treatments) for treatments, weight in weights]
-        row = np.sum(rows, axis=0)
-        error = math.sqrt(max(0.0, float(row @ self._covariance @ row)))
+        row = np.pad(np.sum(rows, axis=0), (0, self.batches - 1))
+        error = math.sqrt(max(0.0, float(row @ self.fit.covariance @ row)))
         named = {name for treatments, _ in weights for name in treatments}
         freedom = min(self._freedom(factors) for factors in self.terms if set(factors) <= named)
-        return Contrast(*map(np.asarray, (row @ self._beta, error, freedom)))
+        return Contrast(*map(np.asarray, (row @ self.fit.beta, error, freedom)))
 
     def _place(self, factors: Sequence[str]) -> slice:
         """Return the columns of an effect in the design; the first is the mean of all combinations."""
         before = self.terms[: self.terms.index(tuple(factors))]
         start = 1 + sum(map(self._size, before))
         return slice(start, start + self._size(factors))
-
-    @property
-    def _beta(self) -> Floats:
-        found = self.results.params if self.blocks is None else self.results.fe_params
-        return np.asarray(found, dtype=np.float64)[: 1 + sum(map(self._size, self.terms))]
-
-    @cached_property
-    def _covariance(self) -> Floats:
-        """The covariance of the estimates; of blocks that of generalised least squares, as R's nlme and lme4 have it.
-
-        That of statsmodels is the inverse of the observed information, in which estimates and variances are not apart:
-        its errors come out up to a fifth too large where blocks are few.
-        """
-        count = len(self._beta)
-        if self.blocks is None:
-            return np.asarray(self.results.cov_params(), dtype=np.float64)[:count, :count]
-        ratio = float(self.results.cov_re_unscaled[0, 0])
-        information = self._exog.T @ self._exog
-        for block in set(self.blocks):
-            mine = self._exog[self.blocks == block]
-            total = mine.sum(axis=0)
-            information -= ratio / (1 + len(mine) * ratio) * np.outer(total, total)
-        return np.asarray(self.results.scale * np.linalg.inv(information), dtype=np.float64)[:count, :count]
 
     def _freedom(self, factors: Sequence[str]) -> float:
         """Return the degrees of freedom that an effect is tested with.
@@ -137,19 +127,15 @@ class FittedModel:
         (containment, as R's nlme: Pinheiro and Bates, Mixed-Effects Models in S and S-PLUS, 2000, section 2.4.2).
         """
         if self.blocks is None:
-            return float(self.results.df_resid)
+            return float(len(self.exog) - self.exog.shape[1])
         if not self._is_between_blocks(factors):
-            return float(len(self._exog) - np.linalg.matrix_rank(self._with_blocks))
+            return float(len(self.exog) - np.linalg.matrix_rank(self._with_blocks))
         between = sum(self._size(each) for each in self.terms if self._is_between_blocks(each))
         return float(len(set(self.blocks)) - self.batches - between)
 
     @cached_property
-    def _exog(self) -> Floats:
-        return np.asarray(self.results.model.exog, dtype=np.float64)
-
-    @cached_property
     def _with_blocks(self) -> Floats:
-        return np.column_stack([self._exog, pd.get_dummies(self.blocks).to_numpy(dtype=np.float64)])
+        return np.column_stack([self.exog, pd.get_dummies(self.blocks).to_numpy(dtype=np.float64)])
 
     def _is_between_blocks(self, factors: Sequence[str]) -> bool:
         place = self._place(factors)
@@ -168,9 +154,6 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
         data: the measure.
         response: takes the place of the values, as their ranks.
     """
-    from statsmodels.regression.linear_model import OLS  # noqa: PLC0415 - takes a second to import
-    from statsmodels.regression.mixed_linear_model import MixedLM  # noqa: PLC0415 - as above
-
     frame = _means_in_blocks(data, response if response is not None else data.values)  # noqa: PD011 - no data frame
     factors = {name: data.levels(name) for name in data.factors}
     blocks = frame[_BLOCK].to_numpy(dtype=str) if data.is_blocked else None
@@ -186,19 +169,56 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
         why = "the factors go together so closely that their effects cannot be told apart."
         return NotComputed("the test", why)
-    with quiet():  # blocks that do not differ: their variance is at its bound, 0
-        beside = exog if blocks is None else np.column_stack([exog, pd.get_dummies(blocks).to_numpy(dtype=np.float64)])
-        left = values - beside @ np.linalg.lstsq(beside, values)[0]
-        if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(beside) < len(values):
-            of = "within each combination all values are equal" if blocks is None else "all blocks respond alike"
-            return NotComputed("the test", f"{of}, so that chance has no measure.")
-        if blocks is None:
-            return FittedModel(factors, terms, None, OLS(values, exog).fit(), note, shifts + 1)
-        try:
-            results = MixedLM(values, exog, groups=blocks).fit(reml=True, gtol=_PRECISION)
-        except np.linalg.LinAlgError:
-            return NotComputed("the test", "the mixed model of the blocks could not be fitted.")
-    return FittedModel(factors, terms, blocks, results, note, shifts + 1)
+    beside = exog if blocks is None else np.column_stack([exog, pd.get_dummies(blocks).to_numpy(dtype=np.float64)])
+    left = values - beside @ np.linalg.lstsq(beside, values)[0]
+    if np.max(np.abs(left)) <= rounding_of(values) and np.linalg.matrix_rank(beside) < len(values):
+        of = "within each combination all values are equal" if blocks is None else "all blocks respond alike"
+        return NotComputed("the test", f"{of}, so that chance has no measure.")
+    return FittedModel(factors, terms, blocks, exog, _fitted(values, exog, blocks), note, shifts + 1)
+
+
+def _fitted(values: Floats, exog: Floats, blocks: NDArray[np.str_] | None) -> _Fit:
+    """Return the estimates of least squares; with blocks, those of restricted maximum likelihood.
+
+    There it is a minimum over one number, the ratio of the two variances (Bates, Maechler, Bolker and Walker, Fitting
+    linear mixed-effects models using lme4, Journal of Statistical Software 67, 2015, section 3.4). `MixedLM` of
+    statsmodels is not used: where blocks do not differ, so that the best ratio is 0, its search ends somewhere above
+    or fails.
+    """
+    if blocks is None:
+        return _fit_at(0.0, values, exog, np.zeros(len(values), dtype=np.intp))
+    _, codes = np.unique(blocks, return_inverse=True)
+
+    def at(logarithm: float) -> _Fit:
+        return _fit_at(math.exp(logarithm), values, exog, codes)
+
+    none, nearest = _fit_at(0.0, values, exog, codes), min(map(at, _RATIOS), key=lambda each: each.deviance)
+    around, step = math.log(nearest.ratio), _RATIOS[1] - _RATIOS[0]
+    found = optimize.minimize_scalar(
+        lambda logarithm: at(logarithm).deviance,
+        bounds=(around - step, around + step),
+        method="bounded",
+        options={"xatol": _PRECISION},
+    )
+    return min((none, at(found.x)), key=lambda each: each.deviance)
+
+
+def _fit_at(ratio: float, values: Floats, exog: Floats, codes: NDArray[np.intp]) -> _Fit:
+    """Fit by least squares what is left of values once a share of the mean of their block is taken away."""
+    sizes = np.bincount(codes)
+    shares = 1 - 1 / np.sqrt(1 + ratio * sizes)
+    both = np.column_stack([exog, values])
+    sums = np.zeros((len(sizes), both.shape[1]))
+    np.add.at(sums, codes, both)
+    both = both - (shares / sizes)[codes, None] * sums[codes]
+    orthogonal, triangle = np.linalg.qr(both[:, :-1])
+    beta = np.linalg.solve(triangle, orthogonal.T @ both[:, -1])
+    inverse = np.linalg.inv(triangle)
+    freedom = len(values) - exog.shape[1]
+    scale = float(np.sum((both[:, -1] - both[:, :-1] @ beta) ** 2)) / freedom
+    determinants = np.sum(np.log1p(ratio * sizes)) + 2 * np.sum(np.log(np.abs(np.diag(triangle))))
+    deviance = float(freedom * math.log(scale) + determinants) if scale > 0 else -math.inf
+    return _Fit(deviance, ratio, beta, scale * inverse @ inverse.T, scale)
 
 
 def _means_in_blocks(data: MeasureData, response: Floats) -> pd.DataFrame:

@@ -308,37 +308,42 @@ def _comparison(pair: tuple[str, str], first: Share, second: Share, alpha: float
     return compared, p_value
 
 
-def difference_ends(first: Share, second: Share, z: float) -> tuple[float, float]:
+def difference_ends(first: Share, second: Share, z: float, times: float = 1.0) -> tuple[float, float]:
     """Return the ends of the interval of a difference: method 10 of Newcombe, Statistics in Medicine 17, 1998.
 
     Args:
         first: one share.
-        second: the other one.
+        second: the other one, which is taken away.
         z: how many standard deviations the interval reaches.
+        times: what the other one is multiplied by (Zou, Huang and Zhang, Computational Statistics and Data Analysis 53,
+            2009, for other than 1).
     """
     one, other = first.value, second.value
     (low, high), (other_low, other_high) = _score_ends(*first, z), _score_ends(*second, z)
-    below, above = math.hypot(one - low, other_high - other), math.hypot(high - one, other - other_low)
-    return one - other - below, one - other + above
+    difference = one - times * other
+    below, above = (times * each for each in (other_high - other, other - other_low))
+    return difference - math.hypot(one - low, below), difference + math.hypot(high - one, above)
 
 
 #: No interval of shares reaches further than that of so many standard deviations.
 _FURTHEST = 1e4
 
 
-def score_of(first: Share, second: Share, null: float = 0.0) -> float:
+def score_of(first: Share, second: Share, null: float = 0.0, times: float = 1.0) -> float:
     """Return how many standard deviations a difference lies above a null: what its interval reaches to end there.
 
     Args:
         first: one share.
         second: the other one, which is taken away.
         null: the difference that is tested against.
+        times: what the other one is multiplied by.
     """
-    difference = first.value - second.value
+    difference = first.value - times * second.value
     if difference == null:
         return 0.0
-    if difference < null:
-        return -score_of(second, first, -null)
-    if difference_ends(first, second, _FURTHEST)[0] >= null:
-        return math.inf
-    return float(optimize.brentq(lambda z: difference_ends(first, second, z)[0] - null, 0.0, _FURTHEST))
+    end, sign = (0, 1.0) if difference > null else (1, -1.0)
+
+    def left(z: float) -> float:
+        return sign * (difference_ends(first, second, z, times)[end] - null)
+
+    return sign * (math.inf if left(_FURTHEST) >= 0 else float(optimize.brentq(left, 0.0, _FURTHEST)))

@@ -131,7 +131,6 @@ def carry_out(data: MeasureData, model: AnyModel, choices: Choices) -> MeasureTe
             )
             for each in model.effects()
         )
-    library = "statsmodels" if isinstance(model, FittedModel) else "scipy"
     return MeasureTest(
         method=model.method,
         estimand=choices.estimand.value,
@@ -142,7 +141,7 @@ def carry_out(data: MeasureData, model: AnyModel, choices: Choices) -> MeasureTe
         spread=float(model.spread)
         if choices.estimand is not Estimand.RANK and model.method is not _NO_SPREAD
         else None,
-        library=f"{library} {version(library)}",
+        library=f"scipy {version('scipy')}",
         notes=tuple(_notes(data, model)),
     )
 
