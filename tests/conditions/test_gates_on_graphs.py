@@ -1,4 +1,4 @@
-"""A gate and a guard of a robot on a real graph: ROS 1, DDS, and ROS 2 where it is sourced."""
+"""A gate and a guard of a robot on a real graph."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.process.graph_simulation import PATIENCE, simulated_robot
-from tests.process.test_real_graphs import graph
+from tests.ros.real_graph import graph, over
 from tests.ros.ros1_master import RUDE
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@over("dds", soak=["ros1", "ros2"])
 def test_a_mission_ends_by_a_condition_and_a_guard_ends_one_over_a_real_graph(
     graph: str,
     tmp_path: Path,

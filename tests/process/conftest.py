@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.ros.real_graph import graph
 
 from robot_runner.core.storage.outliving import process_stat
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from tests.processor_wait import ProcessorWait
+
+__all__ = ["graph"]
 
 MARK = "ROBOT_RUNNER_TEST_MARK"
 #: How long something may take before a test gives up, s. It promises nothing: a busy machine may need most of it.

@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from tests.ros.dds_domain import LOOPBACK, claim_domain
-from tests.ros.ros1_master import RUDE, needs_ros1
+from tests.ros.real_graph import over
+from tests.ros.ros1_master import RUDE
 
 pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 
@@ -18,16 +18,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "bag_replay"
 SECONDS, RATE = 2, 20
 
 
-@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
-def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """How a graph of this test run is reached."""
-    if request.param == "ros1":
-        request.getfixturevalue("master_uri")
-        return "ros1"
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    return f"dds:domain={claim_domain()}"
-
-
+@over("ros1", soak=["dds"])
 def test_both_implementations_hear_the_same_bag_and_latency_and_cpu_are_measured(graph: str, tmp_path: Path) -> None:
     bag = tmp_path / "hall"
     made = [sys.executable, str(EXAMPLE / "make_bag.py"), str(bag), "--seconds", str(SECONDS)]

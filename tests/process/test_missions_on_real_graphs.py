@@ -13,9 +13,9 @@ import pytest
 from tests.conftest import HEAD
 from tests.process.conftest import wait_until
 from tests.process.graph_simulation import simulated_robot, witness
-from tests.ros.dds_domain import LOOPBACK, claim_domain
 from tests.ros.missions.drive_action import ACTION, ACTION_TYPE, DriveServer
-from tests.ros.ros1_master import RUDE, needs_ros1
+from tests.ros.real_graph import over
+from tests.ros.ros1_master import RUDE
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot_name import RobotName
@@ -43,15 +43,7 @@ CONFIG = f"""
 STOPPED_WITHIN = 3.0
 
 
-@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
-def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    if request.param == "ros1":
-        request.getfixturevalue("master_uri")
-        return "ros1"
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    return f"dds:domain={claim_domain()}"
-
-
+@over("ros1", "dds")
 def test_when_the_run_is_killed_its_goal_is_cancelled_and_the_safe_message_is_published(
     graph: str, start: Start, write_config: Callable[..., Path]
 ) -> None:

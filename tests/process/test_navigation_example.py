@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 from tests.process.graph_simulation import simulated_robot
-from tests.ros.dds_domain import LOOPBACK, claim_domain
-from tests.ros.ros1_master import RUDE, needs_ros1
+from tests.ros.real_graph import over
+from tests.ros.ros1_master import RUDE
 
 pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
 
@@ -24,16 +24,7 @@ PATIENCE = 120.0
 DIRECT, LONG = 1.1, 2.5
 
 
-@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
-def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """How a robot on a graph of this test run is reached."""
-    if request.param == "ros1":
-        request.getfixturevalue("master_uri")
-        return "ros1"
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    return f"dds:domain={claim_domain()}"
-
-
+@over("dds", soak=["ros1"])
 def test_both_planners_arrive_and_success_and_path_length_are_measured(graph: str, tmp_path: Path) -> None:
     robot = graph if graph == "ros1" else f"{graph},clock=graph"
     words = [str(CONFIG), "--set", f"results_output_path={tmp_path}", "--set", "repetitions=1"]

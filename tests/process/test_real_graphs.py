@@ -18,8 +18,8 @@ from tests.conftest import HEAD, TABLE
 from tests.process.conftest import kill_together, wait_until
 from tests.process.graph_simulation import rival, simulated_robot, witness
 from tests.processor_wait import OWN_WAITS, ProcessorWait, family
-from tests.ros.dds_domain import LOOPBACK, claim_domain
-from tests.ros.ros1_master import RUDE, needs_ros1
+from tests.ros.real_graph import over
+from tests.ros.ros1_master import RUDE
 
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.measuring.quality import MINIMUM_COVERAGE
@@ -78,27 +78,13 @@ PROFILERS = """[
     RosBag(["odom", "cmd_vel"], namespace="/alice"), RosGraph()]"""
 
 
-@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds", pytest.param("ros2", marks=pytest.mark.ros2)])
-def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """How a robot on a graph of this test run is reached."""
-    if request.param == "ros1":
-        request.getfixturevalue("master_uri")
-        return "ros1"
-    if request.param == "dds":
-        monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    else:
-        monkeypatch.delenv("CYCLONEDDS_URI", raising=False)
-        monkeypatch.setenv("ROS_LOCALHOST_ONLY", "1")
-        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return f"{request.param}:domain={claim_domain()}"
-
-
 def written(folder: Path, tasks: list[str], profilers: str = "[]", **values: object) -> Path:
     path = folder / "config.py"
     path.write_text(LISTING_1.format(tasks=tasks, profilers=profilers, **values), encoding="utf-8")
     return path
 
 
+@over("ros1", "ros2", soak=["dds"])
 def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, start: Start, tmp_path: Path) -> None:
     tasks = ["Computation", "Network"] if graph == "ros1" else ["Video", "Network"]
     with simulated_robot(graph, "--namespace", "/alice") as port:
@@ -136,6 +122,7 @@ def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, sta
     assert (labels["Energy"], labels["Distance"], labels["CPU"]) == (True, True, False)
 
 
+@over("dds", soak=["ros1", "ros2"])
 def test_two_robots_of_one_graph_take_turns_and_each_drives_its_own_runs(
     graph: str, start: Start, write_config: Callable[..., Path]
 ) -> None:
@@ -169,6 +156,7 @@ def test_two_robots_of_one_graph_take_turns_and_each_drives_its_own_runs(
     assert kinds[:2] == ["attempt_started"] * 2, "both drive at once"
 
 
+@over("ros1", soak=["dds", "ros2"])
 def test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster(
     graph: str, start: Start, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -200,6 +188,7 @@ def test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster(
     assert (ended - began).total_seconds() < 15.0 + starved
 
 
+@over("ros1", "dds", "ros2")
 def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
     graph: str, start: Start, tmp_path: Path
 ) -> None:
@@ -217,6 +206,7 @@ def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
             assert experiment.nobody_is_left()
 
 
+@over("ros1", soak=["dds", "ros2"])
 def test_a_robot_whose_topic_s_callback_raises_stands_still_within_a_second(
     graph: str, start: Start, write_config: Callable[..., Path]
 ) -> None:
@@ -277,6 +267,7 @@ def seconds_to_standstill(graph: str, experiment: Any, looking: Any, doomed: str
     return stood - killed, wait.seconds
 
 
+@over("ros1", "dds", "ros2")
 @pytest.mark.parametrize("doomed", ["the run", "all three"])
 def test_a_robot_without_a_watchdog_stands_still_within_a_second_whoever_is_killed(
     graph: str, start: Start, tmp_path: Path, doomed: str
@@ -298,6 +289,7 @@ DRIVEN = """
 """
 
 
+@over("dds", soak=["ros1", "ros2"])
 def test_a_robot_that_a_config_drives_without_any_system_stands_still_within_a_second_of_a_kill(
     graph: str, start: Start, write_config: Callable[..., Path]
 ) -> None:
@@ -313,6 +305,7 @@ def test_a_robot_that_a_config_drives_without_any_system_stands_still_within_a_s
     )
 
 
+@over("ros1", "dds", "ros2")
 @pytest.mark.soak
 @pytest.mark.parametrize("watchdog", [[], ["--no-watchdog"]], ids=["with a watchdog", "without"])
 @pytest.mark.parametrize("doomed", list(DOOMED))
@@ -344,6 +337,7 @@ def test_a_robot_stands_still_within_a_second_in_each_of_a_hundred_kills(
 SECOND_ROBOT = {"pose": {"pose": {"position": {"x": 0.01}, "orientation": {"w": 1.0}}}}
 
 
+@over("ros1", "dds", soak=["ros2"])
 def test_whoever_else_commands_the_robot_or_tells_its_odometry_fails_the_run_at_once(
     graph: str, start: Start, tmp_path: Path
 ) -> None:

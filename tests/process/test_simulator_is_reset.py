@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.process.graph_simulation import simulated_robot
-from tests.ros.dds_domain import LOOPBACK, claim_domain
-from tests.ros.ros1_master import RUDE, needs_ros1
+from tests.ros.real_graph import over
+from tests.ros.ros1_master import RUDE
 
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot_name import RobotName
@@ -68,15 +68,6 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
-@pytest.fixture(params=[pytest.param("ros1", marks=needs_ros1), "dds"])
-def graph(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    if request.param == "ros1":  # whose nodes live by the simulator's time
-        request.getfixturevalue("master_uri")
-        return "ros1"
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    return f"dds:domain={claim_domain()}"
-
-
 def written(folder: Path, **values: object) -> Path:
     path = folder / "config.py"
     path.write_text(CONFIG.format(**values), encoding="utf-8")
@@ -98,6 +89,7 @@ def goes_on(graph: str) -> bool:
         link.close()
 
 
+@over("ros1", soak=["dds"])
 def test_each_run_begins_where_the_first_did_and_the_simulator_is_left_going_on(
     graph: str, start: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -115,6 +107,7 @@ def test_each_run_begins_where_the_first_did_and_the_simulator_is_left_going_on(
         assert 0 < float(row["ResetDuration"]) < 10
 
 
+@over("ros1", "dds")
 @pytest.mark.soak
 def test_a_killed_experiment_leaves_no_simulator_paused(graph: str, start: Callable[..., Any], tmp_path: Path) -> None:
     with simulated_robot(graph, "--use-sim-time"):
