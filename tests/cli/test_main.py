@@ -48,6 +48,21 @@ def test_help_imports_nothing_that_takes_time() -> None:
     assert answer.stderr.strip() == "[]"
 
 
+def test_an_experiment_without_a_robot_starts_without_what_only_robots_and_meters_need(
+    write_config: Callable[..., Path],
+) -> None:
+    heavy = {"xmlrpc", "robot_runner.ros.graph_addresses", "robot_runner.measuring.devices"}
+    program = f"""
+import sys
+from pathlib import Path
+from robot_runner.core.config.dialects import prepare_or_refuse
+prepare_or_refuse(Path({str(write_config())!r}))
+print(*sorted({heavy} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == ""
+
+
 def test_the_version_is_that_of_the_package(robot_runner: Callable) -> None:
     answer = robot_runner("--version")
     assert (answer.code, answer.out) == (0, f"robot-runner {version('robot-runner')}\n")

@@ -16,9 +16,10 @@ from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins import treatment
 from robot_runner.plugins.systems import Lifecycle, RosParameters
+from robot_runner.ros.experiment_checks import check_left_settings
 from robot_runner.ros.kept_settings import KeptSettings, left_settings
 from robot_runner.ros.lifecycle import LifecycleState
-from robot_runner.ros.restored_settings import PUT_BACK_BY, check_left_settings
+from robot_runner.ros.restored_settings import PUT_BACK_BY
 from robot_runner.testing import (
     FakeClock,
     FakeLinks,

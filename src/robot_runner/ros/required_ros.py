@@ -1,11 +1,10 @@
-"""The ROS that the experiment requires, compared with each that is found: a check that an entry point announces."""
+"""The ROS that an experiment requires, compared with each that is found."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, LinkError
-from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_addresses import RosbridgeAddress
@@ -31,16 +30,14 @@ _WITHOUT_ROS = ("dds", "rosbridge", "rosbridge+tls", "wss")
 _MASTER_SECONDS = 2.0
 
 
-def check_ros(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield what stands between an experiment and the ROS that it needs; the embedded robot needs none.
+def ros_findings(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
+    """Yield what stands between an experiment and the ROS that it needs.
 
     Args:
         where: the config's class.
         parameters: of the experiment.
         plugins: all of the experiment; some name a computer of the robot.
     """
-    if is_simulated(parameters.robot):
-        return
     try:
         name = None if parameters.robot is None else RobotName.parse(parameters.robot)
     except LinkError:  # a finding of the link's

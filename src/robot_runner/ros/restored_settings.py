@@ -20,7 +20,6 @@ from robot_runner.ros.robot_system import check_numbers
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RobotLink
     from robot_runner.core.plugin import Circumstances, Plugin
@@ -244,14 +243,14 @@ class RestoredSettings(System):
         (context.raw_data_folder / f"{self.kind}.json").write_text(text, encoding="utf-8")
 
 
-def check_left_settings(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield that nodes of this robot are as a run set them that was killed; a check of each experiment.
+def left_findings(where: str, robot: str, plugins: Sequence[Plugin]) -> Iterator[Finding]:
+    """Yield that nodes of this robot are as a run set them that was killed.
 
     An experiment with a plugin of the kind puts them back itself, and says so.
     """
     cared_for = {plugin.kind for plugin in plugins if isinstance(plugin, RestoredSettings)}
     for kind in PUT_BACK_BY.keys() - cared_for:
-        for kept in left_settings(kind, parameters.robot):
+        for kept in left_settings(kind, robot):
             plugin = PUT_BACK_BY[kind]
             fix = f"Restart the nodes, or execute an experiment with {plugin} on this robot: it puts them back."
             yield Finding.warning(where, _left(kept), fix)

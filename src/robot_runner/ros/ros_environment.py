@@ -19,10 +19,11 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.links.ssh_command import execute, failure, gist, remedy, ssh_command
-from robot_runner.ros.ros1_master import Master
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
+
+    from robot_runner.ros.ros1_master import Master
 
 # Which ROS there is: on this machine, on a graph of ROS 1, on a robot's computer. Each says where it was read.
 
@@ -236,6 +237,8 @@ def _sourced() -> FoundRobot | None:
 def _master() -> FoundRobot | None:
     if not _is_installed("rospy"):
         return None
+    from robot_runner.ros.ros1_master import Master  # noqa: PLC0415 - HTTP and XML-RPC, for who asks a master
+
     try:
         master = Master(timeout=_MASTER_SECONDS)
         master.check()

@@ -20,7 +20,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.meters.machine import others_load
-from robot_runner.meters.machine.machine_watch import watch_machines
+from robot_runner.meters.machine.watched_plugins import watch_machines
 from robot_runner.plugins.profilers import MachineWatch, PsUtil, Rapl
 from robot_runner.testing import ProfilerContract, make_context, rehearse
 

@@ -6,7 +6,6 @@ import json
 import os
 import re
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -16,17 +15,17 @@ from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.devices import connect_host
 from robot_runner.measuring.host import FileHost, RemoteHost
-from robot_runner.measuring.measured_machine import Computer, MeasuresComputer
+from robot_runner.measuring.measured_machine import Computer
 from robot_runner.measuring.periodic import PeriodicSampler
 from robot_runner.meters.machine.machine_doubts import MachineReport, Thresholds
 from robot_runner.meters.machine.machine_state import MachineFiles, SystemFiles
 from robot_runner.meters.machine.others_load import load_between
+from robot_runner.meters.machine.watched_plugins import concerned
 from robot_runner.meters.parameter_checks import check_list, check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
-    from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Plugin
     from robot_runner.meters.machine.machine_state import Conditions, MachineState
@@ -84,7 +83,7 @@ class MachineWatch(Profiler):
 
     @property
     def _concerned(self) -> list[tuple[str, Computer]]:
-        return _concerned(self._measuring)
+        return concerned(self._measuring)
 
     def claims(self, robot: str | None) -> Iterable[str]:
         """Return what a run needs for itself: nothing, as it only looks at what goes on beside a run."""
@@ -258,23 +257,3 @@ def _descendants(state: MachineState, ancestor: int | None) -> set[int]:
         found.add(pid)
         left += [child for child in children.get(pid, ()) if child not in found]
     return found
-
-
-def _concerned(plugins: Iterable[Plugin]) -> list[tuple[str, Computer]]:
-    """Return which plugin measures which computer; how a parameter is bound to a factor decides it anew in each run."""
-    measured = [(plugin.name, plugin.measured_computer) for plugin in plugins if isinstance(plugin, MeasuresComputer)]
-    return [(name, computer) for name, computer in measured if computer is not None]
-
-
-def watch_machines(parameters: Parameters, plugins: Sequence[Plugin]) -> Iterable[Plugin]:
-    """Return the watch over the computers that these plugins measure; none where there are none, or none is wanted."""
-    watches = [plugin for plugin in plugins if isinstance(plugin, MachineWatch)]
-    for watch in watches:
-        watch.attach(plugins)
-    if not _concerned(plugins) or watches or not parameters.watch_machines:
-        return []
-    names = {plugin.name.casefold() for plugin in plugins}
-    free = next(name for number in count(1) if (name := "machine" if number == 1 else f"machine-{number}") not in names)
-    watch = MachineWatch(name=free, hosts=())
-    watch.attach(plugins)
-    return [watch]

@@ -1,0 +1,41 @@
+"""Which plugins measure a computer, and the watch over it that an experiment gets: a companion of each config.
+
+Each start of the program asks for it: what only a watch needs is imported where there is one.
+"""
+
+from __future__ import annotations
+
+from itertools import count
+from typing import TYPE_CHECKING
+
+from robot_runner.measuring.measured_machine import Computer, MeasuresComputer
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.plugin import Plugin
+
+
+def concerned(plugins: Iterable[Plugin]) -> list[tuple[str, Computer]]:
+    """Return which plugin measures which computer; how a parameter is bound to a factor decides it anew in each run."""
+    measured = [(plugin.name, plugin.measured_computer) for plugin in plugins if isinstance(plugin, MeasuresComputer)]
+    return [(name, computer) for name, computer in measured if computer is not None]
+
+
+def watch_machines(parameters: Parameters, plugins: Sequence[Plugin]) -> Iterable[Plugin]:
+    """Return the watch over the computers that these plugins measure; none where there are none, or none is wanted."""
+    if not concerned(plugins):
+        return []
+    from robot_runner.meters.machine.machine_watch import MachineWatch  # noqa: PLC0415 - as said above
+
+    watches = [plugin for plugin in plugins if isinstance(plugin, MachineWatch)]
+    for watch in watches:
+        watch.attach(plugins)
+    if watches or not parameters.watch_machines:
+        return []
+    names = {plugin.name.casefold() for plugin in plugins}
+    free = next(name for number in count(1) if (name := "machine" if number == 1 else f"machine-{number}") not in names)
+    watch = MachineWatch(name=free, hosts=())
+    watch.attach(plugins)
+    return [watch]

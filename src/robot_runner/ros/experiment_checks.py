@@ -1,0 +1,47 @@
+"""The checks of this room that entry points announce: they look at each experiment, whatever robot it has.
+
+Each start of the program asks for them: what only a robot of ROS needs is imported where there is one.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_runner.core.links.connect import is_simulated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.errors import Finding
+    from robot_runner.core.plugin import Plugin
+
+
+def check_ros(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
+    """Yield what stands between an experiment and the ROS that it needs; the embedded robot needs none.
+
+    Args:
+        where: the config's class.
+        parameters: of the experiment.
+        plugins: all of the experiment.
+    """
+    if is_simulated(parameters.robot) or (parameters.robot is None and parameters.required_ros_version is None):
+        return
+    from robot_runner.ros.required_ros import ros_findings  # noqa: PLC0415 - as said above
+
+    yield from ros_findings(where, parameters, plugins)
+
+
+def check_left_settings(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
+    """Yield that nodes of the robot are as a run set them that was killed; the embedded one ends with its run.
+
+    Args:
+        where: the config's class.
+        parameters: of the experiment.
+        plugins: all of the experiment; one that puts such settings back says so itself.
+    """
+    if parameters.robot is None or is_simulated(parameters.robot):
+        return
+    from robot_runner.ros.restored_settings import left_findings  # noqa: PLC0415 - as said above
+
+    yield from left_findings(where, parameters.robot, plugins)
