@@ -45,7 +45,7 @@ def made(root: Path, *rules: Precision, least: int = 5, spread: float = 1.0, val
 
 
 def report(folder: ExperimentFolder, kind: ReportFormat = ReportFormat.JSON) -> str:
-    written = write_report(load_results(folder.root), kind, output=folder.root.parent / kind.value)
+    written = write_report(load_results(folder.root), kind, output=folder.root.parent / kind.value, figures=())
     return written.document.read_text(encoding="utf-8")
 
 

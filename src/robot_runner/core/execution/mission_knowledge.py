@@ -137,7 +137,9 @@ class SeenRuns:
     def take(self, key: CombinationKey, seconds: float) -> None:
         """Take a run of this combination into account."""
         self._least, self._most = min(self._least, seconds), max(self._most, seconds)
-        for mean in (self._all, self._of_combination[key], *(self._of_treatment[each] for each in key)):
+        # A combination of one treatment is that treatment: what is kept of each makes each later fork dearer.
+        combination = (self._of_combination[key],) if len(key) > 1 else ()
+        for mean in (self._all, *combination, *(self._of_treatment[each] for each in key)):
             mean.take(seconds)
 
     def expected(self, key: CombinationKey) -> float | None:
