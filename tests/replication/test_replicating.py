@@ -113,6 +113,12 @@ def test_a_deviation_is_recorded_as_deliberate(unpacked, tmp_path):
     assert not identical_values(unpacked, tmp_path / "small")["Energy"].is_complete
 
 
+@pytest.mark.parametrize("name", ["results_output_path", "registration"])
+def test_what_a_replication_decides_itself_is_not_ignored_where_it_is_set(unpacked, tmp_path, name):
+    with pytest.raises(PackageError, match="a replication takes no such setting"):
+        prepare_replication(unpacked, tmp_path, {name: "elsewhere"})
+
+
 def test_what_was_set_originally_is_set_again(of_a_table_by_hand):
     original, replication = of_a_table_by_hand
     assert replication.experiment.parameters.robot == "simulated:task_power_factor=1.5"

@@ -167,10 +167,13 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
         deviations: static parameters that are to be other than they were.
 
     Raises:
-        PackageError: something that it needs is not here, or another experiment is in the folder.
+        PackageError: something that it needs is not here, another experiment is in the folder, or a deviation is none.
         ConfigError: the config is refused; carries every finding.
         StorageError: something cannot be read or written.
     """
+    if given := deviations.keys() & {_PATH, _REGISTRATION}:
+        fix = "Leave it out: results go below the folder of --to, and a registration is that of the package."
+        raise PackageError("a replication takes no such setting", where=f"--set {min(given)}", fix=fix)
     files = ExperimentFolder.found_at(root)
     manifest = read_manifest(files.manifest)
     config = _config(files, manifest)

@@ -118,7 +118,8 @@ def _keys() -> Iterator[Kind]:
     yield _kind("SSH key", rb"\b(?:sk-)?(?:ssh-(?:rsa|dss|ed25519)|ecdsa-sha2-nistp\d+)(?:@openssh\.com)?\s+"
                 rb"(AAAA[A-Za-z0-9+/=]{20,})", b"ssh-", b"ecdsa-")  # fmt: skip
     yield _kind("SSH fingerprint", rb"\bSHA256:([A-Za-z0-9+/]{43})(?![A-Za-z0-9+/])", b"sha256:")
-    crypt = rb"\$(?:[1567y]|2[aby]?|apr1|argon2id?)\$([^\s:\"',]{8,})"
+    # Parameters and salt, then the hash: of MD5, 22 characters of this alphabet. Bytes of a picture have no such row.
+    crypt = rb"\$(?:[1567y]|2[aby]?|apr1|argon2(?:id?|d))\$((?:[\w./+=,-]{0,64}\$){0,4}[A-Za-z0-9./+=]{20,})"
     yield _kind("password hash", crypt, b"$$", b"$a$", b"$b$", b"$y$", b"$apr1$", b"$argon2")
 
 
