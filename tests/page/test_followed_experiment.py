@@ -14,7 +14,7 @@ from robot_runner.core.execution import experiment_status
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import Holder
-from robot_runner.page import followed_experiment, found_experiments
+from robot_runner.page import followed_experiment, found_experiments, sampled_curves
 from robot_runner.page.followed_experiment import FollowedExperiment
 from robot_runner.page.found_experiments import FoundExperiments, id_of
 from robot_runner.page.journal_tail import JournalTail
@@ -276,6 +276,20 @@ def test_curves_grow_with_their_files_and_live_samples_give_way(root: Path) -> N
     curves.look()
     (told,) = [each for each in curves.told() if each["plugin"] == "Meter"]
     assert (told["is_live"], told["way"], told["pose"]) == (False, [(0.0, 0.0), (1.0, 0.0)], (1.0, 0.0, 0.5))
+
+
+def test_samples_beyond_what_is_drawn_of_a_file_are_said_to_be_missing(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = root / "runs" / "r_1" / "Long"
+    folder.mkdir(parents=True)
+    (folder / "samples.csv").write_text("time_s,power_W\n" + "".join(f"{second},5\n" for second in range(100)))
+    for most, times, is_cut in ((10_000, 100, False), (60, 11, True)):
+        monkeypatch.setattr(sampled_curves, "_MOST_BYTES", most)
+        curves = RunCurves(ExperimentFolder(root), "r_1")
+        curves.look()
+        (told,) = [each for each in curves.told() if each["plugin"] == "Long"]
+        assert (len(told["times"]), told["is_cut"]) == (times, is_cut)
 
 
 def test_how_much_of_a_long_journal_is_read_is_told_until_it_is_whole(root: Path) -> None:

@@ -94,7 +94,7 @@ class _SampleFile:
         self.way: list[tuple[float, float]] | None = None
         self._way_each = self._way_due = 1
         self._pose: tuple[float, float, float] | None = None
-        self.is_behind = False
+        self.is_behind = self.is_cut = False
         self._path, self._root = path, root
         self._offset = 0
         self._time = 0
@@ -113,6 +113,7 @@ class _SampleFile:
                 file.seek(self._offset)
                 wanted = min(_AT_ONCE, _MOST_BYTES - self._offset)
                 block = file.read(wanted)
+                self.is_cut = os.fstat(file.fileno()).st_size > _MOST_BYTES
         except OSError as error:
             raise storage_error(self._path, "read", error) from error
         end = block.rfind(b"\n") + 1
@@ -174,6 +175,7 @@ class _SampleFile:
             "plugin": self.plugin,
             "file": self.name,
             "is_live": self.is_live,
+            "is_cut": self.is_cut,
             "times": self.samples.times,
             "columns": [{"name": self.columns[each], "low": low[each], "high": high[each]} for each in shown],
             "way": self.way,

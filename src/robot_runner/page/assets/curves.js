@@ -86,7 +86,7 @@ function draw(chosen) {
   chosen.forEach((each, place) => {
     const plot = view.plots[place];
     plot.chart.setData([each.file.times, each.column.high, each.column.low]);
-    setText(plot.readout, "last " + number(lastOf(each.column.high)) + " at " + number(each.file.times[each.file.times.length - 1]) + " s" + (each.file.is_live ? ", being taken" : ""));
+    setText(plot.readout, "last " + number(lastOf(each.column.high)) + " at " + number(each.file.times[each.file.times.length - 1]) + " s" + (each.file.is_cut ? ": later ones are not drawn, the file is too long" : each.file.is_live ? ", being taken" : ""));
   });
 }
 
