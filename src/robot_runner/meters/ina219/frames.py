@@ -126,6 +126,9 @@ class DecoderCounts(NamedTuple):
 class FrameDecoder:
     """Turns bytes, in pieces of any size, into frames, and finds its feet again after noise.
 
+    Attributes:
+        frames: how many good ones there were.
+
     Example:
         >>> decoder = FrameDecoder()
         >>> decoder.feed(bytes.fromhex("00ff a55a 1108 0100 88130000 f217 e260 15df"))
@@ -140,12 +143,17 @@ class FrameDecoder:
         self._corrupt = 0
         self._dropped = 0
         self._foreign = 0
-        self._frames = 0
+        self.frames = 0
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing but good frames was met so far."""
+        return not (self._corrupt or self._dropped or self._foreign)
 
     @property
     def counts(self) -> DecoderCounts:
         """What was met besides good frames so far."""
-        return DecoderCounts(self._corrupt, self._dropped, self._foreign, self._frames)
+        return DecoderCounts(self._corrupt, self._dropped, self._foreign, self.frames)
 
     def feed(self, data: bytes) -> list[Frame]:
         """Return the frames that are complete now; what may still become one is kept for the next call."""
@@ -217,7 +225,7 @@ class FrameDecoder:
     def _count_frame(self) -> None:
         self._dropped += self._unexplained if self._has_seen_frame else 0
         self._has_seen_frame, self._unexplained = True, 0
-        self._frames += 1
+        self.frames += 1
 
 
 def _end_of_frame(buffer: bytes, at: int) -> int:

@@ -147,16 +147,24 @@ class SampleStream:
     def take(self, chunks: Iterable[Chunk]) -> None:
         """Decode what arrived."""
         for chunk in chunks:
-            self.bytes += len(chunk.data)
-            self._add(self._decoder.feed(chunk.data), chunk.received_at)
-            self._note_counts(chunk.data)
+            data, frames_before = chunk.data, self._decoder.frames
+            self.bytes += len(data)
+            self._add(self._decoder.feed(data), chunk.received_at)
+            if self._decoder.frames > frames_before:
+                self.bytes_since_frame = 0
+            else:
+                self.bytes_since_frame += len(data) if self._has_arrivals else len(data.strip(b"\0"))
+            if not self._decoder.is_sound:
+                self._note_faults()
 
     def finish(self) -> None:
         """Decode what is held back; call it once nothing more will arrive."""
         frames = self._decoder.finish()
+        if frames:
+            self.bytes_since_frame = 0
         if len(self):
             self._add(frames, self._received[-1])
-        self._note_counts(b"")
+        self._note_faults()
 
     def times(self) -> array[float]:
         """Return the middle of what each sample averages, s on the run's clock, never falling.
@@ -213,17 +221,12 @@ class SampleStream:
         if count:
             self._troubles.append((len(self), trouble, count))
 
-    def _note_counts(self, data: bytes) -> None:
+    def _note_faults(self) -> None:
         before, now = self._counted, self._decoder.counts
-        if now[:-1] != before[:-1]:  # there were not only good frames
-            self._note(Trouble.CORRUPT, now.corrupt - before.corrupt)
-            if self._has_arrivals:  # a recording has zeros behind each mark's end, and behind its last frame
-                self._note(Trouble.DROPPED, now.dropped_bytes - before.dropped_bytes)
-            self._note(Trouble.FOREIGN, now.foreign_versions - before.foreign_versions)
-        if now.frames > before.frames:
-            self.bytes_since_frame = 0
-        else:
-            self.bytes_since_frame += len(data) if self._has_arrivals else len(data.strip(b"\0"))
+        self._note(Trouble.CORRUPT, now.corrupt - before.corrupt)
+        if self._has_arrivals:  # a recording has zeros behind each mark's end, and behind its last frame
+            self._note(Trouble.DROPPED, now.dropped_bytes - before.dropped_bytes)
+        self._note(Trouble.FOREIGN, now.foreign_versions - before.foreign_versions)
         self._counted = now
 
     def _add_sample(self, sample: SampleFrame, received_at: float) -> None:
