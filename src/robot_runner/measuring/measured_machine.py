@@ -13,10 +13,11 @@ from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.plugin import Plugin
 
 
 _INSTALL = "Install it: pip install 'robot-runner[psutil]'."
@@ -52,6 +53,12 @@ class MeasuresComputer(Protocol):
     def measured_computer(self) -> Computer | None:
         """The computer; None for one that is simulated."""
         ...
+
+
+def concerned(plugins: Iterable[Plugin]) -> list[tuple[str, Computer]]:
+    """Return which plugin measures which computer; how a parameter is bound to a factor decides it anew in each run."""
+    measured = [(plugin.name, plugin.measured_computer) for plugin in plugins if isinstance(plugin, MeasuresComputer)]
+    return [(name, computer) for name, computer in measured if computer is not None]
 
 
 def machine_clock(context: RobotRunnerContext) -> Clock:

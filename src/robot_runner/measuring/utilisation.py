@@ -13,7 +13,7 @@ from robot_runner.measuring.quality import Column, SampleQuality, quality_of, wr
 from robot_runner.measuring.series import Series, cut, mean, mean_of_intervals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Container, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.events.window import Window
@@ -124,8 +124,12 @@ class Utilisation:
             **{name: value for place in range(len(self.selection.labels)) for name, value in self._process(place)},
         }
 
-    def doubts(self) -> Iterator[str]:
-        """Yield what is doubtful, with figures, besides the quality of the samples."""
+    def doubts(self, started: Container[str] = ()) -> Iterator[str]:
+        """Yield what is doubtful, with figures, besides the quality of the samples.
+
+        Args:
+            started: the names of software under test that the run has started; a probe before it starts none.
+        """
         yield from self.report.problems
         if self.report.form == FORMS["ps"].description and self.window.duration > 0:
             off = _PS_STEP / self.window.duration * 100
@@ -134,6 +138,9 @@ class Utilisation:
                 f"{off:.0f} % of a core for each process"
             )
         for place, selector in enumerate(self.selection.processes):
+            kind, _, name = selector.partition(":")
+            if kind == "subject" and name not in started:
+                continue
             if self.samples and not self._was_seen(place):
                 yield f"no process {selector} was seen"
             elif self.samples and not self._was_seen(place, within=self.window):

@@ -15,12 +15,11 @@ from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.devices import connect_host
 from robot_runner.measuring.host import FileHost, RemoteHost
-from robot_runner.measuring.measured_machine import Computer
+from robot_runner.measuring.measured_machine import Computer, concerned
 from robot_runner.measuring.periodic import PeriodicSampler
 from robot_runner.meters.machine.machine_doubts import MachineReport, Thresholds
 from robot_runner.meters.machine.machine_state import MachineFiles, SystemFiles
 from robot_runner.meters.machine.others_load import load_between
-from robot_runner.meters.machine.watched_plugins import concerned
 from robot_runner.meters.parameter_checks import check_list, check_positive
 
 if TYPE_CHECKING:

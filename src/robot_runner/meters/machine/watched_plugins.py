@@ -1,4 +1,4 @@
-"""Which plugins measure a computer, and the watch over it that an experiment gets: a companion of each config.
+"""The watch over computers that an experiment with plugins that measure them gets: a companion of each config.
 
 Each start of the program asks for it: what only a watch needs is imported where there is one.
 """
@@ -8,19 +8,13 @@ from __future__ import annotations
 from itertools import count
 from typing import TYPE_CHECKING
 
-from robot_runner.measuring.measured_machine import Computer, MeasuresComputer
+from robot_runner.measuring.measured_machine import concerned
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.plugin import Plugin
-
-
-def concerned(plugins: Iterable[Plugin]) -> list[tuple[str, Computer]]:
-    """Return which plugin measures which computer; how a parameter is bound to a factor decides it anew in each run."""
-    measured = [(plugin.name, plugin.measured_computer) for plugin in plugins if isinstance(plugin, MeasuresComputer)]
-    return [(name, computer) for name, computer in measured if computer is not None]
 
 
 def watch_machines(parameters: Parameters, plugins: Sequence[Plugin]) -> Iterable[Plugin]:
