@@ -65,23 +65,66 @@ def problems(*positional, robot="dds", **options):
     return [(each.problem, each.fix) for each in plugin.check(Circumstances(robot=robot, plugins=[plugin]))]
 
 
+def driving(folder, *names, seconds=(2.0, 2.0)):
+    """Return a bag in which velocities were recorded."""
+    types = TypeCatalogue.of(2)
+    bag = new_bag(folder, Encoding.CDR)
+    message = completed(types.shape("geometry_msgs/Twist"), {"linear": {"x": 0.1}}, where="")
+    data = types.serialise("geometry_msgs/Twist", message, Encoding.CDR)
+    for name, lasting in zip(names, seconds, strict=False):
+        topic = bag.add_topic(name, "geometry_msgs/Twist", types.definition("geometry_msgs/Twist"))
+        for number in range(round(lasting * 10) + 1):
+            bag.write(topic, BEGIN_NS + number * 100_000_000, data)
+    bag.close()
+    return bag.path
+
+
 class TestABagThatDrivesARobot(SystemContract):
     """A velocity that was recorded is commanded: the robot stands still whatever happens."""
 
     @pytest.fixture(autouse=True)
     def driven(self, tmp_path_factory):
-        types = TypeCatalogue.of(2)
-        bag = new_bag(tmp_path_factory.mktemp("driven"), Encoding.CDR)
-        topic = bag.add_topic("/cmd_vel", "geometry_msgs/Twist", types.definition("geometry_msgs/Twist"))
-        message = completed(types.shape("geometry_msgs/Twist"), {"linear": {"x": 0.1}}, where="")
-        data = types.serialise("geometry_msgs/Twist", message, Encoding.CDR)
-        for number in range(21):
-            bag.write(topic, BEGIN_NS + number * 100_000_000, data)
-        bag.close()
-        self.path = bag.path
+        self.path = driving(tmp_path_factory.mktemp("driven"), "/cmd_vel")
 
     def make_plugin(self):
         return PlayBag(self.path)
+
+
+def test_of_two_robots_that_a_bag_drives_one_is_stopped_also_where_the_other_cannot_be_reached(tmp_path, monkeypatch):
+    clock = FakeClock(10.0)
+    link = FakeRobotLink(clock)
+    plugin = PlayBag(driving(tmp_path, "/alice/cmd_vel", "/bob/cmd_vel"))
+    publish = link.publish
+
+    def publish_to_bob(topic, *arguments, **options):
+        if topic.startswith("/alice") and clock.now() > 11.0:
+            raise LinkError("alice is gone", where=topic)
+        publish(topic, *arguments, **options)
+
+    monkeypatch.setattr(link, "publish", publish_to_bob)
+    context = make_context(tmp_path, plugin, links=FakeLinks(robot=link), clock=clock)
+    with pytest.raises(LinkError, match="alice is gone"):
+        rehearse(context, plugin)
+    assert [each.message["linear"]["x"] for each in link.publications if each.topic == "/bob/cmd_vel"][-1] == 0.0
+    assert (context.raw_data_folder / "played.csv").read_text().count("\n") > 10
+
+
+def test_the_last_message_that_is_chosen_ends_the_mission_whether_the_time_is_told_or_not(play, tmp_path):
+    long = driving(tmp_path, "/short", "/long", seconds=(0.3, 2.0))
+    for clock in (False, True):
+        link, context = play(long, topics=["/short"], clock=clock, settle_s=0.0)
+        assert context.window.duration == pytest.approx(0.3)
+        told = [each.message["clock"]["nanosec"] for each in link.publications if each.topic == "/clock"]
+        assert len(told) == (31 if clock else 0)
+
+
+def test_one_file_of_a_bag_that_was_split_and_a_time_in_it_are_told(tmp_path):
+    one = driving(tmp_path, "/clock")
+    shutil.copy(one, one.with_name("bag_1.mcap"))
+    ((split, fix), (clocks, _)) = problems(one, robot="dds:clock=graph")
+    assert "is one of 2 files of a bag" in split
+    assert str(tmp_path) in fix
+    assert "which this plugin tells" in clocks
 
 
 @pytest.mark.parametrize("kind", ["bag", "mcap", "sqlite"])

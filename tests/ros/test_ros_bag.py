@@ -98,6 +98,11 @@ def test_what_is_heard_in_the_measured_window_is_in_the_bag(record):
     assert 50_000_000_000 <= min(stamps) <= max(stamps) <= 52_000_000_000
 
 
+def test_a_topic_with_two_names_is_recorded_once(record):
+    context = record(RosBag(["odom", "/odom"], by="link"))
+    assert context.measures["BagMessages"] == len(_read(context.raw_data_folder / "bag.mcap")) == 20
+
+
 @pytest.mark.parametrize("others", [["odom"], []])
 def test_what_publishers_keep_for_late_comers_is_at_the_beginning_of_the_bag(tmp_path, others):
     clock = FakeClock(50.0)

@@ -7,7 +7,6 @@ from array import array
 from collections import deque
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from heapq import merge
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError
@@ -16,6 +15,7 @@ from robot_runner.core.words import enumerated
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.ros.bag_recorder import ENDING, PROGRAMS
 from robot_runner.ros.recorded_bag import RecordedMessage
+from robot_runner.ros.shapes import stamp_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -93,7 +93,7 @@ class LinkPlayer:
             raise PluginError("the bag has no message of these topics", where=str(self._bag.path), fix="Name others.")
         self._reach_subscribers()  # profilers have subscribed since the topics were advertised
         first_ns, begun = self._ready[0].stamp_ns, clock.now()
-        for each in merge(self._told_times(first_ns), self._all(), key=lambda event: event.stamp_ns):
+        for each in self._with_times(first_ns):
             moment = (each.stamp_ns - first_ns) * 1e-9
             due = begun + moment / self._rate
             self._read_ahead(clock, due)
@@ -114,15 +114,15 @@ class LinkPlayer:
             for topic in self._topics.values():
                 self._link.advertise(topic.name, topic.message_type, qos=topic.qos)
 
-    def _told_times(self, first_ns: int) -> Iterator[RecordedMessage]:
-        step = round(1e9 * self._rate / CLOCK_RATE)
-        for stamp in range(first_ns, self._bag.end_ns + 1, step) if self._has_clock else ():
-            time = {"sec": stamp // 10**9, "nanosec": stamp % 10**9}
-            yield RecordedMessage(stamp, CLOCK, {"clock": time})
-
-    def _all(self) -> Iterator[RecordedMessage]:
+    def _with_times(self, first_ns: int) -> Iterator[RecordedMessage]:
+        """Yield the messages, and before each the times that are to be told by then; the last message ends it."""
+        step, told = max(1, round(1e9 * self._rate / CLOCK_RATE)), first_ns
         while self._ready or self._read_one():
-            yield self._ready.popleft()
+            message = self._ready.popleft()
+            while self._has_clock and told <= message.stamp_ns:
+                yield RecordedMessage(told, CLOCK, {"clock": stamp_of(told)})
+                told += step
+            yield message
 
     def _read_ahead(self, clock: Clock, due: float) -> None:
         """Read while there is nothing to do; a thread would hold the interpreter just when a message is due."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import ExitStack
 from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path
@@ -117,15 +118,19 @@ class PlayBag(RobotSystem):
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Yield what stands in the way: no robot, no such bag, nothing in it to play, no program, two clocks."""
         yield from robot_findings(self.name, circumstances)
+        tells_time = self.has_clock
         try:
             with RecordedBag(self.path) as bag:
-                bag.chosen(self.topics)
+                tells_time |= any(topic.name == CLOCK for topic in bag.chosen(self.topics))
+                if (count := bag.files_beside) > 1:
+                    problem = f"{bag.path.name!r} is one of {count} files of a bag: the others are not played"
+                    yield Finding.warning(self._where, problem, f"Name the folder: {str(bag.path.parent)!r}.")
                 if self.by is _By.PROGRAM and shutil.which(PROGRAMS[bag.encoding]) is None:
                     problem = f"the program {PROGRAMS[bag.encoding]!r}, which plays this bag, is not there"
                     yield Finding.error(self._where, problem, "Source the setup file of ROS, or say by='link'.")
         except PluginError as error:
             yield from (Finding.error(self._where, each.problem, each.fix) for each in error.findings)
-        if self.has_clock and circumstances.robot is not None and _lives_by_graph(circumstances.robot):
+        if tells_time and circumstances.robot is not None and _lives_by_graph(circumstances.robot):
             problem = f"the run lives by the time on {CLOCK} (robot = {circumstances.robot!r}), which this plugin tells"
             fix = "Leave clock=graph out of robot: the run takes this machine's time, and the nodes the bag's."
             yield Finding.error(self._where, problem, fix)
@@ -174,11 +179,12 @@ class PlayBag(RobotSystem):
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """End what plays, and have a robot that was driven stand still."""
-        self.make_safe(context)
         bag, self._bag, self._link_player = self._bag, None, None
-        if bag is not None:
-            self._write(context, bag)
-            bag.close()
+        with ExitStack() as closing:
+            if bag is not None:
+                closing.callback(bag.close)
+                closing.callback(self._write, context, bag)
+            self.make_safe(context)
 
     def stand_by(self, context: RobotRunnerContext) -> None:
         """Join the graph, so that `make_safe` is heard at once."""
@@ -188,14 +194,14 @@ class PlayBag(RobotSystem):
     def make_safe(self, context: RobotRunnerContext) -> None:
         """End what plays; where velocities were recorded, command zero, also in a process not connected before."""
         program, self._program = self._program, None
-        if program is not None:
-            program.close()
         if not self._chosen and context.robot is not None:
             self._chosen = self._readable_topics()
-        for topic in self._chosen:
-            if topic.message_type in VELOCITY_COMMANDS:
-                still = velocity_command(topic.message_type, 0.0, 0.0)
-                connect_robot(context).publish(topic.name, topic.message_type, still, qos=topic.qos)
+        with ExitStack() as each_of_them:  # several robots may have been driven: whatever fails with another
+            for topic in self._chosen:
+                if topic.message_type in VELOCITY_COMMANDS:
+                    each_of_them.callback(_command_zero, topic, context)
+            if program is not None:
+                program.close()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures."""
@@ -271,6 +277,11 @@ class PlayBag(RobotSystem):
                 Column("late_s", played.lateness),
             ]
             write_samples(folder / "played.csv", columns)
+
+
+def _command_zero(topic: RecordedTopic, context: RobotRunnerContext) -> None:
+    still = velocity_command(topic.message_type, 0.0, 0.0)
+    connect_robot(context).publish(topic.name, topic.message_type, still, qos=topic.qos)
 
 
 def _lives_by_graph(robot: str) -> bool:

@@ -103,6 +103,14 @@ class RecordedBag:
         """From its first to its last message, s."""
         return (self.end_ns - self.begin_ns) * 1e-9
 
+    @property
+    def files_beside(self) -> int:
+        """How many files the bag has of which this is one; 0 where it is no part of a folder's bag, or is all of it."""
+        folder = self.path.parent
+        if not (self.path.is_file() and (folder / _METADATA).is_file()):
+            return 0
+        return sum(each.suffix == self.path.suffix for each in folder.iterdir())
+
     def close(self) -> None:
         """Close the file; closing twice does nothing."""
         self._opened.close()

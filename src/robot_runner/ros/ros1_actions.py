@@ -19,7 +19,7 @@ from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
 from robot_runner.ros.action_calls import check_one_server, missing_action
 from robot_runner.ros.graph_transport import already_offered
-from robot_runner.ros.shapes import completed
+from robot_runner.ros.shapes import completed, nanoseconds_of, stamp_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -72,7 +72,6 @@ _PATIENCE = 1.5
 _POLL = 0.05
 #: How long a result may come after the state that says that there is one, s.
 _RESULT_SECONDS = 3.0
-_SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +179,7 @@ class _Client:
         sent.key = f"/robot_runner_{os.getpid()}-{next(self._numbers)}-{time.time():.6f}"
         with self._lock:
             self._goals[sent.key] = sent
-        stamp = _stamp(time.time_ns())
+        stamp = stamp_of(time.time_ns())
         header = {"seq": 0, "stamp": stamp, "frame_id": ""}
         self._send.publish({"header": header, "goal_id": {"stamp": stamp, "id": sent.key}, "goal": goal})
         sent.wait_for_status(lambda status: status not in {GoalStatus.UNKNOWN, GoalStatus.ACCEPTED}, timeout)
@@ -211,7 +210,7 @@ class _Client:
         self._open.clear()
 
     def _publish_cancel(self, sent: SentGoal) -> None:
-        self._cancel.publish({"stamp": _stamp(0), "id": sent.key})
+        self._cancel.publish({"stamp": stamp_of(0), "id": sent.key})
 
     def _take_status(self, reception: Reception) -> None:
         self._heard_at = time.monotonic()
@@ -352,9 +351,9 @@ class _Served:
 
     def _take_cancel(self, reception: Reception) -> None:
         asked = reception.message()
-        limit = _nanoseconds(asked["stamp"])
+        limit = nanoseconds_of(asked["stamp"])
         for execution in self._server.executions:
-            stamp = _nanoseconds(self._stamps.get(execution.key, {"sec": 0, "nanosec": 0}))
+            stamp = nanoseconds_of(self._stamps.get(execution.key, {"sec": 0, "nanosec": 0}))
             is_all = not asked["id"] and not limit
             if is_all or asked["id"] == execution.key or (limit and stamp <= limit):
                 self._server.cancel(execution)
@@ -383,13 +382,4 @@ class _Served:
 
 
 def _header() -> dict[str, Any]:
-    return {"seq": 0, "stamp": _stamp(time.time_ns()), "frame_id": ""}
-
-
-def _stamp(nanoseconds: int) -> dict[str, int]:
-    seconds, rest = divmod(nanoseconds, _SECOND_NS)
-    return {"sec": seconds, "nanosec": rest}
-
-
-def _nanoseconds(stamp: Mapping[str, int]) -> int:
-    return stamp["sec"] * _SECOND_NS + stamp["nanosec"]
+    return {"seq": 0, "stamp": stamp_of(time.time_ns()), "frame_id": ""}

@@ -19,7 +19,7 @@ from robot_runner.core.links.robot import Qos
 from robot_runner.ros.action_calls import check_one_server, missing_action
 from robot_runner.ros.action_types import whole_action
 from robot_runner.ros.graph_transport import LONGEST_DISCOVERY, already_offered
-from robot_runner.ros.shapes import completed
+from robot_runner.ros.shapes import completed, nanoseconds_of, stamp_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -271,12 +271,12 @@ class _Served:
     def _answer_goal(self, request: Message) -> Message:
         execution = self._server.accept(bytes(request["goal_id"]["uuid"]).hex(), request["goal"])
         stamp = time.time_ns() if execution is None else execution.accepted_ns
-        return {"accepted": execution is not None, "stamp": _stamp(stamp)}
+        return {"accepted": execution is not None, "stamp": stamp_of(stamp)}
 
     def _answer_cancel(self, request: Message) -> Message:
         asked = request["goal_info"]
         key = bytes(asked["goal_id"]["uuid"])
-        limit = asked["stamp"]["sec"] * 1_000_000_000 + asked["stamp"]["nanosec"]
+        limit = nanoseconds_of(asked["stamp"])
         if key != _EVERY and not limit:
             execution = self._server.find(key.hex())
             if execution is None:
@@ -311,9 +311,4 @@ def _complete(transport: Transport, kind: str, answer: Callable[[Message], Messa
 
 
 def _info(execution: Execution) -> dict[str, Any]:
-    return {"goal_id": uuid_of(execution.key), "stamp": _stamp(execution.accepted_ns)}
-
-
-def _stamp(nanoseconds: int) -> dict[str, int]:
-    seconds, rest = divmod(nanoseconds, 1_000_000_000)
-    return {"sec": seconds, "nanosec": rest}
+    return {"goal_id": uuid_of(execution.key), "stamp": stamp_of(execution.accepted_ns)}

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
+    from robot_runner.ros.topic_statistics import TypedTopic
 
 _FIX = "Look at the bag before you use this run."
 #: How long after the mission a bag may begin before that is told, s.
@@ -126,22 +127,24 @@ class RosBag(TopicProfiler):
         self._measured_from_ns = 0
         link, found = self.link(context), self.found(self.topics, context)
         self._problems = [f"{topic} is not published" for topic, typed in found.items() if typed is None]
-        topics = [typed for typed in found.values() if typed is not None]
-        if not topics:
+        there: dict[str, TypedTopic] = {}
+        for typed in found.values():
+            if typed is not None:
+                there.setdefault(typed.full_name, typed)  # one topic may have two names: odom and /alice/odom
+        if not there:
             fix = "Name topics that the robot publishes: " + ", ".join(sorted(link.topics())) + "."
             raise PluginError(f"none of the topics {', '.join(self.topics)} is there", where=self.name, fix=fix)
         folder = context.raw_data_folder
         if self._is_by_program(PROGRAMS[link.encoding], is_embedded=link.is_simulated):
-            names = [topic.full_name for topic in topics]
-            before = subscriptions_of(link, names)
+            before = subscriptions_of(link, list(there))
             self._begun_at = context.clock.now()
             self._recorder = BagProgram(
-                link.encoding, names, folder, host=self.host, setup=self.setup, ssh_config=self.ssh_config
+                link.encoding, list(there), folder, host=self.host, setup=self.setup, ssh_config=self.ssh_config
             )
             for topic in await_subscriptions(link, before, seconds=self.patience):
                 self._problems.append(f"the recorder did not subscribe {topic} within {self.patience:g} s")
         else:
-            self._recorder = LinkRecorder(link, topics, folder)
+            self._recorder = LinkRecorder(link, list(there.values()), folder)
 
     def start_measurement(self, context: RobotRunnerContext) -> None:
         """Begin to record."""

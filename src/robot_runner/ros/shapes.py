@@ -32,7 +32,8 @@ _FLOATS: Mapping[str, float] = MappingProxyType({"float32": 3.4028234663852886e3
 _TEXTS = ("string", "wstring")
 #: The least and the greatest seconds: ROS 1 counts times as uint32 and durations as int32.
 _STAMPS: Mapping[str, tuple[int, int]] = MappingProxyType({"time": _INTEGERS["uint32"], "duration": _INTEGERS["int32"]})
-_NANOSECONDS = (0, 999_999_999)
+_SECOND_NS = 1_000_000_000
+_NANOSECONDS = (0, _SECOND_NS - 1)
 
 #: The kinds of field that are no message themselves.
 PRIMITIVES = ("bool", *_INTEGERS, *_FLOATS, *_TEXTS, *_STAMPS)
@@ -114,6 +115,22 @@ def plain_type(name: str) -> str:
     """
     parts = name.split("/")
     return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in {"msg", "srv", "action"} else name  # noqa: PLR2004 - its parts
+
+
+def stamp_of(nanoseconds: int) -> dict[str, int]:
+    """Return a time as messages have it; `nanoseconds_of` turns it back.
+
+    Example:
+        >>> stamp_of(2_000_000_005), nanoseconds_of({"sec": 2, "nanosec": 5})
+        ({'sec': 2, 'nanosec': 5}, 2000000005)
+    """
+    seconds, rest = divmod(nanoseconds, _SECOND_NS)
+    return {"sec": seconds, "nanosec": rest}
+
+
+def nanoseconds_of(stamp: Mapping[str, int]) -> int:
+    """Return a time of a message in ns."""
+    return stamp["sec"] * _SECOND_NS + stamp["nanosec"]
 
 
 def completed(shape: Shape, message: Mapping[str, Any], *, where: str) -> dict[str, Any]:

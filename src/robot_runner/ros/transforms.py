@@ -45,8 +45,7 @@ class Transform:
     @property
     def yaw(self) -> float:
         """The angle about the z axis, rad from -pi to pi."""
-        x, y, z, w = self.rotation
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return yaw_of(*self.rotation)
 
     def apply(self, point: Vector) -> Vector:
         """Return where a point of the one frame is in the other."""
@@ -66,6 +65,19 @@ class Transform:
 
 
 IDENTITY = Transform((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def yaw_of(x: float, y: float, z: float, w: float) -> float:
+    """Return the angle of a rotation about the z axis, rad from -pi to pi; NaN where the quaternion is zero.
+
+    Its length is of no matter: not every node normalises what it publishes. ROS REP 103 has x forward, y left, z up.
+
+    Example:
+        >>> round(yaw_of(0.0, 0.0, 2.0, 2.0), 6), yaw_of(0.0, 0.0, 0.0, 0.0)
+        (1.570796, nan)
+    """
+    square = x * x + y * y + z * z + w * w
+    return math.atan2(2.0 * (w * z + x * y), square - 2.0 * (y * y + z * z)) if square else math.nan
 
 
 def between(first: Transform, second: Transform, share: float) -> Transform:

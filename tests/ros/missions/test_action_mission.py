@@ -13,7 +13,7 @@ from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.plugins import Circumstances, Measure, treatment
 from robot_runner.plugins.systems import ActionMission, Together
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures
-from robot_runner.testing import SystemContract, make_context, rehearse
+from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -173,6 +173,20 @@ def test_what_ends_the_mission_cancels_the_goal(contexts: Any) -> None:
 
 def _raise(error: Exception) -> None:
     raise error
+
+
+def test_make_safe_cancels_goals_also_where_the_wheels_cannot_be_stopped(contexts: Any, monkeypatch: Any) -> None:
+    mission = ActionMission(ACTION, ACTION_TYPE, stop_topic="cmd_vel")
+    link = FakeRobotLink(FakeClock())
+    link.offer(f"{ACTION}/_action/cancel_goal", "action_msgs/CancelGoal", lambda _: {"return_code": 0})
+
+    def publish(topic: str, *_: Any) -> None:
+        raise LinkError("somebody subscribes it as another type", where=topic)
+
+    monkeypatch.setattr(link, "publish", publish)
+    with pytest.raises(LinkError, match="as another type"):
+        mission.make_safe(contexts(mission, robot="dds", links=FakeLinks(robot=link)))
+    assert [each.service for each in link.calls] == [f"{ACTION}/_action/cancel_goal"]
 
 
 def test_two_robots_reach_their_goals_at_the_same_time(contexts: Any) -> None:

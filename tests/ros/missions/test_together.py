@@ -110,6 +110,27 @@ def test_where_one_fails_the_others_are_stopped_at_once_and_it_is_said_which(tmp
     context.resources.close()
 
 
+class _Doubting(System):
+    """Doubts one of its two measures."""
+
+    measures = (Measure("Way", "m"), Measure("Slip", "m"))
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Do nothing."""
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Doubt it, as its author may write that who never has two to doubt."""
+        context.doubt("it slipped", measures="Way")
+
+
+def test_a_doubt_about_one_measure_may_be_given_as_its_name_alone(tmp_path: Path) -> None:
+    pair = Together(_Doubting(name="alice"), _Doubting(name="bob"))
+    context = make_context(tmp_path, pair)
+    rehearse(context, pair)
+    assert [each.problem for each in context.broker.findings] == ["alice: it slipped", "bob: it slipped"]
+    context.resources.close()
+
+
 def test_two_systems_with_one_name_or_one_robot_are_refused() -> None:
     with pytest.raises(PluginError, match="2 of its systems are named 'alice'"):
         Together(Waypoints([(1, 0)], name="alice"), Waypoints([(1, 0)], name="Alice".lower()))

@@ -15,7 +15,10 @@ from robot_runner.ros.turtlebot3.odometry import ODOMETRY
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, make_context
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
+
+    from robot_runner.core.errors import Finding
 
 
 def _transform(parent: str, child: str, x: float, time: float) -> dict[str, Any]:
@@ -72,6 +75,12 @@ def test_ranges_that_say_nothing_are_no_obstacles_and_silence_is_doubted(tmp_pat
     assert "no laser scan came on 'scan'" in context.broker.findings[-1].problem
 
 
+def test_a_scanner_without_a_greatest_range_sees_no_obstacle_at_infinity(tmp_path: Path) -> None:
+    way, link, context = _scanning(tmp_path)
+    link.deliver("scan", {"range_min": 0.12, "range_max": math.inf, "ranges": [math.inf, math.inf]})
+    assert way.end_mission(context) == {"ClosestObstacle": None}
+
+
 def test_an_obstacle_that_was_too_near_to_measure_makes_the_closest_one_doubtful(tmp_path: Path) -> None:
     way, link, context = _scanning(tmp_path)
     for ranges in ([0.8, 0.5], [0.8, -math.inf]):
@@ -119,6 +128,42 @@ def test_a_way_by_odometry_that_falls_silent_is_doubted(tmp_path: Path) -> None:
     way.end_mission(context)
     (doubt,) = context.broker.findings
     assert "no odometry arrived for 3" in doubt.problem
+
+
+def _flying(tmp_path: Path, *, by_tf: bool, starts_anew: bool) -> tuple[float | None, Sequence[Finding]]:
+    """Return the way of a robot that rises by 0.3 m/s and flies ahead by 0.4 m/s for 8 s, and what is doubted."""
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+
+    def tell() -> None:
+        time = clock.now() - (5.0 if starts_anew and clock.now() > 5.0 else 0.0)
+        place = {"x": 0.4 * time, "y": 0.0, "z": 0.3 * time}
+        told = _transform("odom", "base_link", 0.0, time)
+        turned, told["transform"]["translation"] = told["transform"]["rotation"], place
+        link.deliver("/tf", {"transforms": [told]})
+        link.deliver("odom", {**told, "pose": {"pose": {"position": place, "orientation": turned}}})
+
+    clock.every(0.1, tell)
+    way = WayMeasures(*((None, None, ("odom", "base_link")) if by_tf else ("odom", None, None)), where="Go")
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(8.0)
+    return way.end_mission(context)["PathLength"], context.broker.findings
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
+def test_the_way_of_a_robot_that_flies_counts_its_height(tmp_path: Path, by_tf: bool) -> None:
+    length, findings = _flying(tmp_path, by_tf=by_tf, starts_anew=False)
+    assert length == pytest.approx(4.0, abs=0.06)
+    assert not findings
+
+
+@pytest.mark.parametrize("by_tf", [False, True])
+def test_a_way_is_doubted_where_its_time_goes_back_as_by_a_reset_or_a_bag_that_loops(
+    tmp_path: Path, by_tf: bool
+) -> None:
+    _, (doubt,) = _flying(tmp_path, by_tf=by_tf, starts_anew=True)
+    assert "went back by 4.9 s during the mission" in doubt.problem
 
 
 @pytest.mark.parametrize("frames", ["map", ("map",), ("map", ""), ("map", "odom", "base_link")])

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.plugins import Circumstances
 from robot_runner.plugins.systems import Waypoints
+from robot_runner.ros.turtlebot3.odometry import Odometer
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
 
 if TYPE_CHECKING:
@@ -84,8 +86,37 @@ def test_a_robot_whose_pose_is_no_number_is_stopped_at_once(tmp_path: Path, x: f
     assert clock.now() < 2.2
 
 
-def _odometry(now: float, x: float = 0.0) -> dict[str, Any]:
-    pose = {"position": {"x": x, "y": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+def test_a_robot_that_tells_no_direction_is_not_driven(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    link.known_topics = {"cmd_vel": "geometry_msgs/Twist"}
+    clock.every(0.05, lambda: link.deliver("odom", _odometry(clock.now(), w=0.0)))
+    ahead = Waypoints([(0.0, 1.0)])
+    context = make_context(tmp_path, ahead, robot="dds", links=FakeLinks(robot=link), clock=clock)
+    with pytest.raises(LinkError, match="the odometry tells no direction"):
+        rehearse(context, ahead)
+    assert clock.now() < 1.0
+    commands = [each.message for each in link.publications if each.topic == "cmd_vel"]
+    assert {(each["linear"]["x"], each["angular"]["z"]) for each in commands} == {(0.0, 0.0)}
+
+
+@pytest.mark.parametrize("length", [0.5, 1.0, 2.0])
+def test_the_heading_does_not_depend_on_the_length_of_the_quaternion(length: float) -> None:
+    odometer = Odometer(FakeClock(), timeout=1.0, where="robot")
+    odometer.take(_odometry(0.0, z=length * math.sin(0.6), w=length * math.cos(0.6)))
+    assert odometer.pose().heading == pytest.approx(1.2)
+
+
+def test_a_yaw_that_is_probably_in_degrees_is_warned_of() -> None:
+    def fixes(yaw: float) -> list[str]:
+        return [each.fix for each in Waypoints([(1.0, 0.0, yaw)]).check(Circumstances(robot="simulated"))]
+
+    assert fixes(90) == ["Yaws are in rad: 90 degrees are 1.571."]
+    assert fixes(-math.tau) == []
+
+
+def _odometry(now: float, x: float = 0.0, *, z: float = 0.0, w: float = 1.0) -> dict[str, Any]:
+    pose = {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": z, "w": w}}
     return {"header": {"stamp": {"sec": int(now), "nanosec": int(now % 1 * 1e9)}}, "pose": {"pose": pose}}
 
 

@@ -256,6 +256,18 @@ def test_make_safe_stops_a_robot_that_another_process_set_in_motion(stage):
     assert played.robot.calls[-1].service == "task/stop"
 
 
+def test_make_safe_stops_the_tasks_of_a_robot_whose_wheels_cannot_be_reached(stage, monkeypatch):
+    played = stage()
+
+    def publish(topic, *_):
+        raise LinkError("somebody subscribes it as another type", where=topic)
+
+    monkeypatch.setattr(played.robot, "publish", publish)
+    with pytest.raises(LinkError, match="as another type"):
+        played.plugin.make_safe(played.context)
+    assert "task/stop" in [each.service for each in played.robot.calls]
+
+
 def test_a_robot_that_does_not_move_fails_its_run(stage):
     with pytest.raises(LinkError, match=r"covered 0\.000 m of 0\.52 m"):
         stage(slip=1.0).execute()
@@ -288,7 +300,7 @@ def test_odometry_that_jumps_fails_the_run(stage):
 @pytest.mark.parametrize("is_stamped", [True, False], ids=["with stamps", "without"])
 def test_messages_of_the_odometry_that_are_lost_are_no_jump(stage, monkeypatch, is_stamped):
     if not is_stamped:
-        monkeypatch.setattr("robot_runner.ros.turtlebot3.odometry._stamp_in", lambda _: (0, 0))
+        monkeypatch.setattr("robot_runner.ros.turtlebot3.odometry.nanoseconds_of", lambda _: 0)
     played = stage(drive_s=6.0, odometry_timeout_s=3.0)
     played.clock.at(1000.0 + 2.0, lambda: setattr(played.robot, "odometry_ends_at", 0.0))
     played.clock.at(1000.0 + 4.0, lambda: setattr(played.robot, "odometry_ends_at", 2000.0))

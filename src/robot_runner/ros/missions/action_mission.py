@@ -229,15 +229,17 @@ class ActionMission(RobotSystem):
         """Cancel the goal, also in a process that did not send it, and command zero where a stop topic is named."""
         link = connect_robot(context, namespace=self.namespace)
         namespace = robot_namespace(context, self.namespace)
-        with ExitStack() as each:
-            if self.stop_topic is not None:  # first of all, and again when the goal is over
-                wheels = Wheels(link, namespace=namespace, topic=self.stop_topic)
-                wheels.command(0.0, 0.0)
+        with ExitStack() as each:  # whatever fails with another
+            wheels = None if self.stop_topic is None else Wheels(link, namespace=namespace, topic=self.stop_topic)
+            if wheels is not None:
                 each.callback(wheels.command, 0.0, 0.0)
             if self._goal is not None:
-                self._cancel()
+                each.callback(self._cancel)
             elif not link.is_simulated:
-                cancel_all_goals(link, self.action, full_name(namespace, self.action), timeout=self.cancel_timeout_s)
+                name, timeout = full_name(namespace, self.action), self.cancel_timeout_s
+                each.callback(cancel_all_goals, link, self.action, name, timeout=timeout)
+            if wheels is not None:  # first of all, and again when the goal is over
+                wheels.command(0.0, 0.0)
 
     @property
     def _where(self) -> str:

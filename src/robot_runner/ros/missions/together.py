@@ -208,7 +208,8 @@ class _BrokerOfOne:
 
     def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str]) -> None:
         del owner
-        named = [f"{self._name}.{name}" for name in measures or self._measures]
+        given = [measures] if isinstance(measures, str) else measures  # not its letters
+        named = [f"{self._name}.{name}" for name in given or self._measures]
         if named:
             self._broker.doubt(self._together, f"{self._name}: {problem}", fix, named)
         else:

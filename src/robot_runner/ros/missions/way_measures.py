@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.ros.sole_control import sole_publisher_findings
@@ -18,7 +18,6 @@ from robot_runner.ros.turtlebot3.odometry import ODOMETRY, Odometer
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from robot_runner.core.errors import Finding
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.transforms import Transform
@@ -30,6 +29,8 @@ _FIX = "Look whether the robot publishes it, or leave the parameter out."
 _PAIR = 2
 #: How long the robot's place may not have been told when the mission ends, s, before its way is doubted.
 _SILENCE = 2.0
+#: So far may its stamps go back, s: messages overtake each other; a simulator that is reset goes back by more.
+_SET_BACK = 1.0
 
 
 class WayMeasures:
@@ -87,7 +88,9 @@ class WayMeasures:
         self._way_before = self._closest = None
         if self._odometry is not None:
             # However fast the robot is: what it could drive is its own affair here.
-            odometer = Odometer(context.clock, timeout=_SILENCE, where=self._where, fastest=math.inf)
+            odometer = Odometer(
+                context.clock, timeout=_SILENCE, where=self._where, fastest=math.inf, needs_heading=False
+            )
             self._closing.callback(link.subscribe(self._odometry, ODOMETRY, odometer.take).close)
             odometer.wait(timeout)
             self._way = odometer
@@ -102,7 +105,7 @@ class WayMeasures:
         """Measure from now on."""
         self._closest, self._scans, self._too_near = None, 0, 0
         if self._way is not None:
-            self._way_before = self._way.travelled
+            self._way_before, self._way.set_back = self._way.travelled, 0.0
 
     def end_mission(self, context: RobotRunnerContext) -> dict[str, float | None]:
         """Return what was measured since `begin_mission`; a value that is not known is doubted."""
@@ -114,6 +117,12 @@ class WayMeasures:
                 doubts = [*self._rivals()]  # two odometries in turn add up to any length
             except LinkError as error:
                 doubts = [error.as_finding()]
+            if self._way.set_back > _SET_BACK:
+                problem = (
+                    f"the time of what tells the robot's place went back by {self._way.set_back:.1f} s during the "
+                    "mission: whatever lies between the places before and after counts as its way"
+                )
+                doubts.append(Finding.warning(self._where, problem, "See that nothing resets it while a run goes on."))
             for each in doubts:
                 context.doubt(each.problem, fix=each.fix, measures=[PATH_LENGTH.name])
         if self._scan is not None:
@@ -136,7 +145,8 @@ class WayMeasures:
         near, far = message["range_min"], message["range_max"]
         # Beyond its bounds a range says nothing, but that -inf is what is too near (REP 117); NaN compares as False.
         self._too_near += -math.inf in message["ranges"]
-        seen = min((each for each in message["ranges"] if near <= each <= far), default=None)
+        # A scanner may name no greatest range: inf is nothing seen then, too.
+        seen = min((each for each in message["ranges"] if near <= each <= far and each < math.inf), default=None)
         if seen is not None and (self._closest is None or seen < self._closest):
             self._closest = float(seen)
 
@@ -150,10 +160,11 @@ class _WayOfFrame:
 
     Attributes:
         travelled: the way so far, m. Where localisation mends the place of the robot, that counts as a way, too.
+        set_back: the most by which the stamps went back from one place to the next, s.
     """
 
     def __init__(self, fixed: str, moving: str) -> None:
-        self.travelled = 0.0
+        self.travelled = self.set_back = 0.0
         self._fixed, self._moving = fixed, moving
         self._buffer = TransformBuffer()
         self._last: Transform | None = None
@@ -185,4 +196,5 @@ class _WayOfFrame:
             self._told_at = self._clock.now()
         if self._last is not None:
             self.travelled += math.dist(now.translation, self._last.translation)
+            self.set_back = max(self.set_back, (self._last.time or 0.0) - (now.time or 0.0))
         self._last = now

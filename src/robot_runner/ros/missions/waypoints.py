@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
@@ -36,6 +36,8 @@ _NO_WAY, _NO_TURN = 0.005, 0.01
 #: How often a waypoint is gone at again that was missed.
 _MOST_TRIES = 4
 _SHORTEST = 2
+#: Beyond a full turn, rad, a yaw is probably in degrees.
+_MOST_YAW = math.tau + 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +133,15 @@ class Waypoints(RobotSystem):
         self._robot: Robot | None = None
         self._outcome: _Outcome | None = None
         self._is_simulated = False
+
+    def check(self, circumstances: Circumstances) -> Iterable[Finding]:
+        """Yield what stands in the way: no robot; and yaws that are probably in degrees."""
+        yield from super().check(circumstances)
+        for each in self.waypoints:
+            if each.yaw is not None and abs(each.yaw) > _MOST_YAW:
+                problem = f"the yaw {each.yaw:g} rad of a waypoint is more than a full turn"
+                fix = f"Yaws are in rad: {each.yaw:g} degrees are {math.radians(each.yaw):.4g}."
+                yield Finding.warning(f"plugin {self.name}", problem, fix)
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
         """Return odometry and velocity commands."""

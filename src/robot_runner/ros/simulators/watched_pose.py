@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError, PluginError, did_you_mean
 from robot_runner.core.links.graph_names import full_name, missing
+from robot_runner.ros.transforms import yaw_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -30,10 +31,8 @@ def distance_between(one: Spot, other: Spot) -> tuple[float, float]:
 
 
 def _of_pose(pose: Message) -> Spot:
-    turned = pose["orientation"]
-    x, y, z, w = (turned[axis] for axis in "xyzw")
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    return pose["position"]["x"], pose["position"]["y"], yaw
+    position, turned = pose["position"], pose["orientation"]
+    return position["x"], position["y"], yaw_of(*(turned[axis] for axis in "xyzw"))
 
 
 class WatchedPose:

@@ -126,11 +126,8 @@ class BasicTurtlebot3(RobotSystem):
     def start_run(self, context: RobotRunnerContext) -> None:
         """Connect, and see that the robot answers."""
         self._robot = self._performance = None
-        link = connect_robot(context, namespace=self.namespace)
-        odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
-        namespace = robot_namespace(context, self.namespace)
-        self._robot = Robot(link, odometer, context.clock, namespace=namespace, where=self.name)
-        odometer.wait(self.connect_timeout_s)
+        self._robot = self._reached(context)
+        self._robot.odometer.wait(self.connect_timeout_s)
         self._robot.check_commands_subscribed(where=self.name)
         self._robot.tasks.check(self._task_of(context), context.clock, where=self.name)
         self._end_left_task(self._robot.tasks, context)
@@ -192,9 +189,14 @@ class BasicTurtlebot3(RobotSystem):
         """Stop wheels and tasks, also in a process that has not been connected to the robot before."""
         link = connect_robot(context, namespace=self.namespace)
         namespace = robot_namespace(context, self.namespace)
-        Wheels(link, namespace=namespace).command(0.0, 0.0)  # before anything that has to ask the graph first
+        with ExitStack() as closing:
+            closing.callback(lambda: self._reached(context).close())
+            Wheels(link, namespace=namespace).command(0.0, 0.0)  # before anything that has to ask the graph first
+
+    def _reached(self, context: RobotRunnerContext) -> Robot:
+        link, namespace = connect_robot(context, namespace=self.namespace), robot_namespace(context, self.namespace)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
-        Robot(link, odometer, context.clock, namespace=namespace).close()
+        return Robot(link, odometer, context.clock, namespace=namespace, where=self.name)
 
     def _check_namespace(self, circumstances: Circumstances) -> Iterator[Finding]:
         own = self.namespace.strip("/")

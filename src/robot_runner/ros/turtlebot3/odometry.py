@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
 from robot_runner.measuring.quality import Column, write_samples
+from robot_runner.ros.shapes import nanoseconds_of
+from robot_runner.ros.transforms import yaw_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,6 +31,15 @@ _FASTEST = 5 * 0.26
 _ROOM = 0.1
 #: A clock that is set, or a message that is overtaken, steps back now and then; two robots on one topic do always.
 _MOST_STEPS_BACK = 5
+#: What makes a pose useless, and its remedy.
+_NO_NUMBER = (
+    "the odometry told a pose that is no number (NaN or infinite)",
+    "Look at the node that publishes it, such as a filter that has diverged, and start it again.",
+)
+_NO_DIRECTION = (
+    "the odometry tells no direction: its orientation is zero in x, y, z and w",
+    "Have the node that publishes it fill in the orientation of the pose, and not its position alone.",
+)
 
 
 def wrapped(angle: float) -> float:
@@ -77,14 +88,20 @@ class Odometer:
         timeout: how long, s, the odometry may be silent.
         where: the plugin, for errors.
         fastest: a change of the pose beyond this is a jump, m/s.
+        needs_heading: whether the robot is steered by its direction, so that it has to be told.
 
     Attributes:
         on_pose: called with each pose and its moment on the clock; None for no call.
+        set_back: the most by which the stamps went back from one message to the next, s.
     """
 
-    def __init__(self, clock: Clock, *, timeout: float, where: str, fastest: float = _FASTEST) -> None:
+    def __init__(
+        self, clock: Clock, *, timeout: float, where: str, fastest: float = _FASTEST, needs_heading: bool = True
+    ) -> None:
         self.on_pose: Callable[[float, Pose], None] | None = None
+        self.set_back = 0.0
         self._fastest = fastest
+        self._needs_heading = needs_heading
         self._clock = clock
         self._timeout = timeout
         self._where = where
@@ -92,25 +109,32 @@ class Odometer:
         self._received_at = clock.now()
         self._travelled = 0.0
         self._jump: tuple[float, float] | None = None
-        self._is_lost = False
-        self._stamp = (0, 0)
+        self._height = 0.0
+        self._lost: tuple[str, str] | None = None
+        self._stamp = 0
         self._steps_back = 0
 
     def take(self, message: Message) -> None:
         """Take one message."""
-        pose = _pose_in(message)
-        if not all(map(math.isfinite, (pose.x, pose.y, pose.heading))):
-            self._is_lost = True
+        told = message["pose"]["pose"]
+        pose, height = _pose_in(told), told["position"].get("z", 0.0)
+        turned = told["orientation"].values() if self._needs_heading else ()
+        if not all(map(math.isfinite, (pose.x, pose.y, height, *turned))):
+            self._lost = _NO_NUMBER
+        elif self._needs_heading and math.isnan(pose.heading):
+            self._lost = _NO_DIRECTION
+        if self._lost is not None:
             return
-        stamp = _stamp_in(message)
+        stamp = nanoseconds_of(message["header"]["stamp"])
         if self._pose is not None:
             # The stamps count, as messages may come in bursts; or their arrival, where a robot sends none.
-            seconds = max(_seconds_between(self._stamp, stamp), self._clock.now() - self._received_at)
-            step = self._pose.distance_to(pose)
+            seconds = max(later := (stamp - self._stamp) * 1e-9, self._clock.now() - self._received_at)
+            step = math.hypot(self._pose.distance_to(pose), height - self._height)
             self._travelled += step
+            self.set_back = max(self.set_back, -later)
             if self._jump is None and step > _ROOM + self._fastest * seconds:
                 self._jump = step, seconds
-        self._pose, self._received_at = pose, self._clock.now()
+        self._pose, self._height, self._received_at = pose, height, self._clock.now()
         self._steps_back += stamp < self._stamp
         self._stamp = stamp
         if self.on_pose is not None:
@@ -125,15 +149,12 @@ class Odometer:
         """Return the robot's pose.
 
         Raises:
-            LinkError: the odometry has been silent for longer than it may, jumped, told what is no number, or two
-                robots tell theirs on one topic.
+            LinkError: the odometry has been silent for longer than it may, jumped, told what is no number or no
+                direction, or two robots tell theirs on one topic.
         """
-        if self._is_lost:  # a filter has diverged, say; a controller that is fed NaN commands its limits
-            raise LinkError(
-                "the odometry told a pose that is no number (NaN or infinite)",
-                where=self._where,
-                fix="Look at the node that publishes it, such as a filter that has diverged, and start it again.",
-            )
+        if self._lost is not None:  # a controller that is fed NaN commands its limits
+            problem, fix = self._lost
+            raise LinkError(problem, where=self._where, fix=fix)
         if self._jump is not None:
             step, seconds = self._jump
             raise LinkError(
@@ -166,29 +187,14 @@ class Odometer:
             LinkError: no odometry arrived in time.
         """
         deadline = self._clock.now() + patience
-        while self._pose is None and self._clock.now() < deadline:
+        while self._pose is None and self._lost is None and self._clock.now() < deadline:
             self._clock.sleep(_POLL)
         return self.pose()
 
 
-def _stamp_in(message: Message) -> tuple[int, int]:
-    stamp = message["header"]["stamp"]
-    return stamp["sec"], stamp["nanosec"]
-
-
-def _seconds_between(earlier: tuple[int, int], later: tuple[int, int]) -> float:
-    return later[0] - earlier[0] + (later[1] - earlier[1]) * 1e-9
-
-
-def _pose_in(message: Message) -> Pose:
-    pose = message["pose"]["pose"]
+def _pose_in(pose: Message) -> Pose:
     position, turn = pose["position"], pose["orientation"]
-    # The yaw of a quaternion: ROS REP 103 has x forward, y left, z up.
-    heading = math.atan2(
-        2.0 * (turn["w"] * turn["z"] + turn["x"] * turn["y"]),
-        1.0 - 2.0 * (turn["y"] * turn["y"] + turn["z"] * turn["z"]),
-    )
-    return Pose(position["x"], position["y"], heading)
+    return Pose(position["x"], position["y"], yaw_of(*(turn[axis] for axis in "xyzw")))
 
 
 #: Poses a second: at top speed they are 2 cm apart, finer than any figure of the way shows.
