@@ -25,6 +25,7 @@ from robot_runner.analysis.sample_files import choose_file, run_files
 from robot_runner.analysis.samples import read_samples
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
 from robot_runner.core.errors import StorageError
+from robot_runner.core.events.measure import OPERATOR_OWNER, Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import ExcludedRuns
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -155,13 +156,16 @@ class Results(ExperimentFacts):
         """How far each value of the runs that are done can be trusted, one row a value.
 
         Columns: `run_id`, `measure`, `quality` (ordered categorical: good, doubtful, missing) and `reasons` (text, with
-        `; ` between them; empty for a good value).
+        `; ` between them; empty for a good value). What an operator did not answer, mostly as nobody asked, has none.
 
         Example:
             >>> quality = load_results("experiments/basic_experiment").quality  # doctest: +SKIP
             >>> quality[quality["quality"] != "good"].groupby("measure").size()  # doctest: +SKIP
         """
-        return quality_frame(self.done, self.measures, self._reasons)
+        found = quality_frame(self.done, self.measures, self._reasons)
+        answers = [name for name, column in self.columns.items() if column.owner == OPERATOR_OWNER]
+        unasked = found["measure"].isin(answers) & (found["quality"] == Quality.MISSING.value)
+        return found[~unasked].reset_index(drop=True)
 
     def _reasons(self, run_id: str, measure: str) -> tuple[str, ...]:
         """Return what the journal says of a value; the schema, where the journal does not know the run."""

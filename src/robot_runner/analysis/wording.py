@@ -127,6 +127,12 @@ def shown_interval(interval: Interval | None, digits: int = _DIGITS) -> str:
     return f"[{shown_number(interval.low, digits)}, {shown_number(interval.high, digits)}]"
 
 
+def about_intervals(intervals: Iterable[Interval | None], more: str = "") -> str:
+    """Return a sentence on what a table has as CI, with a space behind it; nothing where it has none."""
+    levels = dict.fromkeys(shown_level(each.level) for each in intervals if each is not None)
+    return f"CI: {' or '.join(levels)} confidence interval{more}. " if levels else ""
+
+
 def sentence(text: str) -> str:
     """Return a text that begins with a capital letter and ends with a full stop.
 

@@ -18,6 +18,8 @@ from robot_runner.core.errors import AnalysisError
 
 TASK = {"task": ["video", "audio", "idle"]}
 SPEED = {"speed": ["1", "2"]}
+MODES = TASK | {"mode": ["a", "b"]}
+OUTCOMES = {"rep": "{rep}", "ok": "{truth}", "docked": "{other}"}
 
 
 def made(heading, factors, repetitions=3, **cells):
@@ -31,6 +33,7 @@ def made(heading, factors, repetitions=3, **cells):
         known = dict(zip(factors, treatments, strict=True))
         values = {"n": n, "c": c, "r": r, "x": 10 + (n * 37 % 101) / 7, "q": (n % 7 == 0) + (n % 11 == 0), **known}
         values |= {"one": n + 1, "rep": r + 1, "even": n % 2}
+        values |= {"truth": str(n * 37 % 11 < 6).lower(), "other": str(n * 23 % 13 < 7).lower()}
         row = [known.get(name) or str(cells.get(name, "{x:.4f}")).format(**values) for name in heading.split(",")]
         lines.append(",".join(row))
     return "\n".join(lines) + "\n"
@@ -167,6 +170,36 @@ SHAPES = {
     "whether it worked": (
         made("__run_id,__done,task,energy,success", TASK, 5, success="true", **IDS),
         "id=__run_id done=__done rep=@ F=task M=energy+success",
+    ),
+    "whether it was reached, between the measures and about every second time": (
+        made("task,mode,rep,energy,ok,docked,way_m", MODES, 5, **OUTCOMES),
+        "rep=rep F=task+mode M=energy+ok+docked+way_m",
+    ),
+    "whether it was reached, with nothing that counts repetitions": (
+        made("task,mode,energy,ok", MODES, 5, **OUTCOMES),
+        "F=task+mode+ok M=energy ?=ok",
+    ),
+    "whether it was reached, before the measures": (
+        made("task,mode,rep,ok,energy", MODES, 5, **OUTCOMES),
+        "rep=rep F=task+mode+ok M=energy ?=ok",
+    ),
+    "whether it was reached, in words": (
+        made("task,mode,rep,energy,ok", MODES, 5, **OUTCOMES).replace("true", "yes").replace("false", "No"),
+        "rep=rep F=task+mode M=energy+ok",
+    ),
+    "how it ended, in words": (
+        made("task,mode,rep,energy,end", MODES, 5, rep="{rep}", end="{truth}")
+        .replace("true", "ok")
+        .replace("false", "late"),
+        "rep=rep F=task+mode M=energy X=end ?=end",
+    ),
+    "a factor of words behind the measures": (
+        made("rep,energy,task,cached", TASK | {"cached": ["yes", "no"]}, 5, rep="{rep}"),
+        "rep=rep F=task+cached M=energy ?=cached",
+    ),
+    "a factor of truth values, and an outcome": (
+        made("task,cached,rep,energy,ok", TASK | {"cached": ["true", "false"]}, 5, **OUTCOMES),
+        "rep=rep F=task+cached M=energy+ok",
     ),
     "few numbers, unevenly, with no word for it": (
         made("level,energy", {}, 12, level="{q}"),

@@ -190,6 +190,15 @@ class ColumnEvidence:
             return False
         return self.is_empty(name) or self.table.is_boolean(name) or self.is_numeric(name)
 
+    def has_answers(self, name: str) -> bool:
+        """Return whether a column has nothing but truth values, or yes and no."""
+        return self.table.is_boolean(name) or self.table.says_yes_or_no(name)
+
+    def without_outcomes(self, name: str, others: Sequence[str]) -> list[str]:
+        """Return columns without those of answers and texts behind a column: these may be outcomes, as it may be."""
+        behind = self.table.headings[self.table.headings.index(name) :]
+        return [each for each in others if each not in behind or (self.is_numeric(each) and each != name)]
+
     def is_decimal(self, name: str) -> bool:
         """Return whether a column has numbers that are no whole ones."""
         numbers = (self.table.number(value) for value in self.values(name))

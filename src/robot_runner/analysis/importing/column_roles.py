@@ -259,16 +259,19 @@ class _Guessing:
         evidence = self._evidence
         left = self._left()
         # Texts first: they tell for which runs numbers differ between repetitions of one combination.
-        texts = [name for name in left if self._evidence.is_treatment_text(name)]
-        texts = [name for name in left if name in texts or evidence.is_part_of(name, texts)]
-        begun = min(
-            (place for place, name in enumerate(left) if self._evidence.is_surely_measured(name)), default=len(left)
-        )
+        begun = min((place for place, name in enumerate(left) if evidence.is_surely_measured(name)), default=len(left))
         self._late = set(left[begun:])
+        # Truth values behind a measure may be outcomes, however evenly they come.
+        worded = [name for name in left if name not in self._late or not evidence.has_answers(name)]
+        texts = [name for name in worded if evidence.is_treatment_text(name)]
+        texts = [name for name in worded if name in texts or evidence.is_part_of(name, texts)]
         factors = [*self._named(Role.FACTOR), *texts]
         has_measures = False
         for place, name in enumerate(left):
-            is_first = (place < begun and not has_measures) or name in texts
+            is_outcome = name in self._late and evidence.differs_between_repetitions(
+                name, evidence.without_outcomes(name, factors), repetition
+            )
+            is_first = (place < begun and not has_measures) or (name in texts and not is_outcome)
             role, confidence, reason = self._evidence.verdict(name, factors, repetition, is_first=is_first)
             self._take(name, role, confidence, reason)
             # Without run ids that tell combinations apart, a number that varies begins the measures.
@@ -276,6 +279,8 @@ class _Guessing:
             has_measures |= role is Role.MEASURE and confidence is not Confidence.UNSURE and varies
             if role is Role.FACTOR and name not in factors:
                 factors.append(name)
+            elif role is not Role.FACTOR and name in factors:
+                factors.remove(name)
         if not any(len(evidence.values(name)) > 1 for name in self._named(Role.FACTOR)):
             self._take_only_text(texts or left)
         if repetition is None and not evidence.repetition_in_run_id:

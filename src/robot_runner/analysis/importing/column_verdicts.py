@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _MOMENT = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d.*")
 #: Numbers that were planned are few: more than these are seldom treatments, however evenly they come.
 _MANY_TREATMENTS = 12
+#: With no more, runs of a part of all combinations may look like repetitions of those without one factor.
+_FEW_REPETITIONS = 2
 
 
 class ColumnVerdicts(ColumnEvidence):
@@ -75,10 +77,13 @@ class ColumnVerdicts(ColumnEvidence):
             yield Role.MEASURE, Confidence.LIKELY, "it is empty so far"
         if self.levels(name) == 1 < self.count:
             yield self._constant(name, is_first=is_first)
-        if self.table.is_boolean(name):
-            yield self._of_truth_values(name, is_first=is_first)
+        if self.has_answers(name):
+            yield self._of_truth_values(name, others, repetition, is_first=is_first)
         if self.is_numeric(name):
             yield from self._numbers(name, others, repetition, is_first=is_first)
+        differs = self.differs_between_repetitions(name, self.without_outcomes(name, others), repetition)
+        if not is_first and differs and self.is_treatment_text(name):
+            yield Role.TEXT, Confidence.UNSURE, "text after the measures that differs between repetitions: an outcome?"
         yield from self._texts(name, is_first=is_first)
 
     def _constant(self, name: str, *, is_first: bool) -> Verdict:
@@ -86,14 +91,20 @@ class ColumnVerdicts(ColumnEvidence):
             return Role.MEASURE, Confidence.LIKELY, "the same value in all runs"
         return (Role.FACTOR if is_first else Role.TEXT), Confidence.LIKELY, "the same in all runs"
 
-    def _of_truth_values(self, name: str, *, is_first: bool) -> Verdict:
+    def _of_truth_values(self, name: str, others: Sequence[str], repetition: str | None, *, is_first: bool) -> Verdict:
         """Return what a column of truth values is."""
+        differs = self.differs_between_repetitions(name, self.without_outcomes(name, others), repetition)
+        if differs and not is_first:
+            return Role.MEASURE, Confidence.SURE, "it differs between the repetitions of a combination"
         if self.varies(name) or not self.is_filled(name) or (self.names_measure(name) and not is_first):
             return Role.MEASURE, Confidence.SURE, "truth values that runs brought"
+        if is_first and differs and repetition is not None and self.levels(repetition) > _FEW_REPETITIONS:
+            return Role.FACTOR, Confidence.UNSURE, "truth values that differ between repetitions: an outcome?"
         if is_first:
             return Role.FACTOR, Confidence.SURE, "truth values before the measures"
-        even = self.is_even(name)
-        return (Role.FACTOR if even else Role.MEASURE), Confidence.LIKELY, "truth values after the measures"
+        if self.is_even(name):
+            return Role.FACTOR, Confidence.UNSURE, "truth values after the measures, about equally often"
+        return Role.MEASURE, Confidence.LIKELY, "truth values after the measures"
 
     def _texts(self, name: str, *, is_first: bool) -> Iterator[Verdict]:
         levels = self.levels(name)

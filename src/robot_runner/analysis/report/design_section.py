@@ -9,10 +9,10 @@ import pandas as pd
 from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
 from robot_runner.analysis.report.charts import points_chart
-from robot_runner.analysis.report.material import correction_in_words
+from robot_runner.analysis.report.material import JOINT, correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.statistics.known_precision import repeated_interval
-from robot_runner.analysis.wording import ALPHA, MINUS, listed, sentence, with_unit
+from robot_runner.analysis.wording import ALPHA, MINUS, about_intervals, listed, sentence, with_unit
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import STATUS
 from robot_runner.core.design.repeated_intervals import METHOD
@@ -238,15 +238,16 @@ def _precision_blocks(known: KnownPrecision, label: str) -> Iterator[Block]:
 
 
 def _description_tables(material: Material, measure: MeasureStatistics, label: str) -> Iterator[Table]:
-    factors, name = material.results.factors, f"describe {measure.name}"
+    name = f"describe {measure.name}"
     of = measure.proportions or measure
     table: Callable[..., Table] = _description_table if measure.proportions is None else _proportion_table
-    for factor in factors:
+    for factor in material.factors:
         groups = [group for group in of.by_treatment if tuple(group.treatments) == (factor,)]
         if groups:
             yield table(f"{name} by {factor}", f"{label} by {factor}.", factor, groups)
     if of.by_combination:
-        yield table(name, f"{label} by combination.", " / ".join(factors), of.by_combination)
+        heading = JOINT.join(of.by_combination[0].treatments)
+        yield table(name, f"{label} by combination.", heading, of.by_combination)
     elif not of.by_treatment and of.overall is not None:
         yield table(name, f"{label}, all runs.", "Group", [of.overall])
 
@@ -260,7 +261,7 @@ def _proportion_table(name: str, caption: str, heading: str, groups: Sequence[Pr
         number("Yes (%)", "percent"),
         interval("CI (%)", "interval"),
     )
-    note = "CI: 95% confidence interval, Wilson's score interval."
+    note = about_intervals((group.interval for group in groups), ", Wilson's score interval").rstrip()
     return build_table(name, caption, groups, fields, note).without_blank("Missing")
 
 
@@ -294,7 +295,7 @@ def _about_intervals(groups: Sequence[Description]) -> str:
     methods = " or ".join(dict.fromkeys(each.method for each, _ in found))
     is_narrow = any(each.method.startswith("bootstrap") and n < _ENOUGH_FOR_BOOTSTRAP for each, n in found)
     caveat = f" (rather narrow for fewer than {_ENOUGH_FOR_BOOTSTRAP} runs)" if is_narrow else ""
-    return f"CI: {found[0][0].level:.0%} confidence interval, {methods}{caveat}. "
+    return about_intervals((each for each, _ in found), f", {methods}{caveat}")
 
 
 def _notes(measure: MeasureStatistics) -> Iterator[str]:

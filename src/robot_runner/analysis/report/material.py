@@ -12,6 +12,7 @@ from robot_runner.analysis.planning.registered import registered
 from robot_runner.analysis.report.blocks import Badge, Tone
 from robot_runner.analysis.sample_files import noted
 from robot_runner.analysis.statistics.analysed_design import has_known_order
+from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.known_precision import known_precisions
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
@@ -19,6 +20,7 @@ from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -152,6 +154,20 @@ class Material:
         """The runs that are done."""
         return self.results.done
 
+    def described(self, measure: MeasureStatistics) -> pd.DataFrame:
+        """Return the runs that are done and have a value of a measure, without those whose value was left out."""
+        without = {each.run_id for each in measure.left_out if each.reason is not Reason.COVARIATE}
+        return self.done[self.done[measure.name].notna() & ~self.done[RUN_ID].isin(without)]
+
+    def residual_in_words(self, measure: MeasureStatistics) -> str:
+        """Return what is taken from each value of a measure, so that its residual is left."""
+        if self.statistics.design.kind != "full_factorial":
+            return "less what effects and blocks of the design add to it"
+        batch = self.results.batch
+        is_extended = batch is not None and len(self.described(measure)[batch].unique()) > 1
+        parts = [*(["batch"] if is_extended else []), *(["covariates"] if measure.adjustment is not None else [])]
+        return f"less the mean of its combination{f' and what {enumerated(parts)} add to it' if parts else ''}"
+
     @cached_property
     def precisions(self) -> Mapping[str, KnownPrecision]:
         """How precisely each measure is known that the experiment was repeated for, by its name."""
@@ -163,10 +179,15 @@ class Material:
         """The order over which a drift is looked for, in words: that of the table where runs do not tell another."""
         return "order of execution" if has_known_order(self.results) else "order of the table"
 
+    @property
+    def factors(self) -> tuple[str, ...]:
+        """The factors that are compared: neither those that are blocks, nor those of one treatment, beside others."""
+        return self.statistics.design.factors or self.results.factors
+
     @cached_property
     def labels(self) -> Mapping[str, str]:
-        """The treatments of each run, as one text, by the run's id."""
-        return self.labels_by(self.results.factors)
+        """The treatments of each run that are compared, as one text, by the run's id."""
+        return self.labels_by(self.factors)
 
     def labels_by(self, factors: tuple[str, ...]) -> Mapping[str, str]:
         """Return each run's treatments of these factors, as one text, by the run's id."""
@@ -178,8 +199,8 @@ class Material:
 
     @cached_property
     def order(self) -> tuple[str, ...]:
-        """All combinations that the run table has, in the order in which the config has the treatments."""
-        return self.order_by(self.results.factors)
+        """All combinations of `factors` that the run table has, in the order in which the config has the treatments."""
+        return self.order_by(self.factors)
 
     def order_by(self, factors: tuple[str, ...]) -> tuple[str, ...]:
         """Return what `labels_by` yields, each text once, in the order in which the config has the treatments."""

@@ -6,8 +6,6 @@ from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from robot_runner.analysis.figures.distribution import (
     Group,
     draw_distribution,
@@ -40,7 +38,7 @@ def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlo
         return None
     return FigureBlock(
         f"qq {measure.name}",
-        f"Residuals of {measure.name} (value less the mean of its combination) against the normal distribution; "
+        f"Residuals of {measure.name} (value {material.residual_in_words(measure)}) against the normal distribution; "
         "points on the dashed line would be normal. The line goes through the quartiles.",
         f"Q-Q figure of {counted(len(pairs.observed), 'residual')} of {measure.name}.",
         lambda: draw_quantiles(
@@ -57,8 +55,8 @@ def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -
     """Return the figure of a measure over the order of execution, or of the table where that is not known."""
     return FigureBlock(
         f"order {measure.name}",
-        f"{measure.name} over the {material.order_of_runs}: each run less the mean of its combination. Dashed: slope "
-        f"of Theil and Sen, {with_unit(drift.slope, difference_unit(measure.unit), 3)} a run "
+        f"{measure.name} over the {material.order_of_runs}: each run {material.residual_in_words(measure)}. Dashed: "
+        f"slope of Theil and Sen, {with_unit(drift.slope, difference_unit(measure.unit), 3)} a run "
         f"(Spearman's {RHO} = {shown_number(drift.correlation, 3)}).",
         f"Residuals of {measure.name} over the {material.order_of_runs}.",
         lambda: draw_run_order(
@@ -79,9 +77,9 @@ def _distributions(material: Material, measure: MeasureStatistics) -> Iterator[F
     draw, described = (_distribution, measure.overall) if of is None else (_proportions, of.overall)
     if described is None or not described.n:
         return
-    design = material.statistics.design
-    factors = tuple(name for name in material.results.factors if name in {*design.factors, *design.constant_factors})
-    if len(factors) > 1 and 1 < len(material.order) <= _MOST_COMBINATIONS:
+    runs = material.described(measure)
+    factors = tuple(name for name in material.statistics.design.factors if runs[name].nunique() > 1)
+    if len(factors) > 1 and len(material.order_by(factors)) <= _MOST_COMBINATIONS:
         yield draw(material, measure, factors)
         return
     for factor in factors:
@@ -144,12 +142,10 @@ def _descriptions(measure: MeasureStatistics, factors: tuple[str, ...]) -> tuple
 def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, ...]) -> list[Group]:
     labels = material.labels_by(factors)
     described = {JOINT.join(each.treatments.values()): each for each in _descriptions(measure, factors)}
-    done = material.done
-    values = pd.to_numeric(done[measure.name], errors="coerce")
+    runs = material.described(measure)
     members: dict[str, list[tuple[float, str]]] = {label: [] for label in material.order_by(factors)}
-    for run_id, value in zip(done[RUN_ID], values, strict=True):
-        if pd.notna(value):
-            members[labels[run_id]].append((float(value), str(run_id)))
+    for run_id, value in zip(runs[RUN_ID], runs[measure.name], strict=True):
+        members[labels[run_id]].append((float(value), str(run_id)))
     groups = []
     for label, pairs in members.items():
         description = described.get(label)

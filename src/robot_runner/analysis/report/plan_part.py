@@ -8,7 +8,15 @@ from robot_runner.analysis.report.blocks import Block, Cell, Paragraph, Part, Ta
 from robot_runner.analysis.report.tables import build_table, field, interval, number, p_value, text
 from robot_runner.analysis.statistics.disclosed import Beside
 from robot_runner.analysis.statistics.left_out import MOST_FALSE_POSITIVES, rate_in_words
-from robot_runner.analysis.wording import MISSING, difference_unit, p_in_words, sentence, shown_number, with_unit
+from robot_runner.analysis.wording import (
+    MISSING,
+    about_intervals,
+    difference_unit,
+    p_in_words,
+    sentence,
+    shown_number,
+    with_unit,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -62,8 +70,9 @@ def _adjustment(measure: MeasureStatistics, found: Adjustment, label: str) -> It
         interval("CI", "interval"),
     )
     caption = f"{label}: means as measured, and at the mean of the covariates."
-    note = "Each combination counts the same."
-    if all(each.interval is None for each in found.means):
+    about = about_intervals(each.interval for each in found.means)
+    note = f"{about}Each combination counts the same."
+    if not about:
         note += " Within blocks only differences have an interval."
     table = build_table(f"adjusted {measure.name}", caption, found.means, fields, note)
     yield table.without_blank("CI")
@@ -87,7 +96,8 @@ def _slope_table(measure: MeasureStatistics, slopes: Sequence[Slope], label: str
         number("Variance inflation", "inflation", 3),
         p_value("p of treatments", "treatments_p_value"),
     )
-    note = "p of treatments: of the test that the covariate does not differ between treatments."
+    about = about_intervals(slope.interval for slope in slopes)
+    note = f"{about}p of treatments: of the test that the covariate does not differ between treatments."
     equal = None if measure.adjustment is None else measure.adjustment.slopes_p_value
     if equal is not None:
         note += f" Slopes are taken to be the same for all treatments; the test of that, a check: {p_in_words(equal)}."

@@ -62,7 +62,8 @@ def _cards(material: Material, threats: Sequence[Remark]) -> Iterator[Card]:
         f"{failed:,} failed{excluded}" if failed else f"none failed{excluded}",
         tone,
     )
-    factors, design = material.results.factors, material.statistics.design
+    design = material.statistics.design
+    factors = [name for name in material.results.factors if name in {*design.factors, *design.constant_factors}]
     if factors:
         sizes = f" {TIMES} ".join(str(material.runs[name].nunique()) for name in factors)
         yield Card(sizes, _plural(sizes, "treatment"), f"of {listed(factors, shown=3)}")
@@ -96,17 +97,16 @@ def _conclusion(material: Material, measure: MeasureStatistics) -> Paragraph:
 def replication_section(material: Material) -> Section:
     """Return the section on how to replicate the experiment, and what to compare."""
     name = material.results.folder.name
+    if not material.manifest("config", "file"):
+        missing = "The folder holds no config: these results were made elsewhere. Their authors know how."
+        contents = tuple((file, what) for file, what in _CONTENTS if file != "config/")
+        return Section("how-to-replicate", "How to replicate", (Paragraph(missing, Tone.WARNING), Facts(contents)))
     intro = (
         f"Everything that the experiment consists of is in its folder, {name}. These commands execute its config "
         "again, the same runs in the same order, with what was set by hand then, and compare the results with these; "
         "state as the bound what difference would not matter."
     )
-    blocks: list[Block] = [Paragraph(intro)]
-    if material.manifest("config", "file"):
-        blocks += [Code(_commands(material, name)), Paragraph(_order(material), Tone.NOTE)]
-    else:
-        missing = "The folder holds no config: these results were made elsewhere. Their authors know how."
-        blocks.append(Paragraph(missing, Tone.WARNING))
+    blocks: list[Block] = [Paragraph(intro), Code(_commands(material, name)), Paragraph(_order(material), Tone.NOTE)]
     blocks.append(Facts(_CONTENTS))
     return Section("how-to-replicate", "How to replicate", tuple(blocks))
 
@@ -152,8 +152,10 @@ def means_table(material: Material, name: str) -> Iterator[Table]:
     def means(treatment: str) -> Field:
         return field(treatment, lambda measure: _mean(groups[measure].get(treatment)), is_number=True)
 
-    caption = f"Means by {JOINT.join(material.results.factors)}."
-    note = "Mean of the runs that are done, and their standard deviation (± SD)."
+    caption = f"Means by {JOINT.join(material.factors)}."
+    without = any(measure.left_out for measure in material.statistics.measures)
+    runs = f"runs that are done{', but for values that the analysis leaves out,' if without else ','}"
+    note = f"Mean of the {runs} and their standard deviation (± SD)."
     yield build_table(name, caption, groups, (text("Measure", material.results.label), *map(means, names)), note)
 
 

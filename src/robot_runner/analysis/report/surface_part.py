@@ -11,7 +11,14 @@ import pandas as pd
 from robot_runner.analysis.figures.style import COLUMN, DASHED, INK, figure_style, label_axes, new_axes
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Paragraph, Part
 from robot_runner.analysis.report.tables import build_table, interval, number, p_value, text
-from robot_runner.analysis.wording import p_in_words, shown_interval, shown_number, shown_statistic, with_unit
+from robot_runner.analysis.wording import (
+    about_intervals,
+    p_in_words,
+    shown_interval,
+    shown_number,
+    shown_statistic,
+    with_unit,
+)
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -89,7 +96,10 @@ def _coefficients(material: Material, measure: MeasureStatistics, surface: Surfa
         p_value("p", "p_value", lambda each: bool(each.term) and each.p_value < alpha),
     )
     coding = "; ".join(f"{name}: ({name} - {middle:g}) / {half:g}" for name, (middle, half) in surface.coding.items())
-    note = f"Of coded factors. {coding}. p-values of coefficients are not adjusted: conclusions are those of the tests."
+    note = (
+        f"{about_intervals(each.interval for each in surface.coefficients)}Of coded factors. {coding}. p-values of "
+        "coefficients are not adjusted: conclusions are those of the tests."
+    )
     caption = f"{material.results.label(measure.name)}: coefficients of the surface."
     return build_table(f"surface {measure.name}", caption, surface.coefficients, fields, note)
 

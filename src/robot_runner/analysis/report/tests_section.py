@@ -30,6 +30,7 @@ from robot_runner.analysis.wording import (
     ALPHA,
     MISSING,
     RHO,
+    about_intervals,
     listed,
     sentence,
     shown_interval,
@@ -109,7 +110,8 @@ def _test(material: Material, measure: MeasureStatistics) -> Iterator[Block]:
         yield Paragraph(effect.conclusion, Tone.GOOD)
     for standing in material.statistics.standings:
         if standing.measure == measure.name:
-            yield Paragraph(standing.conclusion, Tone.PLAIN if standing.stands else Tone.WARNING)
+            tone = Tone.PLAIN if standing.stands else Tone.WARNING
+            yield Paragraph(standing.conclusion, tone, lead=standing.statement)
     method = test.method.value
     if test.family_size > 1:
         adjusted = f"p-values are adjusted for {counted(test.family_size, 'test')}: {test.family}."
@@ -245,11 +247,21 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
     ]
     name, caption = f"pairs {measure.name} {' '.join(post_hoc.factors)}", f"all pairs of {' / '.join(post_hoc.factors)}"
     note = (
-        f"{post_hoc.method}; intervals, in brackets, belong to p. Adjusted after "
+        f"{post_hoc.method}; {_about_brackets(post_hoc)} Adjusted after "
         f"{correction_in_words(post_hoc.correction)}, and no smaller than the p-value of the effect."
     )
     table = build_table(name, f"{label}: {caption}.", post_hoc.comparisons, fields, note)
     return table.without_blank("p of ranks") if post_hoc.quantity == QUANTITY else table
+
+
+def _about_brackets(post_hoc: PostHoc) -> str:
+    """Return what the intervals of pairs are, and of which effect sizes they have another level."""
+    pairs = post_hoc.comparisons
+    level = next((shown_level(pair.interval.level) for pair in pairs if pair.interval is not None), "")
+    sizes = ((size.name, size.interval) for pair in pairs for size in pair.effect_sizes if size.interval is not None)
+    others = {name: other for name, of in sizes if (other := shown_level(of.level)) != level}
+    besides = f" ({', '.join(f'{other} for {name}' for name, other in others.items())})" if others else ""
+    return f"{level} confidence intervals{besides}, in brackets, belong to p.".lstrip()
 
 
 def _size_fields(name: str) -> tuple[Field, ...]:
@@ -296,9 +308,10 @@ def _correlation_table(material: Material) -> Table:
         number("r within treatments", "within", 3),
         text("Magnitude", "magnitude.value"),
     )
+    about = about_intervals((each.pearson_interval for each in found), " of r")
     note = (
-        f"p-values are of Spearman's {RHO}, {counted(len(found), 'pair')}. Within treatments: what is left once the "
-        "effect of the treatments is taken away."
+        f"{about}p-values are of Spearman's {RHO}, {counted(len(found), 'pair')}. Within treatments: what is left once "
+        "the effect of the treatments is taken away."
     )
     caption = "How measures go together, over all runs that are done."
     return build_table("correlations", caption, found, fields, note)

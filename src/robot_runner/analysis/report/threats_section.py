@@ -135,7 +135,7 @@ def _doubtful(material: Material) -> Threats:
     for name, rows in doubted.groupby("measure", sort=False):
         standings = material.statistics.standings
         mine = [each for each in standings if each.measure == name and each.beside is not Beside.WITHOUT_COVARIATES]
-        told = " ".join(each.conclusion for each in mine)
+        told = " ".join(f"{each.statement}{': ' * bool(each.statement)}{each.conclusion}" for each in mine)
         runs = counted(len(material.done), "run")
         text = f"{len(rows):,} of {runs}: {listed(rows['run_id'])}; Outcome of each run has the reasons. {told}".strip()
         yield f"{name} has doubtful values", text, Tone.WARNING if all(each.stands for each in mine) else Tone.BAD
@@ -262,7 +262,8 @@ def _unfinished(material: Material) -> Threats:
         text = f"{listed(again)}: results are those of the last attempt, at another time than planned."
         yield "Runs were executed more than once", text, Tone.NOTE
     for name in material.results.measures:
-        missing = int(material.done[name].isna().sum())
+        mine = material.doubted["measure"] == name
+        missing = int((mine & (material.doubted["quality"] == Quality.MISSING.value)).sum())
         if missing:
             text = f"No value in {missing:,} of {counted(len(material.done), 'run')} that are done."
             yield f"{name} has missing values", text, Tone.WARNING
@@ -335,11 +336,11 @@ def _saturation(material: Material) -> Threats:
 
 
 def _unread(material: Material) -> Threats:
-    readers, constant = material.results.readers, material.statistics.design.constant_factors
+    readers = material.results.readers
     if readers is None:
         return
-    for factor in material.results.factors:
-        if factor not in readers and factor not in constant:
+    for factor in material.statistics.design.factors:  # a day, a unit, a period are said of a run, and not applied
+        if factor not in readers:
             text = (
                 f"No callback and no plugin looked at {factor} in any run: unless somebody applied it by hand, the "
                 "treatments differ in name only, and that no effect is found says nothing."

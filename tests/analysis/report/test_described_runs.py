@@ -1,0 +1,138 @@
+"""Tables, figures, captions and cards of a report tell of the same runs, treatments and intervals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.analysis.made_experiment import make_experiment
+
+from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.report.blocks import Paragraph, Remarks
+from robot_runner.analysis.report.document import report_document
+from robot_runner.analysis.report.material import Material
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.hypothesis import Hypothesis
+from robot_runner.core.design.outliers import Outliers
+from robot_runner.designs.blocked import Blocks
+from robot_runner.designs.squares import LatinSquare
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.analysis.report.blocks import Document, FigureBlock, Table
+
+TASK, SPEED, MAP = Factor("Task", ["A", "B"]), Factor("Speed", [1, 2]), Factor("Map", ["m1", "m2"])
+VALUES = (10.0, 11.0, 12.0, 13.0, 11.5, 300.0)
+
+
+def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+    energy = VALUES[repetition - 1] + (treatments["Task"] == "B") + 0.1 * repetition
+    return {"Energy": energy, "Reached": repetition % 2 == 1}
+
+
+def report(
+    folder: Path, factors: list[Factor], chosen: Any = None, plan: AnalysisPlan | None = None, **made: Any
+) -> Document:
+    make_experiment(
+        folder,
+        factors,
+        lambda treatments, repetition: None if treatments.get("Map") == "m2" else values(treatments, repetition),
+        repetitions=6,
+        measures=("Energy", "Reached"),
+        shuffle=True,
+        chosen=chosen,
+        analysis=None if plan is None else plan.as_mapping(),
+        **made,
+    )
+    results = load_results(folder)
+    return report_document(Material(results, analyse(results)), made="")
+
+
+def figure(document: Document, name: str) -> FigureBlock:
+    return next(each for each in document.figures if each.name == name)
+
+
+def table(document: Document, name: str) -> Table:
+    return next(each for each in document.tables if each.name == name)
+
+
+def cards(document: Document) -> list[str]:
+    return [f"{each.value} {each.label} {each.note}" for each in document.sections[0].blocks[0].cards]
+
+
+def test_values_that_the_plan_leaves_out_are_in_no_mean_of_a_figure(tmp_path: Path) -> None:
+    plan = AnalysisPlan("Energy", outliers=Outliers(interquartile_ranges=3))
+    document = report(tmp_path / "trial", [TASK, SPEED], plan=plan)
+    drawn = figure(document, "distribution Energy by Task / Speed")
+    assert "A / 1: mean 11.8, n = 5;" in drawn.alternative
+    lines = figure(document, "interaction Energy Task Speed").draw().axes[0].get_lines()
+    assert max(max(line.get_ydata()) for line in lines) < 20
+    means = table(document, "means")
+    assert means.rows[0][1].text.startswith("11.80 ±")
+    assert "but for values that the analysis leaves out" in means.note
+
+
+@pytest.mark.parametrize("other", [Factor("Map", ["m1"]), MAP], ids=["one treatment", "one executed"])
+def test_a_factor_that_did_not_vary_leaves_figures_and_tables_as_they_are(tmp_path: Path, other: Factor) -> None:
+    document = report(tmp_path / "trial", [TASK, SPEED, other])
+    proportions = figure(document, "distribution Reached by Task / Speed")
+    assert "A / 1: 3 of 6; A / 2: 3 of 6" in proportions.alternative
+    drawn = figure(document, "distribution Energy by Task / Speed")
+    assert "Named runs are outliers." in drawn.caption
+    headings = [column.name for column in table(document, "means").columns]
+    assert headings == ["Measure", "A / 1", "A / 2", "B / 1", "B / 2"]
+    assert table(document, "describe Energy").columns[0].name == "Task / Speed"
+
+
+def test_blocks_are_no_treatments_of_the_means_and_cards(tmp_path: Path) -> None:
+    document = report(tmp_path / "trial", [Factor("Day", [1, 2, 3]), TASK], chosen=Blocks("Day"))
+    assert "2 treatments of Task" in cards(document)
+    assert "6 runs each of a combination" in cards(document)
+    means = table(document, "means")
+    assert means.caption == "Means by Task."
+    assert [column.name for column in means.columns] == ["Measure", "A", "B"]
+
+
+def test_captions_say_what_residuals_are_left_of(tmp_path: Path) -> None:
+    square = [Factor("Day", [1, 2, 3]), Factor("Hour", [1, 2, 3]), Factor("Task", ["A", "B", "C"])]
+    designed = report(tmp_path / "square", square, chosen=LatinSquare("Day", "Hour"))
+    assert "(value less what effects and blocks of the design add to it)" in figure(designed, "qq Energy").caption
+    plain = report(tmp_path / "plain", [TASK])
+    assert "each run less the mean of its combination. Dashed" in figure(plain, "order Energy").caption
+    assert "(value less the mean of its combination)" in figure(plain, "qq Energy").caption
+
+
+def test_intervals_have_their_level_beside_them(tmp_path: Path) -> None:
+    plan = AnalysisPlan("Energy", alpha=0.01, covariates="order")
+    document = report(tmp_path / "trial", [Factor("Task", ["A", "B", "C"])], plan=plan)
+    pairs = table(document, "pairs Energy Task").note
+    assert "99% confidence intervals (95% for Cliff's delta, 95% for Vargha-Delaney A12), in brackets, " in pairs
+    for name, level in {"slopes Energy": "99", "adjusted Energy": "99", "describe Energy by Task": "95"}.items():
+        assert table(document, name).note.startswith(f"CI: {level}% confidence interval")
+
+
+def test_without_a_config_no_commands_and_no_config_are_spoken_of(tmp_path: Path) -> None:
+    section = report(tmp_path / "trial", [TASK]).sections[-1]
+    told = " ".join(str(block) for block in section.blocks)
+    assert "The folder holds no config" in told
+    assert "These commands" not in told
+    assert "config/" not in told
+
+
+def test_a_hypothesis_is_named_where_it_is_said_to_stand(tmp_path: Path) -> None:
+    hypothesis = Hypothesis("B needs more than A", measure="Energy", factors="Task", contrast={"A": -1, "B": 1})
+    plan = AnalysisPlan("Energy", hypotheses=[hypothesis], outliers=Outliers(interquartile_ranges=3))
+    document = report(tmp_path / "trial", [TASK], plan=plan, doubts={"r_1": "the battery was low"})
+    told = [each for each in document.blocks() if isinstance(each, Paragraph) and "support it" in each.text]
+    assert told
+    assert {each.lead.removesuffix(".") for each in told} == {"B needs more than A"}
+    (threat,) = [
+        each
+        for block in document.blocks()
+        if isinstance(block, Remarks)
+        for each in block.remarks
+        if each.title == "Energy has doubtful values"
+    ]
+    assert "B needs more than A: Without the 1 run" in threat.text
