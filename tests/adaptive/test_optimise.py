@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner import Factor, Range, RunTableModel
-from robot_runner.adaptive import Optimise
+from robot_runner.adaptive import Optimise, optimise
 from robot_runner.adaptive.optimise import _Search
 from robot_runner.adaptive.searched_space import SearchedSpace
 from robot_runner.core.design.asking import Decision, Told
@@ -153,12 +154,19 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
     assert raised.value.findings[0].fix == "Install the extra: pip install 'robot-runner[adaptive]'"
 
 
-def test_an_optuna_that_fails_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("robot_runner.adaptive.optimise._PROGRAM", "robot_runner.adaptive.no_such_program")
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("_PROGRAM", "robot_runner.adaptive.no_such_program", ".*no_such_program"),
+        ("_PATIENCE", 0.001, "no answer came within 0.001 s"),
+    ],
+)
+def test_an_optuna_that_fails_is_told(monkeypatch: pytest.MonkeyPatch, name: str, value: Any, reason: str) -> None:
+    monkeypatch.setattr(optimise, name, value)
     model = model_of(Optimise("Energy", runs=20))
     asking = _Search(model.design, model.factors, model.allowed, 1)  # type: ignore[arg-type]
     told = told_of([(run.combination, 1) for run in model.plan()], energy)
-    with pytest.raises(DesignError, match=r"Optuna could not be asked where to search next: .*no_such_program"):
+    with pytest.raises(DesignError, match=f"Optuna could not be asked where to search next: {reason}"):
         asking.ask(told)
 
 
@@ -174,3 +182,36 @@ def test_treatments_whose_runs_fail_are_avoided_and_not_only_their_combinations(
         after_start = [each.run.combination["Mode"] for each in told[6:]]
         tried, failed = tried + len(after_start), failed + after_start.count("plain")
     assert failed / tried < 1 / 3, f"{failed} of {tried}: by chance it would be a third"
+
+
+@pytest.mark.usefixtures("optuna_here")
+def test_what_was_excluded_is_passed_over_and_does_not_count_as_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, Any]] = []
+    answered = optimise.subprocess.run
+
+    def recorded(command: list[str], **given: Any) -> Any:
+        asked.append(json.loads(given["input"]))
+        return answered(command, **given)
+
+    monkeypatch.setattr(optimise.subprocess, "run", recorded)
+    model = model_of(Optimise("Energy", runs=20, start=6, at_a_time=3))
+    asking = _Search(model.design, model.factors, model.allowed, 1)  # type: ignore[arg-type]
+    told = told_of([(run.combination, 1) for run in model.plan()], energy)
+    told[2] = told[2]._replace(values={}, is_excluded=True)
+    told[4] = told[4]._replace(values={})
+    decision = asking.ask(told)
+    (question,) = asked
+    assert [values is None for _, values in question["points"]] == [False, False, False, True, False]
+    assert len(question["tried"]) == 6
+    assert not {each.treatments for each, _ in decision.runs} & {each.run.combination.treatments for each in told}
+
+
+@pytest.mark.usefixtures("optuna_here")
+def test_a_search_goes_on_among_the_treatments_that_the_config_has_now() -> None:
+    design = Optimise("Energy", runs=9, start=5, confirm=1)
+    begun = RunTableModel([Factor("Speed", range(1, 13))], design=design, data_columns=["Energy"])
+    told = told_of([(run.combination, 1) for run in begun.plan()], lambda each: {"Energy": float(each["Speed"])})
+    now = RunTableModel([Factor("Speed", range(5, 20))], design=design, data_columns=["Energy"])
+    (next_one, _), *others = _Search(design, now.factors, now.allowed, 1).ask(told).runs
+    assert next_one["Speed"] in range(5, 20)
+    assert not others

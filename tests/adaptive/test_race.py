@@ -107,3 +107,9 @@ def test_a_race_that_has_no_value_at_its_first_look_ends_and_says_so() -> None:
     told, decision = raced(np.full((2, 9), np.nan), confirm=3)
     assert len(told) == 2 * 5
     assert decision.findings[0][0] == "no combination has a value of Energy"
+
+
+def test_values_that_differ_by_rounding_alone_are_equally_good() -> None:
+    values = np.tile([0.1 + 0.2, 0.3, 0.5], (6, 1)).T * np.array([1, 2, 1, 3, 1, 2])
+    _, decision = raced(values, least=3)
+    assert left_in(decision) == {"gait 0", "gait 1"}

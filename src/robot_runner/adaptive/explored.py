@@ -38,11 +38,13 @@ class Explored:
     Attributes:
         values: of each measure, by its name, by repetition.
         repetition: the highest one, whether or not it confirms.
+        has_failed: whether a run of the search yielded no value, and not because somebody left it out.
     """
 
     combination: Combination
     values: dict[str, dict[int, float]] = field(default_factory=dict)
     repetition: int = 0
+    has_failed: bool = False
 
     @property
     def as_texts(self) -> dict[str, str]:
@@ -81,7 +83,9 @@ def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explor
             value = each.values.get(name)
             if is_number(value):
                 own.values.setdefault(name, {})[each.run.repetition] = float(value)
-            elif value is not None:
+                continue
+            own.has_failed |= not each.is_excluded
+            if value is not None:
                 odd.append((f"{each.run.run_id} has {value!r}, which is no number of {name}", "Name another measure."))
     searched = {key_of(each.run.combination) for each in told if each.run.batch == 1}
     return [each for key, each in found.items() if key in searched], odd

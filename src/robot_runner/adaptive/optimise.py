@@ -231,7 +231,7 @@ class _Search:
 
     def _next(self, points: Sequence[Explored], count: int) -> list[Combination]:
         space = self._space
-        tried = {space.places(each.combination): each for each in points}
+        tried = {places: each for each in points if (places := space.places(each.combination)) is not None}
         found: dict[Places, None] = {}
         for offered in self._offered(list(tried.items()), count):
             fit = (each for each in map(tuple, offered) if each not in found and space.is_allowed(each))
@@ -252,26 +252,30 @@ class _Search:
             "levels": list(map(len, space.levels)),
             "are_numbers": space.are_numbers,
             "directions": [each.value.replace("se", "ze") for each in design.directions.values()],
-            "points": [(places, each.means(self.measures)) for places, each in tried],
+            "points": [
+                (places, means) for places, each in tried if (means := each.means(self.measures)) or each.has_failed
+            ],
+            "tried": [places for places, _ in tried],
             "start": design._start(self._factors),  # noqa: SLF001 - its own other half
             "count": count,
             "seed": seed,
         }
-        command = [sys.executable, "-P", "-m", _PROGRAM]
-        # A group of its own: Ctrl-C is for the experiment, which ends once this is answered.
-        asked = subprocess.run(  # noqa: S603 - a program of ours, and what it is told is no command
-            command,
-            input=json.dumps(question),
-            capture_output=True,
-            text=True,
-            timeout=_PATIENCE,
-            check=False,
-            start_new_session=True,
-        )
+        try:
+            # A group of its own: Ctrl-C is for the experiment, which ends once this is answered.
+            asked = subprocess.run(  # noqa: S603 - a program of ours, and what it is told is no command
+                [sys.executable, "-P", "-m", _PROGRAM],
+                input=json.dumps(question),
+                capture_output=True,
+                text=True,
+                timeout=_PATIENCE,
+                check=False,
+                start_new_session=True,
+            )
+        except subprocess.TimeoutExpired as error:
+            raise _unanswered(f"no answer came within {_PATIENCE:g} s") from error
         if asked.returncode:
             told = asked.stderr.strip().splitlines() or [f"it ended with {asked.returncode}"]
-            problem = f"Optuna could not be asked where to search next: {told[-1]}"
-            raise DesignError(problem, where="design", fix="See whether the extra is whole: robot-runner[adaptive].")
+            raise _unanswered(told[-1])
         answer: list[list[Places]] = json.loads(asked.stdout)
         return answer
 
@@ -308,3 +312,8 @@ class _Search:
         )
         what = " and ".join(in_direction(name, each) for name, each in self._design.directions.items())
         return f"{after}, {what}: {found}"
+
+
+def _unanswered(reason: str) -> DesignError:
+    problem = f"Optuna could not be asked where to search next: {reason}"
+    return DesignError(problem, where="design", fix="See whether the extra is whole: robot-runner[adaptive].")

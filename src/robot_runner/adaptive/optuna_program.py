@@ -21,8 +21,8 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
 
     Args:
         question: `levels` (how many treatments each factor has), `are_numbers`, `directions` (of Optuna), `points`
-            (pairs of places and values; no values where the runs failed), `start` (how many combinations come before
-            Optuna has a model), `count` and `seed`.
+            (pairs of places and values; no values where the runs failed), `tried` (places that are not to come again),
+            `start` (how many combinations come before Optuna has a model), `count` and `seed`.
     """
     import optuna  # noqa: PLC0415 - a second
     from optuna.distributions import BaseDistribution, CategoricalDistribution, IntDistribution  # noqa: PLC0415
@@ -39,9 +39,8 @@ def candidates(question: dict[str, Any]) -> list[list[list[int]]]:
         for number, (levels, is_numeric) in enumerate(zip(question["levels"], question["are_numbers"], strict=True))
         if levels > 1
     }
-    tried = set()
+    tried = set(map(tuple, question["tried"]))
     for places, values in question["points"]:
-        tried.add(tuple(places))
         params = {name: places[int(name)] for name in space}
         # Failed trials would be passed over by the model; pruned ones without any value are the worst that there are.
         state = TrialState.COMPLETE if values is not None else TrialState.PRUNED

@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 _ERROR = 0.05
 #: The levels of single comparisons are known to be right for as many combinations as this.
 _MOST_COMBINATIONS = 100
+#: Values that differ by less than this share of themselves are equal, as for the statistics of the report.
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -228,6 +230,7 @@ class _Racing:
 
 
 def _within_repetitions(one: Explored, other: Explored, measure: str, sign: int) -> list[float]:
-    """Return by how much one is worse than another in each repetition that has both."""
+    """Return by how much one is worse than another in each repetition that has both; by rounding alone, it is not."""
     mine, its = one.values.get(measure, {}), other.values.get(measure, {})
-    return [sign * (mine[each] - its[each]) for each in sorted(mine.keys() & its.keys())]
+    pairs = [(mine[each], its[each]) for each in sorted(mine.keys() & its.keys())]
+    return [0.0 if math.isclose(*pair, rel_tol=_ROUNDING) else sign * (pair[0] - pair[1]) for pair in pairs]

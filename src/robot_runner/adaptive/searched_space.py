@@ -7,6 +7,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from robot_runner.core.design.factor import Combination, factor_places
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.design.planned_runs import RunOrder, arranged
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
@@ -48,7 +49,7 @@ class SearchedSpace:
     """
 
     def __init__(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> None:
-        self.are_numbers = [all(map(_is_number, factor.treatments)) for factor in factors]
+        self.are_numbers = [all(map(is_number, factor.treatments)) for factor in factors]
         self.levels: list[list[Any]] = [
             sorted(settings(factor)) if is_numeric else settings(factor)
             for factor, is_numeric in zip(factors, self.are_numbers, strict=True)
@@ -73,9 +74,12 @@ class SearchedSpace:
         treatments = (levels[place] for levels, place in zip(self.levels, places, strict=True))
         return Combination(self._names, tuple(treatments))
 
-    def places(self, combination: Combination) -> Places:
-        """Return the places of a combination's treatments."""
-        return tuple(own[str(each)] for own, each in zip(self._place_of, combination.treatments, strict=True))
+    def places(self, combination: Combination) -> Places | None:
+        """Return the places of a combination's treatments; None where the config has them no longer."""
+        try:
+            return tuple(own[str(each)] for own, each in zip(self._place_of, combination.treatments, strict=True))
+        except KeyError:
+            return None
 
     def is_allowed(self, places: Places) -> bool:
         """Return whether the exclusions leave this combination, and each factor applies where it has a treatment."""
@@ -163,7 +167,3 @@ def baseline_of(factors: Sequence[Factor], baseline: Mapping[str, Any]) -> Combi
         place = whole.position_of(baseline.get(factor.name, factor.treatments[0])) or 0
         treatments.append(whole.treatments[place])
     return Combination(factor_places(factor.name for factor in factors), tuple(treatments))
-
-
-def _is_number(treatment: object) -> bool:
-    return isinstance(treatment, int | float) and not isinstance(treatment, bool)
