@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from robot_runner.cli import excluding
 from robot_runner.cli.excluding import exclude_runs, include_runs
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError, StorageError
@@ -191,6 +192,26 @@ def test_nothing_is_corrected_while_somebody_executes_the_experiment(execute: Ex
     assert "the experiment is being executed by process" in problem
     assert "Wait until it ends" in fix
     assert executed.journal("excluded") == []
+
+
+@pytest.mark.parametrize("unwritten", ["write_run_table", "write_schema"])
+def test_a_kill_between_the_files_leaves_runs_that_can_be_excluded_and_included(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch, unwritten: str
+) -> None:
+    executed = execute(COUNTING)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(excluding, unwritten, killed)
+        with pytest.raises(KeyboardInterrupt):
+            exclude_runs(folder_of(executed), ["r_2"], WHY)
+    assert exclude_runs(folder_of(executed), ["r_2"], WHY) == ()
+    assert reasons(executed) == ["", WHY, "", ""]
+    assert exclude_runs(folder_of(executed), ["r_3"], WHY) == ("r_3",)
+    assert include_runs(folder_of(executed), ["r_2"]) == ("r_2",)
+    assert reasons(executed) == ["", "", WHY, ""]
 
 
 @pytest.mark.parametrize("name", ["run_table.csv", "run_table.schema.json"])

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import re
 import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,6 +66,16 @@ def test_a_fault_of_our_own_is_said_to_be_ours_and_kept(
     kept = re.search(r"the file (\S+\.txt)", said)
     assert kept is not None
     assert "ZeroDivisionError: by nought" in Path(kept.group(1)).read_text(encoding="utf-8")
+
+
+def test_output_for_which_a_disk_has_no_room_is_no_fault_of_ours(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Path("/dev/full").open("w", encoding="utf-8") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert guarded(lambda: 0 * sys.stdout.write("a line\n")) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: what was asked for cannot be written: No space left on device\n")
 
 
 def test_a_fault_is_said_even_where_nothing_can_be_kept(

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
+from importlib import import_module
 from pathlib import Path
+from threading import Timer
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -138,6 +141,23 @@ def test_a_path_among_the_folders_of_modules_is_passed_over_as_python_does(
     monkeypatch.setattr(sys, "path", [*sys.path, tmp_path / "elsewhere", str(tmp_path)])
     with pytest.raises(ConfigError, match="found"):
         apart.execute_in_interpreter("work_of_mine:execute", {}, None)
+
+
+def test_what_is_asked_for_stands_in_no_list_of_processes_and_may_be_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = [
+        "import sys",
+        "from pathlib import Path",
+        "from robot_runner import ConfigError",
+        "def execute(request, tell):",
+        "    words = Path('/proc/self/cmdline').read_bytes()",
+        "    raise ConfigError(repr((len(request['key']), b'sesame' in words, sys.stdin.read())))",
+    ]
+    (tmp_path / "long_work.py").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigError, match=r"\(1800000, False, ''\)"):
+        apart.execute_in_interpreter("long_work:execute", {"key": "sesame" * 300_000}, None)
 
 
 def test_in_the_main_thread_an_instance_and_an_observer_see_everything(
@@ -309,3 +329,46 @@ def test_runs_are_chosen_as_on_the_command_line(wherever: Any, tmp_path: Path, o
 def test_what_is_no_text_where_a_text_belongs_is_told(tmp_path: Path, asked: dict[str, Any], problem: str) -> None:
     with pytest.raises(ConfigError, match=problem):
         run_experiment(Study, folder=tmp_path, **asked)
+
+
+def test_where_what_is_printed_cannot_be_shown_the_experiment_goes_on(tmp_path: Path) -> None:
+    class Printing(Study):
+        def before_run(self, context: Any) -> None:
+            sys.stdout.write(f"caf\u00e9 {context.run_id}\n")
+
+    with (tmp_path / "told.txt").open("w", encoding="ascii") as told, redirect_stdout(told):
+        results = in_thread(lambda: run_experiment(Printing, folder=tmp_path))
+    assert (results.done_count, results.failed_count, results.todo_count) == (2, 2, 0)
+    assert (tmp_path / "told.txt").read_text() == "".join(f"caf? r_{number}\n" for number in range(1, 5))
+
+
+def test_a_class_may_stand_in_a_file_of_any_encoding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (
+        "# -*- coding: latin-1 -*-\n"
+        "from robot_runner import ExperimentConfig, RunTableModel, Factor\n"
+        "class Latin(ExperimentConfig):\n"
+        "    experiment_name = 'latin'\n"
+        "    watch_machines = False\n"
+        "    def create_run_table(self): return RunTableModel([Factor('Caf\u00e9', ['d\u00e9j\u00e0'])])\n"
+    )
+    (tmp_path / "written_in_latin.py").write_text(text, encoding="latin-1")
+    monkeypatch.syspath_prepend(tmp_path)
+    results = run_experiment(import_module("written_in_latin").Latin, folder=tmp_path)
+    assert results.rows[0]["Caf\u00e9"] == "d\u00e9j\u00e0"
+
+
+def test_an_interrupt_while_much_is_being_printed_tears_no_line() -> None:
+    said: list[int] = []
+
+    def work(tell: Callable[[str], object]) -> Any:
+        tell("wait until the interrupt has come")
+        Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+        tell("long" * 500_000)
+
+    def say(line: str) -> None:
+        said.append(len(line))
+        time.sleep(0.4 / len(said))
+
+    with pytest.raises(ExecutionError, match="KeyboardInterrupt"):
+        apart.execute_forked(work, say)
+    assert said == [33, 2_000_000]

@@ -52,7 +52,7 @@ def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: s
         reason = _on_one_line(reason)
         new = [run_id for run_id in chosen if table.excluded.reason(run_id) != reason]
         table.record("excluded", new, reason=reason)
-        for run_id in new:
+        for run_id in chosen:  # also of those that the journal has, and a kill kept out of the table
             table.rows.exclude(run_id, reason)
     return tuple(new)
 
@@ -117,8 +117,9 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
         with Journal(folder.journal) as journal:
             yield _Table(rows, ExcludedRuns.read(folder.journal), journal)
         # The journal has it: should the table not be written now, it is made to agree when the experiment goes on.
-        write_run_table(folder.run_table, rows)
+        # The schema comes first: a table that has the column, and not the schema, has a column of the user's own.
         write_schema(folder.schema, _with_exclusion(schema))
+        write_run_table(folder.run_table, rows)
 
 
 def _read_rows(folder: ExperimentFolder, schema: Sequence[ColumnDescription]) -> RunTableRows:

@@ -110,7 +110,7 @@ def as_json(findings: Sequence[Finding]) -> list[dict[str, str]]:
 
 
 _NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
-_PLANNED_ID = re.compile(r"r_\d+")
+_PLANNED_ID = re.compile(r"[rw]_\d+")
 _MOST = 8
 
 

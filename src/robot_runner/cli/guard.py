@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 
 from robot_runner.cli.harmless_stream import guard_streams
@@ -93,8 +94,12 @@ def _kept(text: str) -> str:
 
 
 def _explained(error: Exception, *, show_traceback: bool) -> int:
-    from robot_runner.core.errors import RobotRunnerError  # noqa: PLC0415 - as above
+    from robot_runner.core.errors import RobotRunnerError, StorageError  # noqa: PLC0415 - as above
 
+    if isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT}:  # mostly of `> file`
+        let_go_of_stdout()
+        problem = f"what was asked for cannot be written: {error.strerror}"
+        error = StorageError(problem, fix="Make room on the disk, or send the output elsewhere.")
     if not isinstance(error, RobotRunnerError):
         show_fault(error, show_traceback=show_traceback)
         return FAULT

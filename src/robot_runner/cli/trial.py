@@ -199,7 +199,7 @@ def _trial(experiment: Experiment, plugin: Plugin, witness: _Witness, findings: 
         outcome=outcome,
         events=tuple(_events(experiment, plugin, witness.records)),
         refused=tuple(record.fields for record in witness.records if record.kind == "refused"),
-        raw_files=tuple(_raw_file(path, folder) for path in _files(folder)),
+        raw_files=tuple(_raw_file(path, folder) for path in sorted(folder.rglob("*")) if path.is_file()),
         log=read_text(log, experiment.folder.root, errors="replace") if log.exists() else "",
         folder=folder,
         quality=_quality(folder / "quality.json"),
@@ -232,10 +232,6 @@ def _seconds(emitted: Sequence[Mapping[str, Any]], place: int | None) -> float |
 
 def _parsed(stamp: str) -> float:
     return datetime.fromisoformat(stamp).timestamp()
-
-
-def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file()) if folder.exists() else []
 
 
 def _raw_file(path: Path, folder: Path) -> RawFile:

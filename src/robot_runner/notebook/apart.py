@@ -37,28 +37,32 @@ def execute_in_interpreter(
 
     Args:
         function: `module:name` of what executes it, given the request and what takes lines.
-        request: plain data.
+        request: plain data; not among the words of the command, which every user of the machine can read.
         say: takes lines for the user; None for nobody.
     """
     reader, writer = os.pipe()
     program = f"from {__name__} import be_requested; be_requested()"
-    line = [sys.executable, "-c", program, function, json.dumps(request), str(writer)]
+    line = [sys.executable, "-c", program, function, str(writer)]
     searched = (each for each in sys.path if isinstance(each, str) and each)  # as Python does, which takes no Path
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(searched)}
     process = subprocess.Popen(  # noqa: S603 - this interpreter, and our own program
-        line, stdin=subprocess.DEVNULL, pass_fds=[writer], env=environment, start_new_session=True
+        line, stdin=subprocess.PIPE, pass_fds=[writer], env=environment, start_new_session=True
     )
     os.close(writer)
+    assert process.stdin is not None  # noqa: S101 - it is a pipe
+    with suppress(BrokenPipeError), process.stdin as asked:  # it has ended already, which its code tells
+        asked.write(json.dumps(request).encode())
     last = _followed(process.pid, reader, say)
     return _outcome(process.wait(), last)
 
 
 def be_requested() -> NoReturn:
     """Be the fresh interpreter: execute what the command line asks for."""
-    function, request, writer = sys.argv[1:]
+    function, writer = sys.argv[1:]
+    request = json.load(sys.stdin)
     module, _, name = function.partition(":")
     execute = getattr(import_module(module), name)
-    _be_apart(lambda tell: execute(json.loads(request), tell), os.fdopen(int(writer), "wb", buffering=0))
+    _be_apart(lambda tell: execute(request, tell), os.fdopen(int(writer), "wb", buffering=0))
 
 
 def execute_forked(work: Work, say: Callable[[str], object] | None) -> ExperimentFinished:
@@ -90,6 +94,7 @@ def execute_forked(work: Work, say: Callable[[str], object] | None) -> Experimen
 def _followed(pid: int, reader: int, say: Callable[[str], object] | None) -> dict[str, Any]:
     """Pass on what the copy says, and return its last record."""
     last: dict[str, Any] = {}
+    takers = {"print": _print, "say": say}
     with os.fdopen(reader, "rb") as records:
         while True:
             try:
@@ -97,10 +102,8 @@ def _followed(pid: int, reader: int, say: Callable[[str], object] | None) -> dic
                 if not line:
                     break
                 record = json.loads(line)
-                if "print" in record:
-                    sys.stdout.write(record["print"])
-                elif "say" in record:
-                    say = _said(say, record["say"])
+                if kind := next((each for each in takers if each in record), None):
+                    takers[kind] = _told(takers[kind], record[kind])
                 else:
                     last = record
             except KeyboardInterrupt:
@@ -109,15 +112,20 @@ def _followed(pid: int, reader: int, say: Callable[[str], object] | None) -> dic
     return last
 
 
-def _said(say: Callable[[str], object] | None, line: str) -> Callable[[str], object] | None:
-    """Pass a line on, and return what takes the next one: nothing once it has failed, as the experiment goes on."""
+def _print(text: str) -> None:
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    sys.stdout.write(text.encode(encoding, "replace").decode(encoding))
+
+
+def _told(take: Callable[[str], object] | None, text: str) -> Callable[[str], object] | None:
+    """Pass a text on, and return what takes the next one: nothing once it has failed, as the experiment goes on."""
     try:
-        if say is not None:
-            say(line)
+        if take is not None:
+            take(text)
     except Exception:  # noqa: BLE001 - it is the user's, and may fail in any way
         _log.exception("What takes the lines failed; the experiment goes on.")
         return None
-    return say
+    return take
 
 
 def _outcome(code: int, last: dict[str, Any]) -> ExperimentFinished:
@@ -155,12 +163,19 @@ class _Told(io.TextIOBase):
 def _be_apart(work: Work, records: io.FileIO) -> NoReturn:
     """Execute the experiment in the copy, and leave without what the copied program would do at its end."""
     stop_with_parent()
-    for number in stop_signals_to_handle():
+    stops = stop_signals_to_handle()
+    for number in stops:
         signal.signal(number, signal.default_int_handler)
 
     def tell(record: dict[str, Any]) -> None:
-        with suppress(BrokenPipeError):
-            records.write(json.dumps(record, default=str).encode() + b"\n")
+        left = memoryview(json.dumps(record, default=str).encode() + b"\n")
+        earlier = signal.pthread_sigmask(signal.SIG_BLOCK, stops)  # what their handlers raise would tear the line
+        try:
+            with suppress(BrokenPipeError):
+                while left:  # other signals let the system write a part
+                    left = left[records.write(left) :]
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, earlier)
 
     sys.stdin = open(os.devnull, encoding="utf-8")  # noqa: SIM115, PTH123 - as long as the process
     sys.stdout = sys.stderr = _Told(tell)

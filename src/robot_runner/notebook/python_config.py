@@ -7,6 +7,7 @@ import linecache
 import sys
 from contextlib import contextmanager
 from enum import Enum
+from importlib.util import decode_source
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -131,7 +132,7 @@ def _source(kind: type, folder: Path) -> tuple[ConfigSource, str, list[Finding]]
     if file.is_file():
         path = file.resolve()
         findings = [] if _is_loaded_from(path, kind) else [_not_executable(where, path)]
-        return ConfigSource(path, path.read_text(encoding="utf-8"), kind.__name__), "file", findings
+        return ConfigSource(path, decode_source(path.read_bytes()), kind.__name__), "file", findings
     text = _cell(kind)
     if text:
         kept, problem = "cell", "it stands in no file: its cell is kept, and not what it uses of other cells"

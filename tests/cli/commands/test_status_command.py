@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import shutil
 import time
 from dataclasses import replace
@@ -8,6 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.cli.commands.status import _as_json
+from robot_runner.cli.findings import grouped
+from robot_runner.core.errors import Finding
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.places import InFlight
 
@@ -208,3 +211,30 @@ def test_a_missing_schema_hides_nothing_that_was_executed(robot_runner: Callable
 def test_runs_that_are_executed_again_are_not_counted_twice(robot_runner: Callable, half_done: Path) -> None:
     told = robot_runner("run", "config.py", "--redo", "r_2", "--only", "r_2", "--plain").out
     assert ", 1 of them done before" in told
+
+
+def test_runs_that_the_run_table_does_not_have_yet_are_counted_in_the_order_of_the_plan(half_done: Path) -> None:
+    journal = half_done / "journal.jsonl"
+    lines = journal.read_text(encoding="utf-8").splitlines()
+    (done,) = [line for line in lines if '"kind":"attempt_finished"' in line and '"run":"r_2"' in line]
+    (begun,) = [line for line in lines if '"kind":"attempt_started"' in line and '"run":"r_2"' in line]
+    added = [
+        {"run": run, "combination": {"Task": "Network"}, "repetition": 3, "block": 3} for run in ("r_5", "r_6", "r_7")
+    ]
+    grown = json.dumps(
+        {"kind": "repeated", "at": "2030-01-01T00:00:00.000Z", "repetition": 3, "runs": added, "precision": []},
+        separators=(",", ":"),
+    )
+    later = [begun.replace('"r_2"', '"r_5"'), begun.replace('"r_2"', '"r_6"')]
+    later += [done.replace('"r_2"', '"r_6"'), done.replace('"r_2"', '"r_5"'), begun.replace('"r_2"', '"r_7"')]
+    journal.write_text("\n".join([*lines, grown, *later, ""]), encoding="utf-8")
+    for lost in ("", "run_table.csv"):
+        (half_done / lost).unlink() if lost else None
+        status = read_status(half_done)
+        assert (status.run_count, status.done, status.failed, status.todo) == (7, 4, 2, 1), lost
+        assert not status.order, lost
+
+
+def test_what_is_found_in_warm_up_runs_and_in_others_is_told_once() -> None:
+    found = [Finding.warning(f"{run}, gate", "the door is open") for run in ("w_1", "r_1")]
+    assert grouped(found, None) == [("gate: the door is open (in w_1, r_1)", "")]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import resource
@@ -120,3 +121,18 @@ def test_a_command_can_be_forgotten_and_nonsense_is_none(tmp_path: Path) -> None
     assert take_command(control) is None
     control.write_text("dance")
     assert take_command(control) is None
+
+
+def test_where_the_file_system_has_no_locks_nobody_holds_one_and_nobody_can(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with ExperimentLock(tmp_path / ".lock"):
+        pass
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "lockf", refuse)
+    assert holder_of(tmp_path / ".lock") is None
+    with pytest.raises(StorageError, match="offers no locks: No locks available"), ExperimentLock(tmp_path / ".lock"):
+        pass

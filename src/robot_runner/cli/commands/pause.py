@@ -13,7 +13,7 @@ from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_set, add_target
 from robot_runner.cli.screens.plain import continue_command
 from robot_runner.cli.target import folder_of_target
-from robot_runner.core.execution.experiment_status import ExperimentStatus, read_status, require_executed
+from robot_runner.core.execution.experiment_status import read_status, require_executed
 from robot_runner.core.storage.lock import leave_request
 
 if TYPE_CHECKING:
@@ -38,9 +38,6 @@ def execute(arguments: Namespace) -> int:
         print(f"{status.experiment_name} is paused already. To go on: {command}")
         return 0
     leave_request(folder.pause)
-    print(f"{status.experiment_name} pauses {_moment(status)}. To go on, or to take this back: {command}")
+    moment = f"after {status.current_run}" if status.current_run else "before the next run"
+    print(f"{status.experiment_name} pauses {moment}. To go on, or to take this back: {command}")
     return 0
-
-
-def _moment(status: ExperimentStatus) -> str:
-    return f"after {status.current_run}" if status.current_run else "before the next run"

@@ -30,7 +30,6 @@ from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.errors import Finding, StorageError, did_you_mean
 from robot_runner.core.secret_names import shown_assignments
-from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -168,7 +167,8 @@ def _list(*, is_json: bool) -> int:
     if not known and not findings:
         print("The queue is empty. To add an experiment: robot-runner queue add CONFIG")
     elif left and not queue.is_attended and not any(queue.is_taken(each.number) for each in left):
-        print(f"Nobody executes {counted(len(left), 'experiment')} that wait: robot-runner queue run")
+        waiting = "1 experiment that waits" if len(left) == 1 else f"{len(left)} experiments that wait"
+        print(f"Nobody executes {waiting}: robot-runner queue run")
     return 0
 
 

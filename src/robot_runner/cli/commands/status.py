@@ -63,7 +63,7 @@ def _print(console: UserConsole, status: ExperimentStatus) -> None:
             ("Left", _left(status)),
             ("Waited", f"{shown_duration(status.gate_seconds)} at gates" if status.gate_seconds else ""),
             ("Quality", quality_in_words(status.bad_values)),
-            ("Excluded", _excluded(status)),
+            ("Excluded", "; ".join(f"{run}: {reason}" for run, reason in status.excluded.items())),
             ("Repeated", status.repeated),
             ("Precision", "; ".join(status.precision)),
             ("Decided", status.decided),
@@ -136,10 +136,6 @@ def _batches(status: ExperimentStatus) -> str:
     if status.batches and status.decided:
         return f"2, of {sizes} runs: the second one confirms what was found"
     return f"{len(status.batches)}, of {sizes} runs: the experiment was extended" if status.batches else ""
-
-
-def _excluded(status: ExperimentStatus) -> str:
-    return "; ".join(f"{run}: {reason}" for run, reason in status.excluded.items())
 
 
 def _sessions(status: ExperimentStatus) -> str:

@@ -10,7 +10,6 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted, listed, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from robot_runner.cli.screens.progress import Progress
@@ -56,7 +55,8 @@ def whereabouts(finished: ExperimentFinished, progress: Progress) -> list[tuple[
         facts.append(("Quality", f"{quality_in_words(progress.bad_values)} (`robot-runner explain` says why)"))
     if finished.excluded:
         facts.append(("Excluded", f"{listed(finished.excluded)} (`robot-runner explain` says why)"))
-    return facts + [("Origin", line) for line in _origins(progress.origins)]
+    known = ((names, _UNMEASURED[origin]) for origin, names in progress.origins.items() if origin in _UNMEASURED)
+    return facts + [("Origin", f"{', '.join(names)}: {how}") for names, how in known]
 
 
 def _colour(finished: ExperimentFinished) -> str:
@@ -92,10 +92,6 @@ def _story_of_failure(finished: ExperimentFinished) -> Path:
 
 def _everything(total: int) -> str:
     return "The one run is" if total == 1 else f"All {total:,} runs are"
-
-
-def _origins(origins: Mapping[str, Mapping[str, None]]) -> list[str]:
-    return [f"{', '.join(names)}: {_UNMEASURED[origin]}" for origin, names in origins.items() if origin in _UNMEASURED]
 
 
 def _next(finished: ExperimentFinished, progress: Progress, command: str) -> str:

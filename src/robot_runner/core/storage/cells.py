@@ -9,6 +9,7 @@ import re
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import MeasureError
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ def treatment_position(factor: Factor, text: str, *, decimal_comma: bool = False
         if place is not None:
             return place
     number = number_of(text, decimal_comma=decimal_comma)
-    same_number = [number is not None and _is_number(each) and each == number for each in factor.treatments]
+    same_number = [number is not None and is_number(each) and each == number for each in factor.treatments]
     if any(same_number):
         return _only(same_number)
     folded = text.strip().casefold()
@@ -235,10 +236,6 @@ def _measure_problem(value: object) -> str:
         except UnicodeEncodeError:
             return f"{value!r} holds what UTF-8 cannot hold"
     return ""
-
-
-def _is_number(treatment: Any) -> bool:
-    return isinstance(treatment, int | float) and not isinstance(treatment, bool)
 
 
 def _only(fits: Sequence[bool]) -> int | None:

@@ -86,7 +86,10 @@ def lock_exclusively(path: Path) -> int | None:
 
 def is_held_exclusively(descriptor: int, path: Path) -> bool:
     """Return whether another process of ours holds the lock of a file that is open for reading."""
-    return not _strangers_may_write(descriptor, path) and not _try(descriptor, fcntl.LOCK_SH, path)
+    try:
+        return not _strangers_may_write(descriptor, path) and not try_lock(descriptor, fcntl.LOCK_SH)
+    except OSError:  # where its file system offers no locks, nobody can hold one
+        return False
 
 
 def _put_in_place(path: Path, old: int) -> int | None:
