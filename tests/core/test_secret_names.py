@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import pytest
 
 from robot_runner.core.secret_names import (
@@ -10,6 +13,7 @@ from robot_runner.core.secret_names import (
     is_same_setting,
     is_secret_name,
     secrets_of_environment,
+    sentences_without_secrets,
     shown_assignments,
     shown_settings,
     without_environment_secrets,
@@ -70,3 +74,36 @@ def test_values_of_variables_with_such_names_are_hidden(monkeypatch):
     monkeypatch.setenv("LAB_TOKEN", "another-one")  # the same number of variables: noticed within a second
     monkeypatch.setenv("ANOTHER_VARIABLE", "")
     assert without_environment_secrets("another-one") == REDACTED
+
+
+def test_of_a_record_what_was_said_shared_and_started_is_hidden_and_data_stay_as_they_are(monkeypatch):
+    monkeypatch.setenv("LAB_TOKEN", 'open "sesame"')
+    text = os.environ["LAB_TOKEN"]
+    record = {
+        "owner": text,
+        "value": text,
+        "combination": {"Task": text},
+        "problem": f"refused: {text}",
+        "values": {
+            "address": f"mqtt://u:{text}@host",
+            "all": [(text, 1.5, None, True)],
+            "path": {text: Path(text)},
+        },
+        "command": ["planner", "--token", text],
+        "environment": {"TOKEN": text},
+        "condition": f"http://host/?token={text} answers",
+    }
+    assert sentences_without_secrets(record) == {
+        "owner": text,
+        "value": text,
+        "combination": {"Task": text},
+        "problem": "refused: REDACTED",
+        "values": {
+            "address": "mqtt://u:REDACTED@host",
+            "all": [["REDACTED", 1.5, None, True]],
+            "path": {"REDACTED": "REDACTED"},
+        },
+        "command": ["planner", "--token", "REDACTED"],
+        "environment": {"TOKEN": "REDACTED"},
+        "condition": "http://host/?token=REDACTED answers",
+    }

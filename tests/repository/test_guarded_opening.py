@@ -60,7 +60,6 @@ OTHERS: dict[str, str] = {
             "cli/queueing.py: digest_of",
             "core/execution/circumstances.py: keep_config_files",
             "core/execution/recovery.py: config_changes",
-            "core/config/dead_names.py: _tree",
             "notebook/python_config.py: _source",
             "core/config/registered_config.py: _digest",
             "core/config/source.py: _read",

@@ -191,10 +191,12 @@ class Profiler(Plugin):
     Attributes:
         probe_s: how long it is tried before the first run, s of real time, by its own callbacks and without a mission;
             None for one that can tell nothing without the mission, or that only has totals.
+        not_probed: measures that it cannot know then, such as those of software that only a run starts.
     """
 
     #: Five readings at 10 Hz, and a hundred of a power meter: enough to know whether it speaks.
     probe_s: float | None = 0.5
+    not_probed: Sequence[str] = ()
 
 
 #: How many readings a probe is to see.

@@ -148,14 +148,35 @@ def without_environment_secrets(text: str) -> str:
     return text
 
 
-#: Fields of a record in which what a program said may stand.
-_SENTENCES = frozenset({"problem", "traceback", "fix", "failure", "reason", "text", "note", "seen", "said"})
+def _without_secrets(value: Any) -> Any:
+    """Return JSON data with no value of a variable with a secret's name in any text of it.
+
+    What is no JSON data becomes its text, as it does when it is written.
+    """
+    match value:
+        case None | bool() | int() | float():
+            return value
+        case dict():
+            named = ((_without_secrets(name) if isinstance(name, str) else name, each) for name, each in value.items())
+            return {name: _without_secrets(each) for name, each in named}
+        case list() | tuple():
+            return [_without_secrets(each) for each in value]
+    return without_environment_secrets(str(value))
+
+
+#: Fields of a record in which what a program said may stand, or what it was given.
+_HIDING = frozenset(
+    {"problem", "traceback", "fix", "failure", "reason", "text", "note", "seen", "said"}
+    | {"values", "condition", "command", "environment", "setup"}
+)
 
 
 def sentences_without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
-    """Return a record's fields with no secret of the environment in a sentence; names and values stay as they are."""
-    sentences = {name: fields[name] for name in _SENTENCES & fields.keys() if isinstance(fields[name], str)}
-    return fields | {name: without_environment_secrets(text) for name, text in sentences.items()}
+    """Return a record's fields with no secret of the environment where sentences, commands and the like stand.
+
+    Names, treatments and measures stay as they are: they are data, and one of them may be called as a password is.
+    """
+    return fields | {name: _without_secrets(fields[name]) for name in _HIDING & fields.keys()}
 
 
 def forms_of(secret: str) -> set[str]:

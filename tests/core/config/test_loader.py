@@ -101,6 +101,29 @@ def test_neighbours_of_the_config_can_be_imported_and_are_known(write_config: Wr
     assert loaded.local_modules == (tmp_path / "neighbour_module.py",)
 
 
+def test_what_callbacks_import_beside_the_config_is_known_before_they_are_called(
+    write_config: Write, tmp_path: Path
+) -> None:
+    files = {
+        "asked_late.py": "from parts_of_it.inner import leaf",
+        "parts_of_it/__init__.py": "",
+        "parts_of_it/inner/branch.py": "not Python",
+        "parts_of_it/inner/leaf.py": "def grow():\n    from . import branch",
+        "robot_runner/words.py": "",
+        "unasked.py": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    head = """\
+class RobotRunnerConfig:
+    def launch_mission(self, context):
+        import asked_late, json, no_such_module, robot_runner.words
+"""
+    known = {path.relative_to(tmp_path).as_posix() for path in load_config(write_config(head=head)).local_modules}
+    assert known == files.keys() - {"robot_runner/words.py", "unasked.py"}
+
+
 def test_the_papers_import_lines_activate_plugins(write_config: Write) -> None:
     head = """\
 import plugins.systems.BasicTurtlebot3
@@ -248,6 +271,14 @@ def test_an_attribute_that_no_text_can_set_is_not_said_to_be_missing(write_confi
     (finding,) = refused(write_config("speeds = [1, 2]"), speeds="3")
     assert finding.problem == "'speeds' is of type list, which cannot be set from outside"
     assert finding.fix == "Set it in the config."
+
+
+@pytest.mark.parametrize(
+    "name", ["hosts", "smoke", "gates", "guards", "operator_steps", "notify", "analysis", "repeat_until"]
+)
+def test_of_a_parameter_that_no_text_can_write_it_is_said_where_it_belongs(write_config: Write, name: str) -> None:
+    (finding,) = refused(write_config(""), **{name: "pi=pi@robot"})
+    assert "in the config file" in finding.fix
 
 
 @pytest.mark.parametrize("head", [b"\xef\xbb\xbf", b"# -*- coding: latin-1 -*-\n"], ids=["mark of Notepad", "declared"])

@@ -43,6 +43,24 @@ def test_a_config_need_not_derive_from_ours(write_config: Write) -> None:
     assert experiment.parameters.operation_type is OperationType.AUTO
 
 
+def test_a_contrast_of_a_treatment_that_no_run_has_is_refused_with_the_nearest(tmp_path: Path) -> None:
+    path = tmp_path / "study.py"
+    path.write_text("""
+from robot_runner import *
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "contrasts"
+    analysis = AnalysisPlan(hypotheses=[
+        Hypothesis("Tasks differ.", measure="E", factors="Task", contrast={"Vido": 1, "Idle": -1}),
+        Hypothesis("Speeds differ.", measure="E", factors="Speed", contrast={0.1: 1, 0.2: -1}),
+    ])
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Video", "Idle"]), Factor("Speed", [0.1, 0.2])], data_columns=["E"])
+""")
+    (finding,) = findings_of(path)
+    assert finding.problem == "'Vido', in the contrast, is no treatment of 'Task'"
+    assert "Did you mean 'Video'?" in finding.fix
+
+
 def test_files_that_stand_in_for_modules_of_python_are_told(write_config: Write) -> None:
     path = write_config()
     for name in ("random.py", "my_statistics.py", "queue/__init__.py", "test/__init__.py", "types/notes.txt"):

@@ -102,6 +102,7 @@ def test_names_that_the_design_lacks_are_found_with_the_nearest():
         ({"contrast": {"Video": 1, "Idle": 1}}, "the weights of the contrast are"),
         ({"contrast": {"Video": 0, "Idle": 0}}, "the weights of the contrast are"),
         ({"contrast": {"Video": "1"}}, "contrast is"),
+        ({"contrast": {0.1: 1, "0.1": 1, 0.2: -2}}, "a treatment has two weights"),
         ({"within": 0}, "within is 0"),
         ({"within": True}, "within is True"),
         ({"factors": ["Task", "Speed"], "within": 5}, "a contrast or a bound is of one factor"),

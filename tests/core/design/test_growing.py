@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -178,6 +181,38 @@ def test_treatments_have_the_type_of_the_others() -> None:
     )
     assert grown.factors[0].treatments == (0.1, 0.2, 1.0)
     assert grown.factors[1].treatments == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("treatments", "text", "made"),
+    [
+        ([Decimal("0.10"), Decimal("0.2")], "0.30", Decimal("0.30")),
+        ([Fraction(1, 3)], "2/3", Fraction(2, 3)),
+        (list(np.arange(0.1, 0.3, 0.1)), "0.5", np.float64(0.5)),
+        (list(np.arange(2)), "7", np.int64(7)),
+    ],
+)
+def test_numbers_of_any_kind_get_treatments_of_that_kind_and_slips_are_refused(
+    treatments: list[Any], text: str, made: Any
+) -> None:
+    model = RunTableModel([Factor("Speed", treatments)])
+    grown = extended(model, Additions(treatments={"Speed": [text]}))
+    last = grown.factors[0].treatments[-1]
+    assert (type(last), str(last)) == (type(made), str(made))
+    for slip in ("fast", "1/0", "-inf", "nan"):
+        (problem,) = findings(model, Additions(treatments={"Speed": [slip]}))
+        assert f"{slip!r} is no " in problem
+
+
+def test_a_factor_that_applies_under_a_condition_gets_treatments_where_it_applies() -> None:
+    sensor = Factor("Sensor", ["lidar", "camera"])
+    model = RunTableModel([sensor, Factor("Resolution", ["720p"], when={"Sensor": "camera"})])
+    grown = extended(model, Additions(treatments={"Resolution": ["4k"]}))
+    assert [str(run.combination) for run in grown.plan()] == [
+        "Sensor='lidar', Resolution=inactive",
+        "Sensor='camera', Resolution='720p'",
+        "Sensor='camera', Resolution='4k'",
+    ]
 
 
 def test_objects_are_those_of_the_config_and_none_is_made_from_a_text() -> None:

@@ -51,6 +51,15 @@ def test_what_is_refused_is_reported_so_that_it_is_kept(
     assert broker.measures == {}
 
 
+def test_what_is_refused_is_kept_without_what_the_environment_keeps_secret(
+    broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LAB_TOKEN", "open-sesame")
+    with pytest.raises(MeasureError):
+        broker.publish("Ina219", "Energy", ["open-sesame"], Origin.MEASURED)
+    assert reported == [("refused", {"owner": "Ina219", "name": "Energy", "value": "['REDACTED']"})]
+
+
 def test_key_value_pairs_are_gathered_by_plugin(broker: MeasureBroker) -> None:
     broker.share("robot", {"phase": "forward"})
     broker.share("robot", {"phase": "rotate", "speed": 0.2})

@@ -51,6 +51,13 @@ def test_the_config_may_fill_a_plugins_column() -> None:
     assert columns.column_for(CONFIG_OWNER, "Energy").name == "Energy"
 
 
+def test_nobody_publishes_how_good_a_value_is() -> None:
+    columns, _ = resolve_columns(None, {"Ina219": [Measure("Energy", "J")]})
+    for owner in ("Ina219", "config"):
+        with pytest.raises(MeasureError, match="Did you mean 'Energy'"):
+            columns.with_quality().column_for(owner, "Energy.quality")
+
+
 @pytest.mark.parametrize(("owner", "remedy"), [("PsUtil", "measures of PsUtil"), (CONFIG_OWNER, "data_columns")])
 def test_an_undeclared_measure_is_refused_with_the_nearest_name_and_a_remedy(owner: str, remedy: str) -> None:
     columns, _ = resolve_columns(None, {"PsUtil": [CPU, MEMORY]})

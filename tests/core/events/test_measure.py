@@ -19,7 +19,7 @@ from robot_runner.core.events.measure import Measure, as_measure_value
     | st.booleans()
     | st.integers(-(2**1000), 2**1000)
     | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text()
+    | st.text(min_size=1)
 )
 def test_plain_values_stay_what_they_are(value: object) -> None:
     taken = as_measure_value("Energy", value, where="config")
@@ -57,6 +57,21 @@ def test_an_array_of_several_numbers_is_refused() -> None:
     numpy = pytest.importorskip("numpy")
     with pytest.raises(MeasureError):
         as_measure_value("Energy", numpy.array([1.0, 2.0]), where="config")
+
+
+def test_what_is_masked_or_a_time_is_no_number() -> None:
+    numpy = pytest.importorskip("numpy")
+    masked = numpy.ma.array([1.0, 2.0], mask=True)
+    times = (numpy.timedelta64(15, "ns"), numpy.datetime64(1, "ns"))
+    for value in (masked.mean(), numpy.ma.array(3.5, mask=True), *times):
+        with pytest.raises(MeasureError, match="which is of type"):
+            as_measure_value("Energy", value, where="config")
+    assert as_measure_value("Energy", numpy.ma.array([1.0, 2.0], mask=[True, False]).mean(), where="config") == 2.0
+    assert as_measure_value("Energy", numpy.ma.array(3.5), where="config") == 3.5
+
+
+def test_an_empty_text_is_a_missing_value_as_in_the_run_table() -> None:
+    assert as_measure_value("Mode", "", where="config") is None
 
 
 def test_a_decimal_is_refused_rather_than_rounded() -> None:

@@ -10,6 +10,10 @@ import pytest
 from tests.conftest import written_config
 from tests.core.execution.conftest import Executed, RecordingObserver
 
+from robot_runner.analysis import load_results
+from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.report.threats_section import threats_of
+from robot_runner.analysis.statistics.experiment_statistics import analyse
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.notices import AnswersRefused, AttemptStarted, WaitingForUser
@@ -146,6 +150,23 @@ def test_an_answer_is_a_measure_of_its_run_and_a_note_stays_in_the_journal(execu
     explained = explain_run(executed.folder, "r_2", ["voltage"])
     assert ("Done before", "swap the battery (remark: it slipped)") in explained.facts
     assert ("From", "a person, who was asked before the run") in explained.values[0].facts
+
+
+def test_nothing_is_said_of_what_nobody_was_asked(execute: Callable) -> None:
+    body = f"""
+    {steps(f'OperatorStep("swap the battery", every=3, ask=[{VOLTAGE}])')}
+    def populate_run_data(self, context):
+        return {{"Energy": None if context.run_id == "r_2" else 1.0}}
+    """
+    executed, _ = execute(body, "11\n")
+    assert [row["voltage"] for row in executed.table] == ["11.0", "", "", "11.0"]
+    results = load_results(executed.folder)
+    told = results.quality[["run_id", "measure", "quality"]]
+    assert [each for each in told.itertuples(index=False, name=None) if each[2] != "good"] == [
+        ("r_2", "Energy", "missing")
+    ]
+    threats = [each.title for each in threats_of(Material(results, analyse(results)))]
+    assert [each for each in threats if "missing" in each] == ["Energy has missing values"]
 
 
 @pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])

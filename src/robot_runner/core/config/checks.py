@@ -59,7 +59,20 @@ def check_analysis(parameters: Parameters, model: RunTableModel | None, columns:
     blocks = [factor.name for factor in model.factors]
     if parameters.robots:
         blocks.append(ROBOT)
-    return list(parameters.analysis.findings(blocks, columns.names))
+    findings = list(parameters.analysis.findings(blocks, columns.names))
+    listed = {factor.name: factor.texts for factor in model.factors if factor.range is None}
+    for hypothesis in parameters.analysis.hypotheses:
+        known = listed.get(hypothesis.factors[0], hypothesis.contrast or ())
+        findings += [
+            Finding.error(
+                f"analysis, hypothesis {hypothesis.statement!r}",
+                f"{text!r}, in the contrast, is no treatment of {hypothesis.factors[0]!r}",
+                did_you_mean(text, known),
+            )
+            for text in hypothesis.contrast or ()
+            if text not in known
+        ]
+    return findings
 
 
 def check_repeat_until(

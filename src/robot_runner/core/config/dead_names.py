@@ -6,16 +6,15 @@ import ast
 import difflib
 import inspect
 import re
-from importlib.util import decode_source
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import PARAMETERS, ExperimentConfig
+from robot_runner.core.config.source import tree_of
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
     from types import CodeType
 
     from robot_runner.core.config.loader import LoadedConfig
@@ -124,7 +123,7 @@ def _used_names(loaded: LoadedConfig) -> set[str] | None:
     """Return the names that the code of a config reads or calls; None where it looks them up by computed names."""
     used: set[str] = set()
     for path in (loaded.source.path, *loaded.local_modules):
-        for node in ast.walk(_tree(path)):
+        for node in ast.walk(tree_of(path)):
             if _looks_up(node):
                 return None
             used |= set(_read_by(node))
@@ -132,13 +131,6 @@ def _used_names(loaded: LoadedConfig) -> set[str] | None:
         if each not in ExperimentConfig.__mro__:
             used |= {name for attribute in vars(each).values() for name in _names_in(attribute)}
     return used
-
-
-def _tree(path: Path) -> ast.Module:
-    try:
-        return ast.parse(decode_source(path.read_bytes()))
-    except (OSError, ValueError, SyntaxError):  # a module that is no text was imported all the same
-        return ast.Module([], [])
 
 
 def _looks_up(node: ast.AST) -> bool:

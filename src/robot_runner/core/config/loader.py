@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.parameter_kinds import FLAG, Kind, choice
 from robot_runner.core.config.parameters import PARAMETERS
-from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
+from robot_runner.core.config.source import ConfigSource, activating_imports, imported_files, is_local, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
 from robot_runner.core.secret_names import shown_settings
@@ -124,7 +124,7 @@ class LoadedConfig:
         subscriptions: what it subscribed explicitly.
         activated: the plugins that import lines such as `import plugins.profilers.Ina219` asked for.
         overrides: the static parameters that were set from outside, by name.
-        local_modules: the modules beside the config file that it imported.
+        local_modules: the modules beside the config file that it imported, or that its callbacks import.
         findings: what was found while it was loaded.
         folder: where everything of the experiment is kept, where the static parameters do not say it alone.
         spelling: how its run table's file spells headings and statuses.
@@ -290,16 +290,10 @@ def threads_since(before: set[threading.Thread]) -> tuple[str, ...]:
 
 
 def local_modules_among(config: Path, names: set[str]) -> tuple[Path, ...]:
-    """Return the files of those imported modules that stand beside or below the config file."""
+    """Return the files beside or below the config file that these modules, or what a callback may import, come from."""
     files = {getattr(sys.modules.get(name), "__file__", None) for name in names}
-    paths = {Path(file) for file in files if file}
-    return tuple(
-        sorted(
-            path
-            for path in paths
-            if path != config and config.parent in path.parents and "site-packages" not in path.parts
-        )
-    )
+    loaded = {path for path in (Path(file) for file in files if file) if is_local(path, config.parent)}
+    return tuple(sorted(imported_files({config, *loaded}, config.parent) - {config}))
 
 
 #: How CPython words it, since 3.10 with the class: `Ina219.__init__() got an unexpected keyword argument 'prt'`.

@@ -158,14 +158,14 @@ AUTHORS = Kind(
     lambda value: tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value),
 )
 HOSTS = Kind(
-    'names with addresses, such as {"robot": "pi@robot", "base": "local"}, or with Host(...)',
+    'names with addresses, such as {"robot": "pi@robot", "base": "local"}, or with Host(...), in the config file',
     are_hosts,
     _not_from_text,
     named_hosts,
 )
 LICENCE = Kind('an SPDX identifier such as "CC-BY-4.0", a URL', is_licence)
 SMOKE = Kind(
-    'names with values, such as {"BasicTurtlebot3.task_s": 1.0}',
+    'names with values, such as {"BasicTurtlebot3.task_s": 1.0}, in the config file',
     lambda value: isinstance(value, Mapping) and all(isinstance(name, str) and name for name in value),
     _not_from_text,
     dict,

@@ -10,8 +10,9 @@ import sys
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import decode_source
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ConfigError, nearest
@@ -19,7 +20,6 @@ from robot_runner.core.plugin import GROUPS, find_plugin
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from pathlib import Path
     from types import ModuleType
 
     from robot_runner.core.plugin import Plugin
@@ -72,6 +72,14 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
         ) from error
     except ValueError as error:
         raise ConfigError(f"the file is not Python: {error}", where=str(path), fix="Name a Python file.") from error
+
+
+def tree_of(path: Path) -> ast.Module:
+    """Return the syntax tree of a module that was imported; an empty one where it is no text, or no Python."""
+    try:
+        return read_tree(path)[1]
+    except ConfigError:
+        return ast.Module([], [])
 
 
 def _read(path: Path) -> str:
@@ -137,6 +145,50 @@ def _name_of(base: ast.expr) -> str:
             return name
         case _:
             return ""
+
+
+# Modules beside a config: what it imports, also where a callback does so, and what these import in turn.
+
+
+def is_local(path: Path, folder: Path) -> bool:
+    """Return whether a file stands in a folder or below it, and is not installed there."""
+    return folder in path.parents and "site-packages" not in path.parts
+
+
+def imported_files(files: set[Path], folder: Path) -> set[Path]:
+    """Return these Python files, and the local ones that they import wherever in their code; nothing is executed."""
+    roots = [each for each in sys.path if is_local(Path(each, "_"), folder)]
+    found, unread = set(files), list(files)
+    while unread:
+        new = {each for each in _imported_by(unread.pop(), roots) if is_local(each, folder)} - found
+        found |= new
+        unread += new
+    return found
+
+
+def _imported_by(path: Path, roots: Sequence[str]) -> Iterator[Path]:
+    for node in ast.walk(tree_of(path)):
+        match node:
+            case ast.Import(names=names):
+                for each in names:
+                    yield from _files_of(each.name, roots)
+            case ast.ImportFrom(module=module, names=names, level=level):
+                package = [str(each) for each in path.parents[level - 1 : level]] if level else roots
+                for each in names:
+                    yield from _files_of(".".join(filter(None, (module, each.name))), package)
+
+
+def _files_of(module: str, places: Sequence[str]) -> Iterator[Path]:
+    """Yield the files of a module and of the packages that it is in, as far as they are found."""
+    if module.partition(".")[0] == __name__.partition(".")[0]:
+        return  # a config may stand at the root of our own repository
+    for part in module.split("."):
+        spec = PathFinder.find_spec(part, places)
+        if spec is None:
+            return
+        if spec.origin is not None:
+            yield Path(spec.origin)
+        places = list(spec.submodule_search_locations or ())
 
 
 _ROOT = "plugins"

@@ -8,6 +8,7 @@ and by repetitions, which are added while it is executed until it is precise: th
 from __future__ import annotations
 
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from re import fullmatch
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.design.batch import Batch, BatchRun, plain_treatment
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
 from robot_runner.core.design.factor import Combination, Factor, factor_places
+from robot_runner.core.design.growing import typed
 from robot_runner.core.design.listed_runs import run_findings
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, arranged
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
@@ -187,6 +189,9 @@ def _own_treatment(own: Factor | None, name: str, recorded: Any) -> Any:
     if own is not None and place is not None:
         return own.treatments[place]
     if is_object:
+        with suppress(DesignError):  # a number that is no JSON is made as the config's treatments are
+            if own is not None and plain_treatment(made := typed(own, text)) == recorded:
+                return made
         problem = f"the config has no treatment {text!r} any more, which runs of the experiment have"
         raise DesignError.of_findings([Finding.error(f"factor {name!r}", problem, "Put it back into the config.")])
     return recorded

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
+from decimal import Decimal
+from enum import Enum
+from numbers import Real
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +18,7 @@ from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.design.factor import Factor, treatment_text
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
+from robot_runner.core.inactive import INACTIVE
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -288,15 +293,13 @@ def typed(factor: Factor, text: str) -> Any:
     place = factor.position_of_text(text)
     if place is not None:
         return factor.treatments[place]
-    kinds = {type(treatment) for treatment in factor.treatments}
-    kind = kinds.pop() if len(kinds) == 1 else float if kinds == {int, float} else object
-    if kind in {bool, int, float, str}:
-        try:
+    kinds = {type(treatment) for treatment in factor.treatments if treatment is not INACTIVE}
+    kind: Any = kinds.pop() if len(kinds) == 1 else float if kinds == {int, float} else object
+    if kind is str or (issubclass(kind, Real | Decimal) and not issubclass(kind, Enum)):  # Real: NumPy's numbers, too
+        what = kind.__name__
+        with suppress(KeyError, TypeError, ValueError, ArithmeticError):
             made: Any = _WORDS[text] if kind is bool else kind(text)
-        except (KeyError, ValueError):
-            what = kind.__name__
-        else:
-            if kind is not float or math.isfinite(made):
+            if kind is str or abs(made) < math.inf:
                 return made
             what = "finite number"  # a config may have others; of a slip, no robot is to be told
         problem = f"{text!r} is no {what}, as the treatments of the factor are"

@@ -118,3 +118,6 @@ def _contrast_findings(where: str, factors: tuple[Any, ...], contrast: object, w
     elif len(contrast) < 2 or not any(contrast.values()) or abs(sum(contrast.values())) > _ROUNDING:  # noqa: PLR2004
         fix = "Give two and more weights that sum up to 0."
         yield Finding.error(where, f"the weights of the contrast are {dict(contrast)!r}", fix)
+    elif len(set(map(str, contrast))) < len(contrast):
+        problem = f"a treatment has two weights in the contrast {dict(contrast)!r}"
+        yield Finding.error(where, problem, "Write each treatment once, as in the run table.")

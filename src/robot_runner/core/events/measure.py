@@ -184,13 +184,17 @@ def quality_text(value: MeasureValue, doubts: Sequence[str]) -> str:
 def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
     """Return `value` as one of the plain types that a run table holds.
 
-    Numbers of other libraries (numpy's scalars among them) become int or float.
+    Numbers of other libraries (numpy's scalars among them) become int or float; an empty text is a missing value.
 
     Raises:
         MeasureError: it is not a number, a bool, a string or None, or it is not finite.
     """
+    plain = value
     item = getattr(value, "item", None)  # a numpy scalar, without importing numpy
-    plain = item() if callable(item) and getattr(value, "shape", None) == () else value
+    if callable(item) and getattr(value, "shape", None) == ():
+        is_time = getattr(getattr(value, "dtype", None), "kind", "") in {"m", "M"}  # some would be counts of ns
+        is_masked = getattr(value, "mask", False)  # there is no value, and 0.0 or what was masked would be told
+        plain = ... if is_time or is_masked else item()
     if plain is None or isinstance(plain, bool):
         return plain
     if isinstance(plain, str):
@@ -201,7 +205,7 @@ def as_measure_value(name: str, value: object, *, where: str) -> MeasureValue:
             odd = text[error.start : error.end]
             problem, fix = f"text that holds {odd!r}, which UTF-8 cannot hold", "Leave it out."
         else:
-            return text
+            return text or None
     elif isinstance(plain, Integral):
         number = int(plain)
         if number.bit_length() <= _MOST_BITS:
@@ -263,11 +267,13 @@ class MeasureColumns:
     @cached_property
     def _by_owner(self) -> Mapping[str, Mapping[str, MeasureColumn]]:
         by_owner: dict[str, dict[str, MeasureColumn]] = {}
-        for column in self.declared:
+        # How good a value is, nobody publishes: it follows from the value and its doubts.
+        published = [column for column in (*self.declared, *self.in_table) if not column.tells_of]
+        for column in published:
             names = by_owner.setdefault(column.owner, {})
             names[column.measure.name] = names[column.name] = column
         # The config may fill every column: its populate_run_data adds to and overrides what plugins publish.
-        everything = {column.name: column for column in (*self.declared, *self.in_table)}
+        everything = {column.name: column for column in published}
         by_owner[CONFIG_OWNER] = everything | by_owner.get(CONFIG_OWNER, {})
         return by_owner
 

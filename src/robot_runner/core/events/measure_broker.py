@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
 from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, as_measure_value, shown
+from robot_runner.core.secret_names import without_environment_secrets
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -74,7 +75,8 @@ class MeasureBroker:
             column = self._columns.column_for(owner, name)
             plain = as_measure_value(column.name, value, where=f"{owner}, run {self._run_id}")
         except MeasureError:
-            self._report("refused", {"owner": owner, "name": str(name), "value": shown(value)})
+            refused = without_environment_secrets(shown(value))
+            self._report("refused", {"owner": owner, "name": str(name), "value": refused})
             raise
         published = PublishedMeasure(column.name, plain, owner, column.measure.unit, origin)
         with self._lock:

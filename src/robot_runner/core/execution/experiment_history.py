@@ -127,8 +127,9 @@ class ExperimentHistory:
         if files.run_table.exists() and files.schema.exists():
             self.take_rows(read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema))))
         elif self._ends:
-            self.statuses = dict(self._ends)
-            self.unlisted = max(0, self._planned - len(self._ends))
+            known = self._ends | self._since_table
+            self.statuses = {run: known[run] for run in (*self._begun, *known) if run in known}
+            self.unlisted = max(0, self._planned - len(self.statuses))
             missing = files.schema if files.run_table.exists() else files.run_table
             what = "schema of the run table" if files.run_table.exists() else "run table"
             problem = f"the {what} is missing; the journal has what was executed"
@@ -195,6 +196,7 @@ class ExperimentHistory:
 
     def _take_repeated(self, record: Mapping[str, Any]) -> None:
         self._planned += len(record["runs"])
+        self._since_table |= {added["run"]: RunStatus.TODO for added in record["runs"]}
         self._take_judged(record)
 
     def _take_judged(self, record: Mapping[str, Any]) -> None:

@@ -223,7 +223,7 @@ def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> 
     columns = [
         column
         for column in experiment.columns.declared
-        if column.owner == profiler.name and column.measure.name not in phases
+        if column.owner == profiler.name and column.measure.name not in {*phases, *profiler.not_probed}
     ]
     measures = {column.name: outcome.measures[column.name] for column in columns if column.name in outcome.measures}
     said = [each for each in outcome.findings if each.where == f"{_RUN}, {profiler.name}"]
