@@ -106,6 +106,21 @@ def test_a_factor_that_nobody_read_is_a_threat_to_validity(either: Path) -> None
     assert found["Floor may never have been applied"].kind == "Construct validity"
 
 
+def test_units_and_periods_that_nobody_reads_are_no_threat(tmp_path: Path) -> None:
+    config = tmp_path / "config.py"
+    crossed = CONFIG.replace(
+        "return RunTableModel([Factor(name, treatments) for name, treatments in factors.items()])",
+        "units = {'Robot': [1, 2], 'Period': [1, 2], 'Rate': [1.0, 2.0]}\n"
+        "        factors = [Factor(name, treatments) for name, treatments in units.items()]\n"
+        "        return RunTableModel(factors, design=Crossover(unit='Robot', period='Period'))",
+    )
+    crossed = crossed.replace('self.load = context.combination["Load"]', "pass")
+    config.write_text(f"from robot_runner.designs import Crossover\n{crossed}", encoding="utf-8")
+    executed = execute_experiment(prepare_or_refuse(config), SilentObserver()).folder
+    assert load_results(executed).readers == {"Rate": ("Meter",)}
+    assert not [each.title for each in threats(executed) if "never have been applied" in each.title]
+
+
 def test_results_of_versions_that_did_not_look_are_not_blamed(folder: Path, tmp_path: Path) -> None:
     older = tmp_path / "older"
     shutil.copytree(folder, older)

@@ -74,3 +74,11 @@ def test_a_subject_that_there_is_not_is_found(tmp_path: Path) -> None:
     (finding,) = prepare(written_config(tmp_path, body, head=OURS, table=ONE_RUN)).findings
     assert finding.problem == "no plugin is named 'Nva', whose processes are to be measured"
     assert finding.fix == "Did you mean 'Nav'?"
+
+
+def test_a_subject_that_no_probe_starts_is_neither_missed_nor_doubted_there(execute: Callable[..., Executed]) -> None:
+    alone = ONE_RUN.replace("seed=1", "seed=1, data_columns=['CPU_Busy']")
+    done = execute(body_of("").replace("sleep(3)", "sleep(1)"), table=alone, probe=True)
+    assert float(done.table[0]["CPU_Busy"]) > 0
+    (probed,) = done.journal("probe")
+    assert "no process subject:Busy was seen" not in probed["profilers"]["PsUtil"]["reasons"]

@@ -112,6 +112,8 @@ class PsUtil(Profiler):
         self.namespace = namespace
         self.selection = _selection(self.name, processes, cores)
         self.measures = (*type(self).measures, *self.selection.measures())
+        subjects = tuple(one for one in self.selection.processes if one.startswith("subject:"))
+        self.not_probed = [measure.name for measure in Selection(subjects).measures()]
         line = _SAMPLE_BYTES + _CORES * _CORE_BYTES + len(self.selection.processes) * _PROCESS_BYTES
         self.bytes_per_run = round(line * rate_hz * _MISSION)
         self._link: HostLink | None = None
@@ -208,7 +210,7 @@ class PsUtil(Profiler):
             context.doubt("nothing was measured: the measurement was never started", fix=_REMEDY)
         else:
             measured = sampled.over(mission)
-            for problem in (*measured.doubts(), *measured.quality.warnings()):
+            for problem in (*measured.doubts(context.plugin_data), *measured.quality.warnings()):
                 context.doubt(problem, fix=_REMEDY)
         origin = Origin.SIMULATED if sampled is not None and sampled.is_simulated else Origin.MEASURED
         publish_measures(context, self.measures, self._evaluated, origin=origin, clock=self._clock)
