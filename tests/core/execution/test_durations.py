@@ -71,6 +71,15 @@ def test_nothing_is_invented_where_nobody_knows_anything() -> None:
     assert "how long a run takes, until one has ended" in str(estimate)
 
 
+def test_what_the_first_run_tells_is_known_at_once_however_long_it_took_to_find_out_that_nothing_was() -> None:
+    durations = Durations()
+    durations.plan(FOUR)
+    assert durations.left() is None
+    durations._cost = 1e6  # as where the machine was busy with something else meanwhile
+    learn(durations, [(VIDEO, 3.0)])
+    assert durations.left() is not None
+
+
 def test_what_plugins_know_and_the_rests_add_up() -> None:
     knowledge = knowledge_of(BasicTurtlebot3(), Said(5.0))
     durations = Durations(knowledge, FOUR, rest_s=2.0, waits=["the operator between two runs"])

@@ -222,6 +222,8 @@ class Durations:
         seen = self._done if status == AttemptStatus.DONE.value else self._failed
         seen.take(key, max(0.0, at - began) - self._said.get(key, 0.0))
         self._ended[place], self._has_begun = at, True
+        if self._expected is None:  # now it is known
+            self._computed = 0.0
 
     def said_of(self, combination: Mapping[str, Any]) -> float | None:
         """Return what is said of a run of this combination, s; None where nothing is."""
