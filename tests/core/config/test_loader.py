@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+import pathlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +10,7 @@ import pytest
 
 from robot_runner.core.config.loader import load_config
 from robot_runner.core.config.preparation import prepare
+from robot_runner.core.config.source import imported_files, is_local
 from robot_runner.core.errors import ConfigError, Finding
 
 Write = Callable[..., Path]
@@ -122,6 +125,18 @@ class RobotRunnerConfig:
 """
     known = {path.relative_to(tmp_path).as_posix() for path in load_config(write_config(head=head)).local_modules}
     assert known == files.keys() - {"robot_runner/words.py", "unasked.py"}
+
+
+def test_pythons_own_modules_and_ours_are_none_of_a_config_s_although_they_lie_below_its_folder(
+    write_config: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As where a config stands in the home folder, and Python (conda, pyenv) or our clone below it.
+    (tmp_path / "helper.py").write_text("import csv", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    config = write_config(head="import helper, json, numpy, robot_runner.plugins", table="")
+    assert imported_files({config}, Path(tmp_path.anchor)) == {config, tmp_path / "helper.py"}
+    for own in (json.__file__, pathlib.__file__, load_config.__code__.co_filename, pytest.__file__):
+        assert not is_local(Path(own), Path(tmp_path.anchor)), own
 
 
 def test_the_papers_import_lines_activate_plugins(write_config: Write) -> None:

@@ -6,6 +6,7 @@ The modules exist only while a config file is loaded; a package named `plugins` 
 from __future__ import annotations
 
 import ast
+import os
 import sys
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -150,9 +151,15 @@ def _name_of(base: ast.expr) -> str:
 # Modules beside a config: what it imports, also where a callback does so, and what these import in turn.
 
 
+#: Python's own modules and ours: they lie below a config in the home folder where Python, or a clone, is there too.
+_OF_NO_CONFIG = (Path(os.__file__).parent, Path(__file__).parents[2])
+
+
 def is_local(path: Path, folder: Path) -> bool:
-    """Return whether a file stands in a folder or below it, and is not installed there."""
-    return folder in path.parents and "site-packages" not in path.parts
+    """Return whether a file stands in a folder or below it, and is neither installed there nor Python's own or ours."""
+    if folder not in path.parents or not {"site-packages", "dist-packages"}.isdisjoint(path.parts):
+        return False
+    return not any(each in path.parents for each in _OF_NO_CONFIG)
 
 
 def imported_files(files: set[Path], folder: Path) -> set[Path]:
