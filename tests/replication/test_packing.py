@@ -103,6 +103,21 @@ def test_secrets_and_home_paths_are_nowhere(packed, ada):
                 assert b"/home/ada" not in content, name
 
 
+def test_a_secret_of_the_environment_is_replaced_as_text_json_and_tables_write_it(copied, tmp_path, monkeypatch):
+    planted = 'open-"sesame'
+    monkeypatch.setenv("LAB_TOKEN", planted)
+    forms = (planted, json.dumps(planted)[1:-1], planted.replace('"', '""'))
+    raw = copied / "runs" / "r_1" / "said"
+    raw.mkdir(parents=True)
+    for ending, text in zip(("txt", "json", "csv"), forms, strict=True):
+        (raw / f"said.{ending}").write_text(f'a,"{text}"\n' if ending == "csv" else f'["{text}"]\n', encoding="utf-8")
+    package = _pack(copied, tmp_path / "package.zip").path
+    for ending in ("txt", "json", "csv"):
+        text = _text(package, f"runs/r_1/said/said.{ending}")
+        assert "sesame" not in text
+        assert "REDACTED" in text
+
+
 def test_what_was_replaced_is_listed(packed):
     listed = {(each.name, each.what): each.count for each in packed.replaced}
     assert listed["config/small.py", "password"] == 1

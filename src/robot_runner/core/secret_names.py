@@ -180,8 +180,8 @@ def sentences_without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
 
 
 def forms_of(secret: str) -> set[str]:
-    """Return how a secret may be written: as it is, and as JSON has it, with and without letters beyond ASCII."""
-    return {secret, json.dumps(secret)[1:-1], json.dumps(secret, ensure_ascii=False)[1:-1]}
+    """Return how a secret may be written: as it is, as a CSV has it, and as JSON, also with letters beyond ASCII."""
+    return {secret, json.dumps(secret)[1:-1], json.dumps(secret, ensure_ascii=False)[1:-1], secret.replace('"', '""')}
 
 
 # Static parameters that are set from outside: `--set db_password=X` is neither shown nor kept, and can be compared.

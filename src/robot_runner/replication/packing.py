@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PackageError, StorageError
-from robot_runner.core.secret_names import is_secret_name, secrets_of_environment
+from robot_runner.core.secret_names import forms_of, is_secret_name, secrets_of_environment
 from robot_runner.core.storage.guarded_files import open_to_read, read_text
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
@@ -192,7 +192,7 @@ def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[
     for execution in (manifest, *(manifest.get("executions") or ())):
         settings = execution.get("deviations") or {}
         found |= {str(text) for name, text in settings.items() if text and is_secret_name(str(name))}
-    return found
+    return {form for secret in found for form in forms_of(secret)}
 
 
 def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
