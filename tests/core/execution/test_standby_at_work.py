@@ -20,6 +20,7 @@ from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.standby import standby_of
 from robot_runner.core.execution.systems_state import Care, SystemsState
 from robot_runner.core.links import commanded_topics
+from robot_runner.core.storage.lock_files import open_to_lock
 from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
@@ -125,6 +126,18 @@ def test_a_robot_is_told_until_it_is_reached_and_one_that_never_is_may_be_moving
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_a_system_is_made_safe_with_the_treatments_of_its_own_run(write_config: Callable[..., Path]) -> None:
     experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    with after_death(experiment):
+        pass
+    assert (experiment.config_path.parent / "made_safe").read_text(encoding="utf-8") == "kitchen kitchen"
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
+def test_systems_are_made_safe_although_the_folder_of_the_experiment_was_removed(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
+    monkeypatch.setattr(standby_module, "open_to_lock", lambda path, _root: open_to_lock(gone / path.name, gone))
+    gone = experiment.config_path.parent / "gone"
     with after_death(experiment):
         pass
     assert (experiment.config_path.parent / "made_safe").read_text(encoding="utf-8") == "kitchen kitchen"

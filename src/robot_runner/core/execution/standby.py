@@ -141,7 +141,7 @@ class Standby:
 
     def _stand_by(self, run: int) -> NoReturn:
         try:
-            with suppress(OSError):  # a folder that was removed
+            with suppress(Exception):  # a folder that was removed: no lock is worth a robot that drives on
                 _lock(self._experiment.folder)
             with closing(_Connection(self._experiment, self._task)) as connection:
                 with suppress(Exception):  # the run fails for the same reason, and says so
