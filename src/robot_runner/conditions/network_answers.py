@@ -157,7 +157,7 @@ class _HttpAnswers(Condition):
     def _look(self, opener: urllib.request.OpenerDirector) -> Look:
         try:
             status, has_text = _asked(opener, self.url, self.text.encode())
-        except (OSError, HTTPException, ValueError) as error:  # an answer may lead to an address that is none
+        except (OSError, HTTPException, ValueError) as error:  # a redirect may lead to an invalid address
             reason = getattr(error, "reason", None) or error
             said = "no answer" if isinstance(reason, TimeoutError) else getattr(reason, "strerror", None) or str(reason)
             return Look(holds=False, seen=f"{self.url}: {said or type(reason).__name__}")

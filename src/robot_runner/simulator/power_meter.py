@@ -157,7 +157,7 @@ class Ina219Meter:
             self._hello_before = self._clock.now_ns * self._rate // _SECOND_NS + 1 - self._first
 
     def arrived(self) -> list[Chunk]:
-        """Return what has come out of the line by now and was not returned before, oldest first.
+        """Return the chunks that have arrived since the last call, oldest first.
 
         What came without a pause comes together: an adapter such as the CH340 hands it over once the line is silent.
         """
