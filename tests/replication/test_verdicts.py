@@ -13,6 +13,7 @@ from tests.replication.small_experiment import own_modules
 from robot_runner.analysis.libraries import MissingLibraryError
 from robot_runner.cli.main import main
 from robot_runner.core.errors import PackageError
+from robot_runner.core.events.measure import ROBOTS_OWNER
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.replication.commands import replication_verdict
 from robot_runner.replication.needed_runs import needed_runs, runs_for_difference, runs_for_equivalence
@@ -183,7 +184,7 @@ def _measure(name, unit="J", origin="simulated"):
     return ColumnDescription(name=name, role=ColumnRole.MEASURE, unit=unit, origin=origin)
 
 
-def test_how_long_the_machine_took_is_not_primary_on_a_simulated_robot():
+def test_how_long_the_machine_took_and_which_robot_was_free_are_not_primary():
     columns = [
         _measure("Energy"),
         _measure("Took", "ms", "measured"),
@@ -194,6 +195,8 @@ def test_how_long_the_machine_took_is_not_primary_on_a_simulated_robot():
     assert {name for name, because in why_not_primary(columns, simulated).items() if because} == {"Took"}
     assert not any(why_not_primary(columns, real).values())
     assert not any(why_not_primary([columns[1]], simulated).values())  # there is nothing else
+    robot = ColumnDescription(name="Robot", role=ColumnRole.MEASURE, owner=ROBOTS_OWNER)
+    assert why_not_primary([columns[0], robot], real) == {"Energy": "", "Robot": "it is which robot was free"}
     planned = {**simulated, "analysis": {"measures": ["Took"]}}
     assert [name for name, because in why_not_primary(columns, planned).items() if not because] == ["Took"]
 
@@ -266,3 +269,5 @@ def test_what_more_runs_cannot_decide_is_said():
     assert "no number of runs would do" in needed_runs(
         [{**base, "first_sd": 1.0, "difference": 0.0, "bound": None}], 0.05
     )
+    untested = {**base, "first_sd": 0.0, "second_sd": 0.0, "difference": 2.0, "not_computed": "All values are equal."}
+    assert needed_runs([untested], 0.05) == "all values are equal"

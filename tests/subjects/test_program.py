@@ -22,10 +22,12 @@ from tests.loopback_port import claim_port
 from tests.subjects.conftest import alive, gone
 
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.errors import PluginError
+from robot_runner.core.config.treatment_makers import Workshop
+from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.plugins.systems import Program
 from robot_runner.subjects import supervisor
-from robot_runner.testing import SystemContract
+from robot_runner.subjects.work_tree import WorkTree
+from robot_runner.testing import SystemContract, make_context
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -311,3 +313,17 @@ def test_a_setup_file_is_sourced_first(execute: Callable[..., Executed], tmp_pat
     done = execute(f"plugins = [Program({command!r}, folder={str(tmp_path)!r}, setup='setup.sh', ready='teb')]")
     assert (done.folder / "runs/r_1/Program/stdout.txt").read_text() == "teb0 a\n"
     assert json.loads(json.dumps(done.journal("subject")[0]))["setup"] == "setup.sh"
+
+
+def test_a_cache_that_cannot_be_written_is_named_with_what_to_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")  # as of a user without a home of its own, in a container
+    program = Program(["sleep", "1000"])
+    context = make_context(tmp_path, program, robot=None)
+    tree = WorkTree(str(tmp_path), "0" * 40, "")
+    workshop = Workshop(tmp_path, lambda: False, print)
+    for attempt in (lambda: program.start_run(context), lambda: tree.made("main", tmp_path / "log", workshop)):
+        with pytest.raises(StorageError, match="your folder of caches cannot be written") as caught:
+            attempt()
+        assert caught.value.fix == "Set XDG_CACHE_HOME to a folder of your own."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -97,6 +98,20 @@ def test_a_branch_keeps_its_commit_while_the_experiment_goes_on(
     resumed = execute(body=body, table=table(repository.folder))
     assert resumed.finished.done_count == 2
     assert resumed.log("r_2").split()[1:3] == [before, "once"]
+
+
+def test_an_experiment_goes_on_where_the_repository_is_gone(
+    execute: Callable[..., Executed], repository: Repository
+) -> None:
+    body = BODY + "\n    assert version.name == 'v1.0' or Path(__file__).with_name('go').exists()"
+    first = execute(body=body, table=table(repository.folder))
+    assert first.finished.failed == ("r_2",)
+    shutil.rmtree(repository.folder)
+    shutil.rmtree(cache_folder())
+    (first.config.parent / "go").touch()
+    resumed = execute(body=body, table=table(repository.folder))
+    assert resumed.finished.done_count == 2
+    assert resumed.log("r_2").split()[1:3] == [first.log("r_2").split()[1], "once"]
 
 
 def test_what_was_built_is_built_again_only_where_it_was_changed(

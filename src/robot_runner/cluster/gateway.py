@@ -204,7 +204,7 @@ class Gateway:
             error = await attempt.future.exception()
         except (asyncio.CancelledError, CancelledError, OSError) as cancelled:
             error = cancelled
-        if error is None:
+        if error is None and not attempt.is_ending:
             await asyncio.sleep(_LATE)
             error = RuntimeError("its worker did not tell how it ended")
         if not attempt.is_ending:

@@ -50,7 +50,7 @@ DESCRIBED = {
     TABLE: "all runs in their order: status, time stamps of the events, treatments, measures",
     SCHEMA: "type, unit, meaning and owner of each column of the run table (Table Schema)",
     "runs/": "the raw data and the log of each run",
-    "revisions/": "what was printed while revisions of a repository were built",
+    "revisions/": "the commits that were compared, as repositories, and what was printed while they were built",
     "subjects/": "the output of software under test that went on through all runs",
     "config/": "the config, the local modules that it imports and the files that it reads, as executed",
     "report/": "the report, with its tables and figures, and what computes its numbers again",

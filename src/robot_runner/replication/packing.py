@@ -19,6 +19,7 @@ from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.words import listed
 from robot_runner.replication.about import About
 from robot_runner.replication.citation_files import missing_text
 from robot_runner.replication.code_secrets import secrets_in_code
@@ -32,7 +33,7 @@ from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.sealing import Packing, PackingPlan, Progress, Sealing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Container, Iterator, Mapping
 
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.replication.cleaning import Replaced
@@ -135,7 +136,13 @@ def pack(
         tuple(sorted(sealing.wheels)),
         len(environment.needed),
         tuple(each.name for each in unknown),
-        (*about.findings(), *terms, *environment.findings, *about_hashes, *_findings(files, rows)),
+        (
+            *about.findings(),
+            *terms,
+            *environment.findings,
+            *about_hashes,
+            *_findings(files, manifest, rows, archive.stored),
+        ),
     )
 
 
@@ -195,8 +202,17 @@ def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[
     return {form for secret in found for form in forms_of(secret)}
 
 
-def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
+def _findings(
+    files: ExperimentFolder, manifest: Mapping[str, Any], rows: RunTableRows, stored: Container[str]
+) -> Iterator[Finding]:
     where = str(files.root)
+    for factor, revisions in (manifest.get("revisions") or {}).items():
+        absent = [name for name, facts in revisions.items() if not _is_whole(files, facts, stored)]
+        if absent:
+            why = "too large, with submodules, with a secret, or older than such copies"
+            problem = f"the package has no copy of {listed(absent)}: {why}"
+            fix = "Say in the package where the repository can be had, or give its public URL in the config."
+            yield Finding.warning(f"revisions of factor {factor!r}", problem, fix)
     if not any(files.config.glob("*.py")):
         yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
     if not files.report.exists():
@@ -205,3 +221,11 @@ def _findings(files: ExperimentFolder, rows: RunTableRows) -> Iterator[Finding]:
         )
     if undone := undone_count(rows):
         yield Finding.warning(where, f"{undone} of {len(rows)} runs are not done", "Resume the experiment first.")
+
+
+def _is_whole(files: ExperimentFolder, facts: Mapping[str, Any], stored: Container[str]) -> bool:
+    """Whether all files of the copy of a revision's repository are in the package."""
+    copy = files.revisions / facts["kept"] if facts.get("kept") else None
+    if copy is None or not copy.is_dir():
+        return False
+    return all(path.relative_to(files.root).as_posix() in stored for path in copy.rglob("*") if path.is_file())

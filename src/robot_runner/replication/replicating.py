@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.experiment import grown_model
-from robot_runner.core.config.treatment_makers import known_treatments
+from robot_runner.core.config.treatment_makers import known_treatments, treatments_known
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
 from robot_runner.core.execution.recovery import table_differences
@@ -182,12 +182,12 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     if files.registration.exists():
         settings[_REGISTRATION] = str(files.registration)
     _refuse_redacted(settings)
-    with runs_listed_in(files.run_table):
+    facts = _facts(files, manifest, deviations)
+    with runs_listed_in(files.run_table), treatments_known(facts["treatments"]):
         preparation = prepare(config, settings)
     absent = list(missing_inputs(files.config))
     if preparation.experiment is None:
         raise ConfigError.of_findings([*preparation.findings, *absent])
-    facts = _facts(files, manifest, deviations)
     # Where its results go, and where its registration is, is no deviation from the original.
     overrides = {name: text for name, text in settings.items() if name not in {_PATH, _REGISTRATION}}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
@@ -237,8 +237,18 @@ def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Map
         "sha256": digest,
         "seed": manifest.get("seed"),
         "deviations": hidden_settings(deviations),
-        "treatments": known_treatments(files),  # a branch may mean another commit by now
+        "treatments": _made_treatments(files),  # a branch may mean another commit by now
     }
+
+
+def _made_treatments(files: ExperimentFolder) -> dict[str, Any]:
+    """Return what is known of the original's treatments, with where the copies lie that they can be made from."""
+    known = known_treatments(files)
+    for factor in known.get("revisions", {}).values():
+        for facts in factor.values():
+            if facts.get("kept"):
+                facts["kept"] = str(files.revisions / facts["kept"])
+    return known
 
 
 def _identity(files: ExperimentFolder) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""Files that are no text in UTF-8, looked through for secrets: other encodings, archives, recordings."""
+"""Files that are no text in UTF-8, looked through for secrets: other encodings, archives, commits, recordings."""
 
 from __future__ import annotations
 
@@ -58,6 +58,12 @@ _PRESSED: tuple[tuple[bytes, _Opener], ...] = (
     (b"BZh", _bunzipped),
     (b"\xfd7zXZ\0", _unxzipped),
 )
+#: A file of git's objects begins with this and one of two versions, and then tells their number (gitformat-pack).
+_GIT_PACKS, _GIT_HEADER = (b"PACK\0\0\0\2", b"PACK\0\0\0\3"), 12
+#: Objects that tell how they differ from another one.
+_GIT_DIFFERENCES = {6, 7}
+#: An object is unpacked as a whole, bytes.
+_MOST_OF_OBJECT = 256 << 20
 _UNKNOWN = {b"7z\xbc\xaf": "7z", b"Rar!": "RAR", b"PAR1": "Parquet", b"\x28\xb5\x2f\xfd": "Zstandard"}
 _DAMAGED = (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, tarfile.TarError,
             lzma.LZMAError, zlib.error)  # fmt: skip
@@ -146,19 +152,24 @@ class _Search:
         if kind := next((words for magic, words in _UNKNOWN.items() if start.startswith(magic)), None):
             self._searched.unread.append(f"{name}: {kind} is looked through as it is, not unpacked")
         opener = next((opener for magic, opener in _PRESSED if start.startswith(magic)), None)
-        is_tar = start[257:262] == b"ustar"
-        if not (opener or is_tar or start.startswith(b"PK\x03\x04")):
+        is_tar, is_git = start[257:262] == b"ustar", start.startswith(_GIT_PACKS)
+        if not (opener or is_tar or is_git or start.startswith(b"PK\x03\x04")):
             self._look_through(file, start)
         elif depth >= _DEEPEST:
             self._searched.unread.append(f"{name}: an archive in an archive")
         else:
-            self._unpack(file, name, depth, opener, is_tar=is_tar)
+            self._unpack(file, name, depth, opener, is_tar=is_tar, is_git=is_git)
 
-    def _unpack(self, file: BinaryIO, name: str, depth: int, opener: _Opener | None, *, is_tar: bool) -> None:
+    def _unpack(
+        self, file: BinaryIO, name: str, depth: int, opener: _Opener | None, *, is_tar: bool, is_git: bool
+    ) -> None:
         try:
             if opener is not None:
                 with opener(file) as inner:
                     self.look(self._spooled(inner), name.rpartition(".")[0], depth + 1)
+            elif is_git:
+                for number, inside in enumerate(_git_objects(file)):
+                    self.look(self._spooled(inside), f"{name}/{number}", depth + 1)
             elif is_tar:
                 with tarfile.open(fileobj=file, mode="r:") as archive:
                     for member in archive:
@@ -232,6 +243,37 @@ class _Bounded(io.RawIOBase):
         self._search.take(len(block))
         target[: len(block)] = block
         return len(block)
+
+
+def _git_objects(file: BinaryIO) -> Iterator[BinaryIO]:
+    """Yield the objects of a pack of git, one after another.
+
+    Raises:
+        ValueError: one of them is too large, or a difference, which tells nothing without what it differs from.
+    """
+    count = int.from_bytes(file.read(_GIT_HEADER)[8:], "big")
+    rest = b""
+    for _ in range(count):
+        kind, is_head = None, True
+        while is_head:  # kind and size, seven bits a byte; the kind is in the first one
+            rest = rest or _block(file)
+            kind = rest[0] >> 4 & 7 if kind is None else kind
+            is_head, rest = rest[0] >= 0x80, rest[1:]  # noqa: PLR2004 - the bit that says that another byte follows
+        if kind in _GIT_DIFFERENCES:
+            raise ValueError("it holds differences between files, which cannot be looked through")
+        stream, content = zlib.decompressobj(), bytearray()
+        while not stream.eof:
+            content += stream.decompress(rest or _block(file), _MOST_OF_OBJECT + 1 - len(content))
+            rest = stream.unused_data or stream.unconsumed_tail
+            if len(content) > _MOST_OF_OBJECT:
+                raise ValueError("a file in it is larger than 256 MiB, and was not looked through")
+        yield io.BytesIO(content)
+
+
+def _block(file: BinaryIO) -> bytes:
+    if block := file.read(_BLOCK):
+        return block
+    raise EOFError("it ends too early")
 
 
 def _chunks(file: BinaryIO) -> Iterator[bytes]:

@@ -12,6 +12,7 @@ from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding, did_you_mean
 from robot_runner.core.storage.git_repository import git, repository_state, without_login
 from robot_runner.core.words import one_line
+from robot_runner.subjects.kept_repository import is_kept, kept_name
 from robot_runner.subjects.work_tree import WorkTree
 
 if TYPE_CHECKING:
@@ -107,15 +108,22 @@ class _Revisions:
         """
         made: dict[str, Any] = {}
         for factor, revisions in _grouped(factors):
+            copies: dict[str, dict[str, Path]] = {}
+            facts_of: dict[str, Any] = made.setdefault(factor.name, {})
             for revision in revisions:
                 facts = known.get(factor.name, {}).get(revision.name)
-                tree = WorkTree(self._place(revision), _commit(factor, revision, facts), revision.build)
+                copy = workshop.logs / facts["kept"] if facts is not None and facts.get("kept") else None
+                tree = WorkTree(self._place(revision), _commit(factor, revision, facts), revision.build, copy)
                 log = workshop.logs / factor.name / f"{re.sub(r'[^A-Za-z0-9._-]', '_', revision.name)}.log"
                 built = tree.made(revision.name, log, workshop)
                 revision.prepare(commit=tree.commit, path=str(tree.folder))
                 place = without_login(tree.repository)
                 told = {"repository": place, "commit": tree.commit, "build": revision.build, "path": revision.path}
-                made.setdefault(factor.name, {})[revision.name] = told | built
+                facts_of[revision.name] = told | built | {"kept": kept_name(place)}
+                copies.setdefault(kept_name(place), {})[tree.commit] = tree.folder
+            kept = {name for name, clones in copies.items() if is_kept(workshop.logs / name, clones)}
+            for each in facts_of.values():
+                each["kept"] = each["kept"] if each["kept"] in kept else None
         return made
 
     @staticmethod

@@ -12,9 +12,9 @@ import time
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from robot_runner.core.errors import PluginError
+from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
 from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
@@ -28,6 +28,7 @@ _PATIENCE, _FAR_PATIENCE = 20.0, 40.0
 #: one over there ends it once its lease is over.
 _LAST_PATIENCE = 15.0
 _LOOK = 0.01
+_NAME_A_FOLDER = "Set XDG_CACHE_HOME to a folder of your own."
 #: How much of the end of an output is shown.
 _TAIL_BYTES, _TAIL_LINES = 4096, 3
 #: What mends why a program could not be started, as the system says it.
@@ -245,17 +246,14 @@ class SupervisedProgram(Start):
             yield ()
             return
         deadline = time.monotonic() + self._task.ending_s
-        self._task.lock.parent.mkdir(parents=True, exist_ok=True)
-        with self._task.lock.open("w") as lock:
-            while True:
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    break
-                except BlockingIOError:
-                    if time.monotonic() > deadline:
-                        fix = f"Look who has this file open, and end it: lsof {lock.name}"
-                        raise PluginError("an earlier start of it goes on", where=self._name, fix=fix) from None
-                    time.sleep(_LOOK)
+
+        def wait() -> None:
+            if time.monotonic() > deadline:
+                fix = f"Look who has this file open, and end it: lsof {self._task.lock}"
+                raise PluginError("an earlier start of it goes on", where=self._name, fix=fix)
+            time.sleep(_LOOK)
+
+        with locked(self._task.lock, wait) as lock:
             yield (lock.fileno(),)
 
     def _say(self, data: bytes) -> None:
@@ -291,9 +289,39 @@ class SupervisedProgram(Start):
 
 
 def user_cache() -> Path:
-    """Return our folder among the user's caches (XDG_CACHE_HOME)."""
+    """Return our folder among the user's caches (XDG_CACHE_HOME).
+
+    Raises:
+        StorageError: the user has no home folder.
+    """
     home = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(home).expanduser() / "robot-runner"
+    try:
+        return Path(home).expanduser() / "robot-runner"
+    except RuntimeError as error:
+        raise StorageError("the user has no home folder", where=home, fix=_NAME_A_FOLDER) from error
+
+
+@contextmanager
+def locked(path: Path, wait: Callable[[], object]) -> Iterator[IO[str]]:
+    """Hold the lock of a file among the user's caches; `wait` is called again and again while somebody else does.
+
+    Raises:
+        StorageError: the file cannot be made.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("w")
+    except OSError as error:
+        problem = f"your folder of caches cannot be written: {error.strerror}"
+        raise StorageError(problem, where=str(path.parent), fix=_NAME_A_FOLDER) from error
+    with file:
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                wait()
+        yield file
 
 
 def tail(path: Path, size: int = _TAIL_BYTES) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import os
@@ -10,7 +9,8 @@ import shutil
 import signal
 import subprocess
 import time
-from contextlib import contextmanager, suppress
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,11 +18,9 @@ from robot_runner.core.errors import ExecutionError
 from robot_runner.core.storage.git_repository import git, repository_state, uncommitted_changes, without_login
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.words import one_line
-from robot_runner.subjects.supervised_program import tail, user_cache
+from robot_runner.subjects.supervised_program import locked, tail, user_cache
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from robot_runner.core.config.treatment_makers import Workshop
 
 #: How long cloning may take, s.
@@ -44,13 +42,14 @@ class WorkTree:
         repository: a path or a URL.
         commit: the hash.
         build: a command for the shell; empty for none.
+        copy: a folder that may hold a copy of the commit, for where the repository cannot be had any more.
 
     Attributes:
         folder: where it is; another commit, repository or command has another one.
     """
 
-    def __init__(self, repository: str, commit: str, build: str) -> None:
-        self.repository, self.commit, self._build = repository, commit, build
+    def __init__(self, repository: str, commit: str, build: str, copy: Path | None = None) -> None:
+        self.repository, self.commit, self._build, self._copy = repository, commit, build, copy
         key = hashlib.sha256(f"{repository}\0{commit}\0{build}".encode()).hexdigest()[:8]
         name = Path(repository.rstrip("/")).name.removesuffix(".git") or "repository"
         self._entry = cache_folder() / f"{name}-{commit[:_SHORT]}-{key}"
@@ -70,7 +69,7 @@ class WorkTree:
             ExecutionError: it cannot be made.
             KeyboardInterrupt: the user has interrupted it.
         """
-        with self._locked(workshop):
+        with locked(self._entry.with_name(f"{self._entry.name}.lock"), partial(_await_others, workshop)):
             facts = self._built_before()
             if facts is None:
                 workshop.tell(
@@ -101,14 +100,24 @@ class WorkTree:
         return facts
 
     def _check_out(self, name: str) -> None:
-        self._git(
-            name, "clone", "--quiet", "--no-checkout", "--", self.repository, str(self.folder), folder=self._entry
-        )
-        if git("cat-file", "-e", f"{self.commit}^{{commit}}", folder=self.folder).returncode != 0:
-            self._git(name, "fetch", "--quiet", "origin", self.commit)  # no branch and no tag has it
+        try:
+            self._clone(name, self.repository)
+        except ExecutionError as refused:
+            if self._copy is None or not self._copy.is_dir():
+                raise
+            shutil.rmtree(self.folder, ignore_errors=True)
+            try:
+                self._clone(name, str(self._copy))
+            except ExecutionError:  # a package leaves out what holds secrets
+                raise refused from None
         self._git(name, "checkout", "--quiet", "--detach", self.commit)
         if (self.folder / ".gitmodules").exists():
             self._git(name, "submodule", "--quiet", "update", "--init", "--recursive")
+
+    def _clone(self, name: str, source: str) -> None:
+        self._git(name, "clone", "--quiet", "--no-checkout", "--", source, str(self.folder), folder=self._entry)
+        if git("cat-file", "-e", f"{self.commit}^{{commit}}", folder=self.folder).returncode != 0:
+            self._git(name, "fetch", "--quiet", "origin", self.commit)  # no branch and no tag has it
 
     def _git(self, name: str, *words: str, folder: Path | None = None) -> None:
         try:
@@ -161,17 +170,9 @@ class WorkTree:
     def _changes(self) -> str:
         return hashlib.sha256(uncommitted_changes(self.folder)).hexdigest()
 
-    @contextmanager
-    def _locked(self, workshop: Workshop) -> Iterator[None]:
-        """Keep other experiments away meanwhile; they wait until it is built."""
-        self._entry.parent.mkdir(parents=True, exist_ok=True)
-        with self._entry.with_name(f"{self._entry.name}.lock").open("w") as lock:
-            while True:
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    break
-                except BlockingIOError:
-                    if workshop.is_interrupted():
-                        raise KeyboardInterrupt from None
-                    time.sleep(_LOOK)
-            yield
+
+def _await_others(workshop: Workshop) -> None:
+    """Let another experiment build it meanwhile."""
+    if workshop.is_interrupted():
+        raise KeyboardInterrupt
+    time.sleep(_LOOK)

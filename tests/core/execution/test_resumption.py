@@ -13,7 +13,7 @@ from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.execution import circumstances
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
-from robot_runner.core.execution.recovery import Resumption, TableChoice
+from robot_runner.core.execution.recovery import Resumption, TableChoice, config_changes
 
 Execute = Callable[..., Any]
 Write = Callable[..., Path]
@@ -109,6 +109,17 @@ def test_another_setting_is_a_change(write_config: Write) -> None:
         resume(config)
     assert refused.value.findings[0].where == "--set grace_in_s"
     assert "set by --set grace_in_s=5 and is not set" in refused.value.findings[0].problem
+
+
+def test_another_scheduler_of_a_cluster_is_no_change_and_none_is_one(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "manifest.json"
+    manifest = json.loads(path.read_text(encoding="utf-8"))
+    manifest["executions"][-1]["deviations"] = {"cluster": "tcp://10.0.0.1:8786"}
+    write(path, json.dumps(manifest))
+    assert not config_changes(prepare_or_refuse(executed.config, {"cluster": "tcp://10.0.0.2:41123"}))
+    (finding,) = config_changes(prepare_or_refuse(executed.config))
+    assert finding.problem.endswith("set by --set cluster=tcp://10.0.0.1:8786 and is not set")
 
 
 def test_a_table_that_differs_from_the_plan_is_refused_cell_by_cell(execute: Execute) -> None:

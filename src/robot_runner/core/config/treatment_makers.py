@@ -5,7 +5,10 @@ Packages announce what makes treatments in the group `robot_runner.preparations`
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
 from robot_runner.core.config.plugin_checks import failed_check, instances_of
@@ -15,7 +18,7 @@ from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.manifest import read_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.design.factor import Factor
@@ -31,7 +34,7 @@ class Workshop:
     """What goes with the making of treatments.
 
     Attributes:
-        logs: a folder for what is written meanwhile; not made yet.
+        logs: a folder for what is written meanwhile, and for copies of what treatments are made from; not made yet.
         is_interrupted: whether the user wants to stop: then `KeyboardInterrupt` is to be raised.
         tell: says on the screen what is being made.
     """
@@ -58,9 +61,23 @@ class TreatmentMaker(Protocol):
         ...
 
 
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+_OF_ORIGINAL: ContextVar[Mapping[str, Any]] = ContextVar("_OF_ORIGINAL", default=_NOTHING)
+
+
+@contextmanager
+def treatments_known(facts: Mapping[str, Any]) -> Iterator[None]:
+    """While this lasts, an experiment that has not begun is checked with what was made for the one that it repeats."""
+    token = _OF_ORIGINAL.set(facts)
+    try:
+        yield
+    finally:
+        _OF_ORIGINAL.reset(token)
+
+
 def maker_findings(factors: Sequence[Factor], folder: ExperimentFolder) -> list[Finding]:
     """Return what stands in the way of making the treatments of these factors."""
-    known = known_treatments(folder)
+    known = known_treatments(folder) or _OF_ORIGINAL.get()
     findings: list[Finding] = []
     for point in entry_points("preparations"):
         try:

@@ -261,7 +261,8 @@ _OF_NO_CONSEQUENCE = {"results_output_path", "workers"}
 def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iterator[Finding]:
     for name in sorted({*before, *now} - _OF_NO_CONSEQUENCE):
         was, is_now = before.get(name), now.get(name)
-        if not is_same_setting(was, is_now):
+        is_another_scheduler = name == "cluster" and bool(was and is_now)  # the same runs, ordered from another one
+        if not (is_another_scheduler or is_same_setting(was, is_now)):
             problem = f"the parameter was {_setting(name, was)} and is {_setting(name, is_now)}"
             yield Finding.error(f"--set {name}", problem, _CONFIG_FIX)
 

@@ -6,7 +6,7 @@ What a version wrote once stays valid, so a key is required only where every ver
 # Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
 from typing import Any, NotRequired, TypedDict
 
-from robot_runner.core.storage.declared_shapes import Moment, Scalar
+from robot_runner.core.storage.declared_shapes import Moment, Scalar, Seed
 
 # manifest.json
 
@@ -21,7 +21,7 @@ class _Batch(TypedDict):
     defaults: NotRequired[dict[str, Any]]
     shuffle: NotRequired[bool]
     blocks: NotRequired[str | None]
-    seed: NotRequired[int | None]
+    seed: NotRequired[Seed | None]
 
 
 class _Design(TypedDict):
@@ -42,6 +42,7 @@ class Repository(TypedDict):
     origin: NotRequired[str | None]
     repository: NotRequired[str | None]
     is_dirty: NotRequired[bool | None]
+    kept: NotRequired[str | None]
 
 
 class _Execution(TypedDict):
@@ -99,7 +100,7 @@ class Manifest(TypedDict):
     robot: NotRequired[str | None]
     ros: NotRequired[dict[str, Any] | None]
     design: NotRequired[_Design]
-    seed: NotRequired[int]
+    seed: NotRequired[Seed]
     analysis: NotRequired[dict[str, Any] | None]
     analysis_changes: NotRequired[list[dict[str, Any]]]
     registration: NotRequired[_RegistrationFacts | None]
@@ -157,7 +158,7 @@ class RegistrationFile(TypedDict):
     experiment: str
     config: dict[str, Any]
     design: dict[str, Any]
-    seed: int
+    seed: Seed
     measures: list[dict[str, Any]]
     analysis: dict[str, Any] | None
     power: dict[str, Any] | None

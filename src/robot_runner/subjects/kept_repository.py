@@ -1,0 +1,96 @@
+"""A copy of the commits that an experiment measures, in its folder, so that it can be repeated without the repository.
+
+It is a bare repository that git clones like any other. What came before these commits is not in it: the history of a
+repository is large, and may hold what nobody wants to publish.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.git_repository import git
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+#: What is larger is no part of an experiment's folder, which people send to each other, bytes.
+_LARGEST = 64 << 20
+_PATIENCE = 600.0  # s, for a few seconds of work on a slow disk
+_SUBMODULE = "commit"  # what `git ls-tree` calls one
+#: Each file as a whole and none as a difference to another one, so that whoever looks for secrets can read it.
+_WHOLE = ("-c", "repack.writeBitmaps=false", "-c", "repack.updateServerInfo=false", "repack", "-q", "-a", "-d", "-F")
+#: What git leaves of the making: it tells paths of this machine.
+_LEFT = "FETCH_HEAD"
+
+
+def kept_name(repository: str) -> str:
+    """Return the name of the copy of a repository, other than that of any other one."""
+    name = Path(repository.rstrip("/")).name.removesuffix(".git") or "repository"
+    return f"{name}-{hashlib.sha256(repository.encode('utf-8', 'surrogateescape')).hexdigest()[:8]}.git"
+
+
+def is_kept(target: Path, clones: Mapping[str, Path]) -> bool:
+    """Make a copy of some commits, unless it is there; return whether it is.
+
+    It is not where the commits are too large, or have submodules, which are commits of other repositories.
+
+    Args:
+        target: the folder of the copy, a bare repository.
+        clones: where each commit can be had, by its hash.
+    """
+    try:
+        if target.is_dir() and all(_has(target, commit) for commit in clones):
+            return True
+        if not _is_small(clones):
+            return False
+        part = target.with_name(f".{target.name}.tmp")
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        is_made = all(_worked(part, *words) for words in _steps(clones))
+        if is_made:
+            (part / _LEFT).unlink(missing_ok=True)
+            shutil.rmtree(target, ignore_errors=True)
+            part.replace(target)
+        else:
+            shutil.rmtree(part, ignore_errors=True)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return is_made
+
+
+def _steps(clones: Mapping[str, Path]) -> list[tuple[str, ...]]:
+    # Without a template there are no hooks, which are programs. Branches, as only these and tags are cloned, and a tag
+    # would change what `git describe` says.
+    fetch = ("-c", "gc.auto=0", "-c", "protocol.version=2", "fetch", "-q", "--no-tags", "--depth=1")
+    return [
+        ("init", "-q", "--bare", "--template="),
+        *((*fetch, clone.as_uri(), f"{commit}:refs/heads/kept-{commit[:12]}") for commit, clone in clones.items()),
+        (*_WHOLE, "--window=0", "--depth=0"),
+    ]
+
+
+def _is_small(clones: Mapping[str, Path]) -> bool:
+    """Whether these commits have no submodules, and their files are not too large in all."""
+    sizes: dict[str, int] = {}
+    for commit, clone in clones.items():
+        listed = git("ls-tree", "-r", "-l", "-z", commit, folder=clone, timeout=_PATIENCE)
+        for line in filter(None, listed.stdout.split(b"\0")):
+            _, kind, digest, size = line.partition(b"\t")[0].decode().split()
+            if kind == _SUBMODULE:
+                return False
+            sizes[digest] = int(size)
+        if listed.returncode != 0:
+            return False
+    return sum(sizes.values()) <= _LARGEST
+
+
+def _has(repository: Path, commit: str) -> bool:
+    return _worked(repository, "cat-file", "-e", f"{commit}^{{commit}}")
+
+
+def _worked(folder: Path, *words: str) -> bool:
+    return git(*words, folder=folder, timeout=_PATIENCE).returncode == 0

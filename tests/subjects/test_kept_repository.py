@@ -1,0 +1,58 @@
+"""Copies of commits that lie in an experiment's folder, by real git."""
+
+from __future__ import annotations
+
+import subprocess
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.git_repository import git
+from robot_runner.subjects import kept_repository
+from robot_runner.subjects.kept_repository import is_kept, kept_name
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pytest
+    from tests.subjects.conftest import Repository
+
+
+def said(folder: Path, *words: str) -> str:
+    return git(*words, folder=folder).stdout.decode().strip()
+
+
+def test_a_copy_has_the_commits_alone_and_can_be_cloned(repository: Repository, tmp_path: Path) -> None:
+    repository.commit("newer")
+    copy, wanted = tmp_path / "revisions/copy.git", [repository.commit_of(name) for name in ("main~1", "main")]
+    assert is_kept(copy, dict.fromkeys(wanted, repository.folder))
+    assert said(copy, "rev-list", "--all", "--count") == "2"
+    assert all(str(tmp_path).encode() not in path.read_bytes() for path in copy.rglob("*") if path.is_file())
+    subprocess.run(["git", "clone", "--quiet", "--no-checkout", copy, tmp_path / "clone"], check=True)
+    assert said(tmp_path / "clone", "show", f"{wanted[0]}:planner.sh").startswith("#!/bin/sh\necho new")
+
+
+def test_a_copy_is_made_again_for_a_commit_that_it_lacks(repository: Repository, tmp_path: Path) -> None:
+    copy, old, new = tmp_path / "copy.git", repository.commit_of("v1.0"), repository.commit_of("main")
+    assert is_kept(copy, {old: repository.folder})
+    before = (copy / "HEAD").stat().st_ino
+    assert is_kept(copy, {old: tmp_path / "gone"})  # nothing has to be had for what is there
+    assert (copy / "HEAD").stat().st_ino == before
+    assert is_kept(copy, dict.fromkeys((old, new), repository.folder))
+    assert said(copy, "rev-list", "--all", "--count") == "2"
+
+
+def test_what_is_too_large_or_lies_in_other_repositories_or_cannot_be_had_is_not_kept(
+    repository: Repository, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = repository.commit_of("main")
+    repository.git("update-index", "--add", "--cacheinfo", f"160000,{first},planner_library")
+    repository.git("commit", "--quiet", "-m", "with a submodule")
+    clones = {"submodule": {repository.commit_of("main"): repository.folder}, "gone": {first: tmp_path / "gone"}}
+    assert not any(is_kept(tmp_path / name, each) for name, each in clones.items())
+    monkeypatch.setattr(kept_repository, "_LARGEST", 10)
+    assert not is_kept(tmp_path / "large", {first: repository.folder})
+    assert not [path for path in tmp_path.iterdir() if path.name.lstrip(".").startswith(("submodule", "gone", "large"))]
+
+
+def test_each_repository_has_a_copy_of_its_own() -> None:
+    places = ["/home/ada/planner", "/home/bob/planner", "https://example.org/planner.git", "/home/ada/gr\udcf6\udcdfe"]
+    assert len({kept_name(place) for place in places}) == 4
