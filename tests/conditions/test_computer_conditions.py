@@ -193,5 +193,7 @@ def test_what_names_no_computer_or_process_is_refused() -> None:
         host_answers("-oProxyCommand=x")
     with pytest.raises(LinkError, match="selects no process"):
         process_running("")
+    with pytest.raises(ConditionError, match="'subject:Nav' is for profilers"):
+        process_running("subject:Nav")
     with pytest.raises(ConditionError, match="compared with itself"):
         clock_offset_below(1, host=LOCAL)

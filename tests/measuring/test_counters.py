@@ -91,6 +91,12 @@ def test_processes_that_come_and_go_are_added_up():
     assert [one.count for one in told] == [1, 2, 1, 1]
 
 
+def test_what_a_new_process_computed_before_it_was_found_is_not_lost():
+    looks = [sample(0.0, 0, 0), sample(1.0, 100, 0), sample(1.1, 110, 0, processes=(process(7, 0.9),))]
+    told = [one.processes[0].cpu for one in utilisation_of(looks, cores=1, selectors=1)]
+    assert (told[1] * 1.0 + told[2] * 0.1) / 1.1 == pytest.approx(100.0 * 0.9 / 1.1)
+
+
 def test_samples_are_placed_on_the_runs_clock_and_keep_their_own():
     (only,) = utilisation_of([sample(500.0, 0, 0)], cores=1, to_run=ClockMap(-490.0))
     assert (only.time, only.host_time) == (10.0, 500.0)

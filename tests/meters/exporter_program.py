@@ -28,9 +28,9 @@ server, thread = start_http_server(0, addr="127.0.0.1", registry=registry)
 print(server.server_address[1], flush=True)  # noqa: T201 - its way to speak
 for line in sys.stdin:
     verb, name, amount = line.split()
-    metric = {"joules": joules, "watts": watts, "eth0": packets.labels("eth0"), "wlan0": packets.labels("wlan0")}.get(
-        name
-    )
+    metric = {"joules": joules, "watts": watts}.get(name)
+    if name.endswith("0"):
+        metric = packets.labels(name)
     if verb == "set":
         metric.set(float(amount))
     elif verb == "inc":

@@ -13,7 +13,7 @@ SUCCESS, INVALID_ARGUMENT, NOT_SUPPORTED, DRIVER_NOT_LOADED, GPU_IS_LOST = 0, 2,
 
 @dataclass
 class FakeGpu:
-    """What a GPU says; energy in mJ grows by its power, which may be a function of time, if it `counts`."""
+    """What a GPU says; energy in mJ grows by its power from `offset` on, if it `counts`."""
 
     watts: float | Callable[[float], float] = 50.0
     utilisation: int = 40
@@ -21,6 +21,7 @@ class FakeGpu:
     memory_total: int = 8 << 30
     has_counter: bool = True
     counts: bool = True
+    offset: int = 5_000_000
     is_lost: bool = False
 
 
@@ -70,7 +71,7 @@ class FakeNvidiaDriver:
         gpu = self._handles[id(handle)]
         if not gpu.has_counter:
             return NOT_SUPPORTED
-        millijoules._obj.value = 5_000_000 + gpu.counts * round(1000 * self._watts(gpu) * self.clock.now())
+        millijoules._obj.value = gpu.offset + gpu.counts * round(1000 * self._watts(gpu) * self.clock.now())
         return SUCCESS
 
     def nvmlDeviceGetUtilizationRates(self, handle, rates):  # noqa: N802

@@ -50,7 +50,7 @@ def test_voltage_charge_and_energy_are_those_of_the_measured_window(measure):
     context = measure(say)
     assert context.measures["MeanVoltage"] == pytest.approx(11.5, abs=0.01)
     assert context.measures["MinVoltage"] == pytest.approx(11.0)
-    assert context.measures["ChargeUsed"] == pytest.approx(10.0, abs=0.15)
+    assert context.measures["ChargeUsed"] == pytest.approx(10.0, abs=0.001)
     assert context.measures["Energy"] == pytest.approx(11.5 * 0.5 * 10.0, rel=0.01)
 
 

@@ -96,6 +96,16 @@ def test_the_output_may_be_a_file(measure):
     assert (context.raw_data_folder / "meter.csv").read_text().startswith("time_ms,watts")
 
 
+def test_an_output_that_cannot_be_read_costs_its_values_and_says_why(tmp_path):
+    plugin = CommandProfiler(
+        command=["sh", "-c", "mkdir {output}; exec sleep 60"], columns=COLUMNS, output="rows.csv", startup_s=0.1
+    )
+    context = make_context(tmp_path, plugin, robot=None, clock=SystemClock())
+    rehearse(context, plugin, mission=lambda: time.sleep(0.1))
+    assert context.measures["Energy"] is None
+    assert problems(context) == ["the program's output cannot be read: rows.csv: Is a directory"]
+
+
 def test_what_the_program_says_in_between_is_no_row(measure):
     context = measure("--mutters")
     assert context.measures["CPU"] == pytest.approx(20.0)
@@ -292,6 +302,12 @@ def test_the_check_names_the_program_that_is_missing_and_how_to_get_it():
     [
         ({"command": []}, "command is empty"),
         ({"columns": []}, "columns yield the measures"),
+        (
+            {"command": ["meter", "-o", "rows.csv"], "output": "rows.csv"},
+            "output is 'rows.csv', and .* has no {output}",
+        ),
+        ({"command": ["meter", "-o", "{output}"]}, "output is None, and .* has {output}"),
+        ({"columns": COLUMNS[0]}, "columns is CommandColumn"),
         ({"columns": [COLUMNS[0], COLUMNS[0]]}, "columns yield the measures"),
         ({"period_s": 0.0}, "period_s is 0.0"),
         ({"grace_s": -1.0}, "grace_s is -1.0"),

@@ -248,7 +248,12 @@ def test_a_device_that_is_missing_is_a_finding() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"device": ""}, {"device": "-y"}, {"size": "big"}, {"rate_hz": 0.0}, {"startup_s": -1.0}]
+    "wrong",
+    [
+        *({"device": device} for device in ("", "-y", 1)),
+        *({"size": size} for size in ("big", (1280, 720))),
+        *({"rate_hz": 0.0}, {"startup_s": -1.0}),
+    ],
 )
 def test_parameters_that_cannot_be_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(PluginError):

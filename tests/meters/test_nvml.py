@@ -75,6 +75,12 @@ def test_a_counter_that_stands_still_is_told_and_power_takes_its_place(measure):
     assert problems(context) == ["the energy counter of GPU 0 stood still: its energy is the integral of its power"]
 
 
+def test_a_counter_that_was_set_back_and_passed_its_beginning_again_gives_way_to_power(measure, clock):
+    gpu = FakeGpu(lambda time: 50.0 if time < 15.0 else 100.0)
+    clock.at(15.0, lambda: setattr(gpu, "offset", 3_900_000))
+    assert measure(gpu).measures["Energy"] == pytest.approx(5 * 50.0 + 15 * 100.0, rel=0.01)
+
+
 def test_a_gpu_that_is_lost_half_way_costs_the_values_and_not_the_run(measure, clock):
     gpu = FakeGpu()
     clock.at(15.0, lambda: setattr(gpu, "is_lost", True))

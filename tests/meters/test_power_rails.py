@@ -268,6 +268,16 @@ def test_a_counter_that_was_set_back_is_told_and_power_takes_its_place(tmp_path,
     assert any("energy counter was set back" in problem for problem in problems(context))
 
 
+def test_a_counter_without_a_sign_does_not_count_what_flows_back_as_drawn(tmp_path, tree, clock):
+    folder = tree.hwmon(rail_trees.INA228)
+    counting(clock, folder, 7.6)
+    clock.at(18.0, lambda: write(folder / "curr1_input", -613))
+    context = measured(tmp_path, tree, clock)
+    assert context.measures["Energy"] == pytest.approx(8 * 7.6 - 2 * 7.6, rel=0.01)
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert facts["energy_from"] == {"": "power"}
+
+
 def test_a_sensor_that_is_stuck_is_noticed(tmp_path, tree, clock):
     folder = tree.hwmon(rail_trees.INA226)
 

@@ -92,6 +92,15 @@ def test_the_series_of_a_counter_are_summed_and_can_be_chosen(tmp_path, exporter
     assert facts["series"]["packets_total"] == [{"interface": "eth0"}, {"interface": "wlan0"}]
 
 
+def test_a_series_of_a_counter_that_comes_late_counts_from_0_and_no_further(tmp_path, exporter):
+    clock = FakeClock()
+    clock.at(7.5, lambda: exporter.tell("inc usb0 50"))
+    clock.at(8.5, lambda: exporter.tell("inc usb0 4"))
+    context = measured(tmp_path, Prometheus(exporter.url, ["packets_total"]), clock)
+    assert context.measures["Packets"] == pytest.approx(54.0)
+    assert "1 of 3 series of packets_total were there for a part of the time only" in problems(context)
+
+
 def test_the_series_of_a_gauge_are_combined_as_said(tmp_path, exporter):
     metrics = [
         ScrapedMetric(selector="core_load_percent", measure=Measure("Load", "%", "Mean of the cores."), combine="mean"),

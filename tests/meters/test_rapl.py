@@ -114,6 +114,16 @@ def test_a_counter_that_is_set_back_is_not_taken_for_one_that_went_round(measure
     assert "the counter of package-0 was set back: what it counted shortly before that is lost" in problems(context)
 
 
+def test_a_counter_that_stands_still_has_not_counted_0_joules(measure, tmp_path):
+    context = measure(FakePowercap(tmp_path / "powercap", package=5_000_000), watts=0.0, domains=["dram"])
+    assert context.measures["Energy"] is None
+    assert context.measures["MeanPower"] is None
+    assert context.measures["DramEnergy"] == pytest.approx(20.0, rel=0.01)
+    assert [finding.problem for finding in context.broker.findings] == [
+        "the counter of package-0 stood still at 5000000 uJ: no value"
+    ]
+
+
 def test_a_counter_that_vanishes_half_way_costs_its_values_and_not_the_run(measure, tmp_path, clock):
     powercap = FakePowercap(tmp_path / "powercap")
     counter = powercap.root / "intel-rapl:0" / "energy_uj"
@@ -139,9 +149,9 @@ def test_raw_counters_are_kept_as_they_were_read(measure, tmp_path):
     assert facts["clock"] == "run"
 
 
-def test_two_sockets_are_added_up(measure, tmp_path):
+def test_two_sockets_are_added_up(measure, tmp_path, clock):
     powercap = FakePowercap(tmp_path / "powercap")
-    for file, content in {"name": "package-1", "energy_uj": 7, "max_energy_range_uj": 1000}.items():
+    for file, content in {"name": "package-1", "energy_uj": 30_000_000, "max_energy_range_uj": 10**10}.items():
         write(powercap.root / "intel-rapl:1" / file, content)
     assert [domain.label for domain in find_domains(powercap.root)] == [
         "package-0",
@@ -149,7 +159,8 @@ def test_two_sockets_are_added_up(measure, tmp_path):
         "package-0/dram",
         "package-1",
     ]
-    assert measure(powercap).measures["Energy"] == pytest.approx(160.0, rel=3e-3)
+    clock.every(0.05, lambda: write(powercap.root / "intel-rapl:1" / "energy_uj", round(3e6 * clock.now())))
+    assert measure(powercap).measures["Energy"] == pytest.approx(160.0 + 60.0, rel=3e-3)
 
 
 def test_on_a_simulated_robot_power_is_that_of_real_time(tmp_path):

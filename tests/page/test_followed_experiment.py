@@ -256,6 +256,19 @@ def test_samples_are_thinned_to_least_and_largest_values() -> None:
     assert min(each for each in samples.low[0] if each is not None) == 0.0
 
 
+def test_the_last_sample_and_place_of_a_long_file_are_its_own(root: Path) -> None:
+    folder = root / "runs" / "r_1" / "Long"
+    folder.mkdir(parents=True)
+    rows = "".join(f"{place},{place % 50},{place},0\n" for place in range(10_000))
+    (folder / "samples.csv").write_text(f"time_s,power_W,x_m,y_m\n{rows}10000,7.5,10000,0\n")
+    curves = RunCurves(ExperimentFolder(root), "r_1")
+    curves.look()
+    (told,) = [each for each in curves.told() if each["plugin"] == "Long"]
+    assert told["last_at"] == 10_000.0
+    assert told["columns"][0]["last"] == 7.5
+    assert told["pose"][:2] == (10_000.0, 0.0)
+
+
 def test_curves_grow_with_their_files_and_live_samples_give_way(root: Path) -> None:
     folder = root / "runs" / "r_1" / "Meter"
     folder.mkdir(parents=True)

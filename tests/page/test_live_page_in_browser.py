@@ -328,7 +328,7 @@ def test_hostile_names_are_text(browser: Browser, serve_page: Callable[..., Serv
     manifest = json.loads((root / "manifest.json").read_text()) | {"experiment_name": HOSTILE + "\x1b[2J\u202egnp"}
     (root / "manifest.json").write_text(json.dumps(manifest))
     table = (root / "run_table.csv").read_text().replace(",A,", ',"' + HOSTILE.replace('"', '""') + '",')
-    (root / "run_table.csv").write_text(table)
+    (root / "run_table.csv").write_text(table.replace(",701", ",9999.97"))
     finding = {"kind": "finding", "run": HOSTILE, "owner": HOSTILE, "problem": HOSTILE, "fix": HOSTILE}
     with (root / "journal.jsonl").open("a") as file:
         file.write(json.dumps(finding, separators=(",", ":")) + '\n{"kind":"event","at":5}\nnot json\n')
@@ -345,6 +345,7 @@ def test_hostile_names_are_text(browser: Browser, serve_page: Callable[..., Serv
     browser.wait_for(seen("#findings", "onerror"))
     browser.wait_for(seen("#rows", "onerror"))
     browser.wait_for(seen("#told", "2 lines of the journal are damaged"))
+    assert "\t10000\n" in text(browser, "#rows"), "a number is not rounded to 1.000e+4"
     assert browser.evaluate("document.querySelectorAll('main img[src=x], main b, [onclick]').length") == 0
     assert text(browser, "#title").startswith("<img src=x")
     assert browser.complaints == []

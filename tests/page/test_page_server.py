@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import shutil
@@ -15,7 +16,9 @@ import pytest
 from tests.command_line import PROGRAM
 from tests.page.conftest import ServedPage, executed, processor_seconds, wait_until
 
+from robot_runner.core.config.operator_steps import Question
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.page.event_stream import as_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -145,6 +148,12 @@ def test_rows_come_in_pages_and_can_be_found(page: ServedPage, one: str) -> None
     found = page.ask(f"{one}/rows?status=done&text=video").json
     assert (found["total"], {row[3][0] for row in found["rows"]}) == (5, {"Video"})
     assert page.ask(f"{one}/rows?start=-1&count=zzz").json["total"] == 15
+
+
+def test_a_question_without_an_upper_limit_stops_no_page() -> None:
+    question = Question("voltage", float, low=9.5, high=math.inf)
+    (told,) = json.loads(as_json({"questions": (question.as_mapping(),)}))["questions"]
+    assert (told["low"], told["high"]) == (9.5, "inf")
 
 
 def test_prometheus_gets_figures(page: ServedPage) -> None:

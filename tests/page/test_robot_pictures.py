@@ -53,6 +53,15 @@ def test_the_second_way_to_render_serves_more_than_one_picture(pictures):
     assert started == ["egl", "osmesa"]
 
 
+def test_a_picture_is_never_that_of_another_place_however_soon_it_is_asked_for(pictures, monkeypatch):
+    made, *_ = pictures
+    monkeypatch.setattr(robot_pictures, "_EVERY", 60.0)
+    monkeypatch.setattr(robot_pictures, "_asked", lambda _process, pose, _patience: str(pose).encode())
+    assert [made.picture(pose) for pose in (HERE, THERE)] == [str(HERE).encode(), str(THERE).encode()]
+    assert made.wait_s(THERE) == 0.0
+    assert 0.0 < made.wait_s(HERE) <= 60.0
+
+
 def test_a_renderer_that_crashed_is_started_again(pictures):
     made, started, _ = pictures
     assert [made.picture(pose) for pose in (HERE, THERE, HERE)] == [b"osmesa"] * 3

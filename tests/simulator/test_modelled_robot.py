@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 
 import pytest
 
@@ -216,13 +217,31 @@ def test_the_orientation_of_an_inertial_sensor_is_that_of_where_it_is_mounted(si
     assert imu["orientation"]["w"] == pytest.approx(math.sqrt(0.5), abs=0.01)
 
 
-def test_physics_that_diverges_is_said(simulate, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log of its own there
+def test_physics_that_diverges_is_said_and_leaves_no_log_in_the_working_directory(
+    simulate, tmp_path, monkeypatch, caplog
+):
+    monkeypatch.chdir(tmp_path)
     unstable = ROVER.replace(' integrator="implicitfast"', "").replace('kv="1"', 'kv="1000"')
     simulation, link = simulate(unstable)
     link.publish("cmd_vel", TWIST, {"linear": {"x": 0.3}})
     with pytest.raises(LinkError, match="diverged"):
         last(simulation, link, "odom", after=5.0)
+    assert "unstable" in caplog.text
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+@pytest.mark.parametrize(
+    ("kilobytes", "problem"), [(60, "some had no effect"), (20, "does not take the model"), (1000, None)]
+)
+def test_contacts_for_which_there_is_no_memory_are_not_left_out_in_silence(simulate, kilobytes, problem):
+    boxes = "".join(
+        f'<body pos="{3 + each / 20} 3 0.05"><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>'
+        for each in range(10)
+    )
+    crowded = ROVER.replace("<worldbody>", f'<size memory="{kilobytes}K"/><worldbody>{boxes}')
+    with pytest.raises(LinkError, match=problem) if problem else nullcontext():
+        simulation, link = simulate(crowded)
+        last(simulation, link, "odom", after=0.1)
 
 
 @pytest.mark.parametrize("value", [math.nan, 1e12])

@@ -155,6 +155,17 @@ def test_names_are_relative_to_the_namespace_unless_they_begin_with_a_slash(simu
         assert "/alice" in caught.value.where
 
 
+def test_what_another_robot_of_the_simulation_publishes_is_heard_by_its_full_name(simulation, link):
+    bob = SimulatedRobotLink(simulation, namespace="bob")
+    bob.publish("cmd_vel", TWIST, FORWARD)
+    moved = link.wait_for("/bob/odom", "nav_msgs/Odometry", lambda odom: odom["pose"]["pose"]["position"]["x"] > 0.1)
+    assert moved["header"]["frame_id"]
+    assert bob.wait_for("/odom", "nav_msgs/Odometry")["pose"]["pose"]["position"]["x"] < 0.1
+    for name, message_type in link.topics().items():
+        if "cmd_vel" not in name:
+            link.subscribe(name, message_type, lambda _: None)
+
+
 def test_closing_stops_the_robot_and_its_task(simulation, link, robot):
     link.publish("cmd_vel", TWIST, FORWARD)
     link.call("task/video/start", TRIGGER)

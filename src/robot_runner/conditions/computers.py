@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, Severity
+from robot_runner.core.errors import ConditionError, Finding, LinkError, Severity
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.declared_host import LOCAL
@@ -90,13 +90,18 @@ def process_running(process: str | int, *, host: str = LOCAL, ssh_config: str | 
         ssh_config: a file to take the place of the user's ssh config.
 
     Raises:
+        ConditionError: it is software under test, whose processes only profilers find.
         LinkError: the process or the host cannot be named so.
 
     Example:
         >>> print(process_running("talker", host="pi@robot"))
         the process talker is there on pi@robot
     """
-    return _ProcessRunning(process_selector(process), ComputerName.named(host, ssh_config))
+    selector = process_selector(process)
+    if selector.startswith("subject:"):
+        fix = "Give its program's name or number, or node:/name."
+        raise ConditionError(f"{process!r} is for profilers", where="process_running", fix=fix)
+    return _ProcessRunning(selector, ComputerName.named(host, ssh_config))
 
 
 def host_answers(host: str, *, ssh_config: str | Path | None = None) -> Condition:

@@ -39,11 +39,7 @@ _AGAIN = 0.5
 
 
 def message_on(
-    topic: str,
-    message_type: str,
-    predicate: Callable[[Message], bool] | None = None,
-    *,
-    namespace: str = "",
+    topic: str, message_type: str, predicate: Callable[[Message], bool] | None = None, *, namespace: str = ""
 ) -> Condition:
     """Return the condition that a message came that satisfies a predicate.
 
@@ -70,13 +66,7 @@ def message_on(
 
 
 def topic_above(
-    topic: str,
-    message_type: str,
-    field: str,
-    limit: float,
-    *,
-    namespace: str = "",
-    within_s: float = math.inf,
+    topic: str, message_type: str, field: str, limit: float, *, namespace: str = "", within_s: float = math.inf
 ) -> Condition:
     """Return the condition that a field of a topic's newest message is above a limit.
 
@@ -100,13 +90,7 @@ def topic_above(
 
 
 def topic_below(
-    topic: str,
-    message_type: str,
-    field: str,
-    limit: float,
-    *,
-    namespace: str = "",
-    within_s: float = math.inf,
+    topic: str, message_type: str, field: str, limit: float, *, namespace: str = "", within_s: float = math.inf
 ) -> Condition:
     """Return the condition that a field of a topic's newest message is below a limit; as `topic_above`."""
     return Bound(_TopicField(topic, message_type, field, namespace, within_s), limit, is_below=True)

@@ -161,7 +161,8 @@ def _process(sample: CounterSample, selector: int, spent: float, seconds: float 
     matched: Sequence[ProcessCounters] = [one for one in sample.processes if one.selector == selector]
     return ProcessUtilisation(
         count=len(matched),
-        cpu=None if not seconds else min(100.0, 100.0 * spent / seconds),
+        # Above 100 where one is new: it may have computed for a second before it was found, which must not be lost.
+        cpu=None if not seconds else 100.0 * spent / seconds,
         memory=_share(sum(one.memory for one in matched), sample.memory_total),
     )
 

@@ -19,7 +19,8 @@ class ProcessUtilisation:
 
     Attributes:
         count: how many processes there were.
-        cpu: their share of all cores together since the sample before, 0..100 %; None where there is no sample before.
+        cpu: their share of all cores together since the sample before, %; above 100 where one is new, whose CPU time
+            since it was started counts all at once. None where there is no sample before.
         memory: their share of the physical memory (resident, shared pages counted for each), 0..100 %; None where the
             computer does not tell how much it has.
     """

@@ -185,6 +185,9 @@ class MeterProcess(ChildProgram):
         clock: the run's, for the stamps.
         separator: what ends a record.
 
+    Attributes:
+        unread: why its output cannot be read; empty where it can.
+
     Raises:
         PluginError: it cannot be started.
     """
@@ -197,6 +200,7 @@ class MeterProcess(ChildProgram):
         self._separator = separator.encode()
         self._records: list[Record] = []
         self._rest = b""
+        self.unread = ""
         self._offset = 0
         errors = (folder / "stderr.txt").open("w+b")
         with (folder / "stdout.txt").open("wb") as out:
@@ -228,6 +232,10 @@ class MeterProcess(ChildProgram):
                 fresh = file.read()
         except FileNotFoundError:  # the program has not made it yet
             return
+        except OSError as error:  # it may be another user's, where sudo starts the program
+            self.unread = f"{self._output.name}: {error.strerror}"
+            return
+        self.unread = ""
         if not fresh:
             return
         now = self._clock.now()

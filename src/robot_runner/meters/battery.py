@@ -14,7 +14,7 @@ from robot_runner.core.links.connect import connect_robot, is_simulation, robot_
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
-from robot_runner.measuring.series import Series, cut, integrate, mean
+from robot_runner.measuring.series import Series, cut, growth, integrate, mean
 from robot_runner.meters.parameter_checks import check_positive
 
 if TYPE_CHECKING:
@@ -108,12 +108,7 @@ class Battery(Profiler):
     bytes_per_run: int = 120_000  # 30 messages a second of 40 bytes for a mission of 95 s
 
     def __init__(
-        self,
-        *,
-        name: str | None = None,
-        topic: str = "battery_state",
-        rate_hz: float = 30.0,
-        namespace: str = "",
+        self, *, name: str | None = None, topic: str = "battery_state", rate_hz: float = 30.0, namespace: str = ""
     ) -> None:
         super().__init__(name=name)
         check_positive(self.name, rate_hz=rate_hz)
@@ -224,14 +219,16 @@ class Battery(Profiler):
         """Return the measures over a part of the mission, at whose edges the nearest messages within stand for it."""
         if not quality_of(heard.times, window, self.rate_hz).is_sufficient:
             return {}
-        voltage, charge, power = (
+        voltage, power = (
             cut(self._sufficient(series, window), window, reach=window.duration)
-            for series in (heard.series(heard.voltage), heard.series(heard.charge), heard.power())
+            for series in (heard.series(heard.voltage), heard.power())
         )
+        # Beyond the outermost messages it goes on as on average: what is used until the first one counts, too.
+        charged = growth(self._sufficient(heard.series(heard.charge), window), window)
         return {
             "MeanVoltage": mean(voltage),
             "MinVoltage": min(voltage.values, default=None),
-            "ChargeUsed": charge.values[0] - charge.values[-1] if len(charge) > 1 else None,
+            "ChargeUsed": None if charged is None else 0.0 - charged,
             "Energy": integrate(power),
         }
 

@@ -26,7 +26,7 @@ from robot_runner.meters.command_output import (
     parse_csv,
     row_times,
 )
-from robot_runner.meters.parameter_checks import check_positive
+from robot_runner.meters.parameter_checks import check_list, check_positive
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 #: How long to wait, once the measured window is over, for the row that tells of its last moments: in periods, and s.
 _AFTERMATH_PERIODS = 1.2
 _LONGEST_AFTERMATH = 2.0
+#: Stands for the path of the output file in a command.
+_PLACE = "{output}"
 _COUNTERS = (Aggregate.INCREASE, Aggregate.RATE)
 
 
@@ -130,6 +132,7 @@ class CommandProfiler(Profiler):
         if isinstance(command, str):
             fix = f"Give a list: command={command.split()!r}."
             raise PluginError(f"command is {command!r}", where=self.name, fix=fix)
+        check_list(self.name, command=command, columns=columns)
         check_positive(self.name, period_s=period_s, grace_s=grace_s, startup_s=startup_s)
         self.command = [str(word) for word in command]
         self.columns = tuple(columns)
@@ -205,10 +208,13 @@ class CommandProfiler(Profiler):
         mission = context.times.window(self._clock)
         if self._sampled is None or mission is None:
             return
+        fault = process.unread
         try:
-            self._measured = self._read(process.records, mission, self._sampled, ending)
+            self._measured = None if fault else self._read(process.records, mission, self._sampled, ending)
         except Exception as error:  # noqa: BLE001 - a parse function may raise anything; the meter costs its values only
-            self._fault = f"the program's output cannot be read: {type(error).__name__}: {error}"
+            fault = f"{type(error).__name__}: {error}"
+        if self._measured is None:
+            self._fault = f"the program's output cannot be read: {fault}"
             return
         self._write(context.raw_data_folder, self._measured)
 
@@ -230,7 +236,7 @@ class CommandProfiler(Profiler):
     def words(self, folder: Path) -> list[str]:
         """Return the command with the path of the output file in it."""
         output = self._output_file(folder)
-        return [word.replace("{output}", str(output)) if output else word for word in self.command]
+        return [word.replace(_PLACE, str(output)) if output else word for word in self.command]
 
     def doubts(self, measured: Measured) -> Iterable[str]:
         """Yield what is doubtful about the output, besides the quality of its samples; a subclass may add to it."""
@@ -342,6 +348,11 @@ class CommandProfiler(Profiler):
         if wrong:
             fix = "Give a command, and columns that yield different measures."
             raise PluginError(wrong[0], where=self.name, fix=fix)
+        has_place = any(_PLACE in word for word in self.command)
+        if has_place != bool(self.output):
+            problem = f"output is {self.output!r}, and the command has {'' if has_place else 'no '}{_PLACE}"
+            fix = f"Name a file, as in output='rows.csv', and write {_PLACE} where the command tells its path."
+            raise PluginError(problem, where=self.name, fix=fix)
 
 
 def _heading(source: str) -> str:

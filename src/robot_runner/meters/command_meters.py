@@ -15,7 +15,7 @@ from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.meters.command import CommandProfiler, Measured
 from robot_runner.meters.command_output import Aggregate, CommandColumn, Row, TimeColumn, TimeKind, parse_csv
-from robot_runner.meters.parameter_checks import check_positive
+from robot_runner.meters.parameter_checks import check_list, check_positive
 from robot_runner.meters.rapl import POWERCAP, permission_findings
 
 if TYPE_CHECKING:
@@ -202,6 +202,7 @@ class PowerJoular(CommandProfiler):
         powercap: Path = POWERCAP,
         board: Path = _BOARD,
     ) -> None:
+        check_list(name or "PowerJoular", arguments=arguments)
         energy, power, cpu = type(self).measures
         super().__init__(
             name=name,
@@ -304,6 +305,7 @@ class Powermetrics(CommandProfiler):
         command: Sequence[str] = ("sudo", "-n", "powermetrics"),
     ) -> None:
         check_positive(name or "Powermetrics", interval_ms=interval_ms)
+        check_list(name or "Powermetrics", command=command)
         energy, power = type(self).measures
         options = f"--samplers cpu_power --format plist --sample-rate {interval_ms} --buffer-size 0".split()
         super().__init__(

@@ -16,13 +16,7 @@ from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.meters.parameter_checks import check_positive
-from robot_runner.meters.video_recording import (
-    Recording,
-    frame_times,
-    missing_programs,
-    take_still,
-    without_secrets,
-)
+from robot_runner.meters.video_recording import Recording, frame_times, missing_programs, take_still, without_secrets
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -81,9 +75,10 @@ class LabCamera(Profiler):
         startup_s: float = 10.0,
     ) -> None:
         super().__init__(name=name)
-        if not device or device.startswith("-"):
-            raise PluginError(f"device is {device!r}", where=self.name, fix="Name one: device='/dev/video0'.")
-        if size is not None and not re.fullmatch(r"\d+x\d+", size):
+        if not isinstance(device, str) or not device or device.startswith("-"):
+            number = device if isinstance(device, int) else 0  # as OpenCV names it
+            raise PluginError(f"device is {device!r}", where=self.name, fix=f"Name one: device='/dev/video{number}'.")
+        if size is not None and not (isinstance(size, str) and re.fullmatch(r"\d+x\d+", size)):
             raise PluginError(f"size is {size!r}", where=self.name, fix="Give width x height: size='1280x720'.")
         check_positive(self.name, startup_s=startup_s, **({} if rate_hz is None else {"rate_hz": rate_hz}))
         self.device = device

@@ -23,7 +23,7 @@ from robot_runner.meters.machine.machine_state import (
     is_plausible,
 )
 from robot_runner.meters.parameter_checks import check_list
-from robot_runner.meters.polled import PolledProfiler, known_series
+from robot_runner.meters.polled import Meter, PolledProfiler, known_series
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -59,7 +59,7 @@ class ThermalReading:
     silent_zones: int = 0
 
 
-class _Machine:
+class _Machine(Meter[ThermalReading]):
     """The files of a machine that tell of temperature, frequency and throttling, as far as it has them."""
 
     def __init__(self, root: Path, zones: Sequence[str] | None) -> None:
@@ -98,9 +98,6 @@ class _Machine:
             core_frequencies=tuple(None if clock is None else clock * _KILO for clock in clocks),
             silent_zones=len(self.temperatures) - len(temperatures),
         )
-
-    def close(self) -> None:
-        """Do nothing: the files are opened anew for each reading."""
 
 
 def _core_number(path: Path) -> int:

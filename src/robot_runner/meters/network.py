@@ -17,7 +17,7 @@ from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.parameter_checks import check_list
-from robot_runner.meters.polled import PolledProfiler
+from robot_runner.meters.polled import Meter, PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -54,16 +54,13 @@ def wraps_at(counters: Sequence[Sequence[int]]) -> int | None:
 Counters = tuple[int, ...]
 
 
-class _Interfaces:
+class _Interfaces(Meter[Counters]):
     def __init__(self, root: Path, names: Sequence[str]) -> None:
         self._paths = [root / name / "statistics" / counter for name in names for counter in _COUNTERS]
         self.read()
 
     def read(self) -> Counters:
         return tuple(int(path.read_bytes()) for path in self._paths)
-
-    def close(self) -> None:
-        """Do nothing: the files are opened anew for each reading."""
 
 
 class Network(PolledProfiler[Counters]):

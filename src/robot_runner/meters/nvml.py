@@ -12,6 +12,7 @@ from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, cut, energy, growth, mean
+from robot_runner.meters.counters import fall_count
 from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import PolledProfiler, known_series
 
@@ -212,8 +213,7 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
     def _counted(self, sampling: Sampling[tuple[GpuReading, ...]], place: int) -> float | None:
         """Return by how much the GPU's energy counter grew, J; None where it has none, or was set back."""
         counter = _series(sampling, place, "joules")
-        is_usable = len(counter) > 1 and counter.values[-1] >= counter.values[0]
-        return growth(counter, sampling.window) if is_usable else None
+        return None if fall_count(counter.values) else growth(counter, sampling.window)
 
     def _mean(self, sampling: Sampling[tuple[GpuReading, ...]], place: int, quantity: str) -> float | None:
         return mean(cut(_series(sampling, place, quantity), sampling.window))

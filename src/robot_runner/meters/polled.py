@@ -25,15 +25,15 @@ R_co = TypeVar("R_co", covariant=True)
 
 
 class Meter(Protocol[R_co]):
-    """Something that can be read, until it is closed."""
+    """Something that can be read, until it is closed; where it derives from this, it has nothing to close."""
 
     def read(self) -> R_co:
         """Return one reading."""
         ...
 
     def close(self) -> None:
-        """Let go of what is held."""
-        ...
+        """Let go of what is held; here, nothing."""
+        return
 
 
 class Sampler(Protocol[R]):

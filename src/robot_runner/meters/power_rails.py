@@ -17,7 +17,8 @@ from robot_runner.measuring.local_host import LocalHost
 from robot_runner.measuring.measured_machine import Computer, machine_clock, simulation_findings
 from robot_runner.measuring.periodic import Sampling
 from robot_runner.measuring.ssh_host import SshHost
-from robot_runner.meters.electrical import ElectricalProfiler
+from robot_runner.meters.electrical import ElectricalProfiler, Readings
+from robot_runner.meters.polled import Meter
 from robot_runner.meters.sysfs_rails import choose_rails, find_rails
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import Clock, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.measuring.host import FileSample, FileSampler
-    from robot_runner.meters.electrical import Readings
     from robot_runner.meters.polled import Sampler
     from robot_runner.meters.sysfs_rails import Rail
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _CLOCK_SHARE = 0.01
 
 
-class _LocalRails:
+class _LocalRails(Meter[Readings]):
     """The files of some rails of this machine."""
 
     def __init__(self, host: FileHost, rails: Sequence[Rail]) -> None:
@@ -44,9 +44,6 @@ class _LocalRails:
 
     def read(self) -> Readings:
         return _understood(self._rails, self._paths, self._host.read_files(self._paths))
-
-    def close(self) -> None:
-        """Do nothing: the files are opened anew for each reading."""
 
 
 def _paths(rails: Sequence[Rail]) -> list[str]:
@@ -249,6 +246,17 @@ class PowerRails(ElectricalProfiler):
             for rail in self._rails
         }
         return {**super().details(), "host": self.host, "rails": files, "form": self._report.form}
+
+    def _counted(self, sampling: Sampling[Readings], place: int) -> float | None:
+        """Return what the rail's counter counted; None where an INA228 counted as drawn what flowed back.
+
+        Its registers of energy and power have no sign (data sheet of the INA228, register map).
+        """
+        if self._rails[place].chip.startswith("ina"):
+            currents = (readings[place].current for readings in sampling.within().readings)
+            if any(current is not None and current < 0 for current in currents):
+                return None
+        return super()._counted(sampling, place)
 
     def _rail_findings(self, where: str) -> Iterator[Finding]:
         clock = SystemClock()

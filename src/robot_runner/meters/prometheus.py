@@ -17,7 +17,7 @@ from robot_runner.measuring.series import Series, cut, growth, mean
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.parameter_checks import check_list, check_positive
-from robot_runner.meters.polled import PolledProfiler, known_series
+from robot_runner.meters.polled import Meter, PolledProfiler, known_series
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -130,7 +130,7 @@ class ScrapedMetric:
         return _COMBINATIONS[self.combine or "sum"](values)
 
 
-class _Exporter:
+class _Exporter(Meter[Scrape]):
     def __init__(self, plugin: Prometheus) -> None:
         try:
             parser: Any = import_module("prometheus_client.parser")
@@ -168,9 +168,6 @@ class _Exporter:
             if not series:
                 raise LinkError(f"the exporter shows no {metric.selector}", where=self._where)
         return scrape
-
-    def close(self) -> None:
-        """Do nothing: each scrape is a request of its own."""
 
 
 def _chosen(metric: ScrapedMetric, samples: Iterable[Any]) -> Mapping[Labels, float]:
@@ -310,8 +307,9 @@ class Prometheus(PolledProfiler[Scrape]):
     def _increase(self, sampling: Sampling[Scrape], place: int) -> float | None:
         rises = []
         for labels in _all_labels(sampling, place):
-            counter = _series(sampling, place, labels)
-            rises.append(growth(Series(counter.times, unwrapped(counter.values)), sampling.window))
+            last = 0.0  # one that comes late counts from 0, as one that was set back; one that is gone counts no more
+            counts = [last := scrape[place].get(labels, last) for scrape in sampling.readings]
+            rises.append(growth(Series(sampling.times, unwrapped(counts)), sampling.window))
         known = [rise for rise in rises if rise is not None]
         return self.metrics[place].combined(known) if known else None
 

@@ -14,7 +14,7 @@ from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
 from robot_runner.meters.counters import fall_count, unwrapped
 from robot_runner.meters.parameter_checks import check_list
-from robot_runner.meters.polled import PolledProfiler
+from robot_runner.meters.polled import Meter, PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,6 +29,7 @@ POWERCAP = Path("/sys/class/powercap")
 _FOLDER = re.compile(r"intel-rapl:\d+(:\d+)?")
 #: What may be measured besides the packages.
 _KINDS = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}
+_MAY_REST = "uncore"
 _MICRO = 1e-6
 
 #: The counter of each domain, in microjoules.
@@ -105,16 +106,13 @@ def _unreadable(where: str, root: Path, domains: Sequence[Domain]) -> list[Findi
     return []
 
 
-class _Counters:
+class _Counters(Meter[Counters]):
     def __init__(self, domains: Sequence[Domain]) -> None:
         self._paths = [domain.counter for domain in domains]
         self.read()
 
     def read(self) -> Counters:
         return tuple(int(path.read_bytes()) for path in self._paths)
-
-    def close(self) -> None:
-        """Do nothing: the files are opened anew for each reading."""
 
 
 class Rapl(PolledProfiler[Counters]):
@@ -193,19 +191,24 @@ class Rapl(PolledProfiler[Counters]):
 
     def values(self, sampling: Sampling[Counters]) -> Mapping[str, float | None]:
         """Return the energy of each kind of domain, and the mean power of the packages."""
-        by_kind = dict.fromkeys(("package", *self.domains), 0.0)
+        by_kind: dict[str, list[float]] = {kind: [] for kind in ("package", *self.domains)}
         for domain, counts in zip(self._domains, zip(*sampling.readings, strict=True), strict=True):
             counted = growth(Series(sampling.times, unwrapped(counts, domain.wraps_at)), sampling.window)
             if counted is None:
                 return {}
-            by_kind[domain.kind] += counted * _MICRO
-        others = {_measure_of(kind).name: by_kind[kind] for kind in self.domains}
-        return {"Energy": by_kind["package"], "MeanPower": by_kind["package"] / sampling.window.duration, **others}
+            by_kind[domain.kind].append(counted * _MICRO)
+        # A counter that stood still is dead, but for the graphics unit's, which may have had nothing to do.
+        joules = {kind: sum(each) for kind, each in by_kind.items() if all(each) or kind == _MAY_REST}
+        told = {_measure_of(kind).name: joules.get(kind) for kind in self.domains}
+        energy = joules.get("package")
+        return {"Energy": energy, "MeanPower": energy and energy / sampling.window.duration, **told}
 
     def doubts(self, sampling: Sampling[Counters]) -> Iterator[str]:
-        """Yield that a counter was set to 0, as by a computer that was suspended."""
+        """Yield that a counter stood still, or was set to 0, as by a computer that was suspended."""
         within = sampling.within().readings
         for place, domain in enumerate(self._domains):
+            if domain.kind != _MAY_REST and len({reading[place] for reading in within}) == 1 < len(within):
+                yield f"the counter of {domain.label} stood still at {within[0][place]} uJ: no value"
             if fall_count([reading[place] for reading in within], domain.wraps_at):
                 yield f"the counter of {domain.label} was set back: what it counted shortly before that is lost"
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.links.connect import SIMULATED, is_simulated
-from robot_runner.meters.electrical import ElectricalProfiler
+from robot_runner.meters.electrical import ElectricalProfiler, Readings
 from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.mqtt_requests import MQTT_INSTALL, MqttRequests
 from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.plug_dialects import DIALECTS
+from robot_runner.meters.polled import Meter
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -21,25 +22,21 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.measuring.periodic import Sampling
-    from robot_runner.meters.electrical import ElectricalReading, Readings
     from robot_runner.meters.plug_dialects import PlugDialect
 
 #: Power of which a whole watt is this share or more is told too coarsely, and noticed after so many readings.
 _COARSE_SHARE, _COARSE_READINGS = 0.01, 10
 
 
-class _HttpPlug:
+class _HttpPlug(Meter[Readings]):
     def __init__(self, plugin: SmartPlug, password: str | None) -> None:
         self._plugin = plugin
         self._path = plugin.dialect.path(plugin.channel, plugin.user, password)
         url, timeout, where = plugin.url or "", plugin.timeout_s, plugin.name
         self._device = HttpDevice(url, timeout=timeout, user=plugin.user, password=password, where=where)
 
-    def read(self) -> tuple[ElectricalReading, ...]:
+    def read(self) -> Readings:
         return (self._plugin.dialect.read({"": self._device.get(self._path)}, self._plugin.channel),)
-
-    def close(self) -> None:
-        """Do nothing: each reading is a request of its own."""
 
 
 class _MqttPlug:
@@ -51,7 +48,7 @@ class _MqttPlug:
         broker, timeout, where = plugin.broker or "", plugin.timeout_s, plugin.name
         self._requests = MqttRequests(broker, exchange, timeout=timeout, user=user, password=password, where=where)
 
-    def read(self) -> tuple[ElectricalReading, ...]:
+    def read(self) -> Readings:
         return (self._plugin.dialect.read(self._requests.ask(), self._plugin.channel),)
 
     def close(self) -> None:

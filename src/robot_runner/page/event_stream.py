@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
+import math
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
@@ -33,8 +34,20 @@ _encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=
 
 
 def as_json(value: object) -> bytes:
-    """Return a value as compact JSON in UTF-8."""
-    return _encode(value).encode("utf-8", "replace")
+    """Return a value as compact JSON in UTF-8; numbers that JSON does not have, such as the limit `inf`, as text."""
+    try:
+        text = _encode(value)
+    except ValueError:
+        text = _encode(_finite(value))
+    return text.encode("utf-8", "replace")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return list(map(_finite, value))
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _event(name: str, data: object) -> bytes:

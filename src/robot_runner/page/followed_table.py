@@ -18,12 +18,7 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 #: How the page names what the run table has a sign for.
-_WORDS = {
-    RunStatus.TODO: "to do",
-    RunStatus.RUNNING: "running",
-    RunStatus.DONE: "done",
-    RunStatus.FAILED: "failed",
-}
+_WORDS = {RunStatus.TODO: "to do", RunStatus.RUNNING: "running", RunStatus.DONE: "done", RunStatus.FAILED: "failed"}
 #: A larger file (more than some 300,000 runs) is not held by a page that only shows it, bytes.
 _MOST_BYTES = 64_000_000
 #: Of a text in a cell, so many characters are shown.

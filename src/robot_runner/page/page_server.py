@@ -41,20 +41,7 @@ _KINDS = {
 }
 #: The files of the page, by the package whose they are.
 _ASSETS = {
-    **dict.fromkeys(
-        (
-            "page.html",
-            "page.css",
-            "app.js",
-            "parts.js",
-            "experiment.js",
-            "index.js",
-            "table.js",
-            "curves.js",
-            "icon.svg",
-        ),
-        "robot_runner.page",
-    ),
+    **{each.name: "robot_runner.page" for each in files("robot_runner.page").joinpath("assets").iterdir()},
     **dict.fromkeys(
         ("palette.css", "uPlot-1.6.32.iife.min.js", "uPlot-1.6.32.min.css", "uPlot-LICENSE.txt"), "robot_runner.core"
     ),
@@ -123,6 +110,7 @@ class LivePage:
         self._index = Channel(self._found, _INDEX_EVERY)
         self._followers = Followers()
         self._pictures: dict[str, RobotPictures] = {}
+        self._rendering = asyncio.Lock()
         self._assets = {name: _asset(name, package) for name, package in _ASSETS.items()}
         acts, looks = Role.ACTS, Role.LOOKS
         one = "/api/experiments/{experiment}"
@@ -260,15 +248,14 @@ class LivePage:
 
     async def _picture(self, request: Request) -> Response:
         experiment = await self._followers.looked_at(await self._folder(request))
-        image = await asyncio.to_thread(self._rendered, experiment, request.path_params["run"])
-        return Response(image, media_type="image/png")
-
-    def _rendered(self, experiment: FollowedExperiment, run: str) -> bytes:
-        """Return a picture of the robot where it is in a run, or was at its end."""
-        pose = experiment.pose(run)
+        pose = await asyncio.to_thread(experiment.pose, request.path_params["run"])
         if experiment.robot is None or pose is None:
             raise HTTPException(404, "Nothing tells where the robot is.")
-        return self._pictures.setdefault(experiment.robot, RobotPictures(experiment.robot)).picture(pose)
+        pictures = self._pictures.setdefault(experiment.robot, RobotPictures(experiment.robot))
+        async with self._rendering:  # who waits takes no thread
+            await asyncio.sleep(pictures.wait_s(pose))
+            image = await asyncio.to_thread(pictures.picture, pose)
+        return Response(image, media_type="image/png")
 
     async def _report(self, request: Request) -> Response:
         content = await asyncio.to_thread(report_in, await self._folder(request))

@@ -16,7 +16,7 @@ from robot_runner.page.picture_process import HEAD
 
 #: How long the first picture may take, with the imports, and each further one, s.
 _FIRST, _NEXT = 30.0, 5.0
-#: Pictures of all viewers together, a second; the last one is shown meanwhile.
+#: The least time between two pictures that are rendered, whoever looks, s: an experiment may be going on here.
 _EVERY = 0.5
 _LARGEST = 4_000_000
 #: How MuJoCo may render without a screen, tried in this order: https://mujoco.readthedocs.io/en/stable/programming/
@@ -26,7 +26,7 @@ Pose = tuple[float, float, float]
 
 
 class RobotPictures:
-    """Renders on request, one picture at a time, a few a second at most.
+    """Renders on request, one picture at a time; who asks waits for `wait_s` before, so that it is a few a second.
 
     Args:
         kind: of the robot: how it is reached, as the manifest has it.
@@ -39,15 +39,20 @@ class RobotPictures:
         self._last: tuple[Pose, float, bytes] | None = None
         self._problem = ""
 
+    def wait_s(self, pose: Pose) -> float:
+        """Return how long to wait before a picture of a place is asked for, s; 0 where it is there already."""
+        if self._last is None or self._last[0] == pose:
+            return 0.0
+        return max(0.0, self._last[1] + _EVERY - time.monotonic())
+
     def picture(self, pose: Pose) -> bytes:
-        """Return a picture of the robot at a place, as PNG; an earlier one where the last was made just now.
+        """Return a picture of the robot at a place, as PNG.
 
         Raises:
             ExecutionError: this machine cannot render; says why. It is not tried again.
         """
         with self._lock:
-            now = time.monotonic()
-            if self._last is not None and (self._last[0] == pose or now - self._last[1] < _EVERY):
+            if self._last is not None and self._last[0] == pose:
                 return self._last[2]
             if self._problem:
                 raise self._refusal()

@@ -35,6 +35,10 @@ class ThinnedSamples:
     Args:
         columns: how many values a sample has.
 
+    Attributes:
+        times, low, high: of the points: when each begins, and the least and the largest value of each column.
+        last: the last value of each column.
+
     Example:
         >>> samples = ThinnedSamples(1)
         >>> for place in range(1000):
@@ -47,11 +51,13 @@ class ThinnedSamples:
         self.times: list[float] = []
         self.low: list[list[float | None]] = [[] for _ in range(columns)]
         self.high: list[list[float | None]] = [[] for _ in range(columns)]
+        self.last: list[float | None] = [None] * columns
         self._each = 1
         self._in_last = 0
 
     def add(self, time: float, values: Sequence[float | None]) -> None:
         """Take a sample; times may not fall."""
+        self.last = [before if value is None else value for before, value in zip(self.last, values, strict=True)]
         if self._in_last in {0, self._each}:
             if len(self.times) == _POINTS:
                 self._halve()
@@ -169,15 +175,18 @@ class _SampleFile:
         """Return the curves as plain data: those that have any number."""
         if self.samples is None or not self.samples.times:
             return None
-        low, high = self.samples.low, self.samples.high
-        shown = [place for place in range(len(self.columns)) if any(each is not None for each in high[place])]
+        low, high, last = self.samples.low, self.samples.high, self.samples.last
+        shown = [place for place, value in enumerate(last) if value is not None]
         return {
             "plugin": self.plugin,
             "file": self.name,
             "is_live": self.is_live,
             "is_cut": self.is_cut,
             "times": self.samples.times,
-            "columns": [{"name": self.columns[each], "low": low[each], "high": high[each]} for each in shown],
+            "last_at": self._last,
+            "columns": [
+                {"name": self.columns[each], "low": low[each], "high": high[each], "last": last[each]} for each in shown
+            ],
             "way": self.way,
             "pose": self._pose,
         }

@@ -7,6 +7,7 @@ import importlib.util
 from dataclasses import dataclass, fields
 from math import inf
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, did_you_mean
@@ -53,6 +54,10 @@ class _EmbeddedRobot:
     description = "the embedded TurtleBot3 Burger: a physics simulation with a clock of its own"
     takes_address = False
     is_simulated = True
+    #: What a TurtleBot3 subscribes, and a model with joints that are driven, with the types; a model may have either.
+    command_topics: Mapping[str, str] = MappingProxyType(
+        {"cmd_vel": "geometry_msgs/Twist", "joint_commands": "sensor_msgs/JointState"}
+    )
 
     def findings(self, name: RobotName) -> list[Finding]:
         """Return which packages are missing, or what is wrong with an option."""

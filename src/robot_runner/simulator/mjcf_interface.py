@@ -116,6 +116,7 @@ def read_model(path: Path, obstacles: Iterable[Obstacle] = ()) -> mujoco.MjModel
         for obstacle in obstacles:
             _stand(spec, obstacle)
         model = spec.compile()
+        mujoco.mj_forward(model, mujoco.MjData(model))
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         problem = f"MuJoCo does not take the model: {' '.join(str(error).split())}"
         raise LinkError(problem, where=str(path), fix="Mend the MJCF; `python -m mujoco.viewer` shows it.") from error
@@ -255,7 +256,7 @@ def _wheels(model: mujoco.MjModel, joints: Sequence[Joint], given: dict[str, str
         found[side] = driven[alike[0]]
     left, right = found["left"], found["right"]
     data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    mujoco.mj_kinematics(model, data)
     numbers = [_joint_number(model, each) for each in (left, right)]
     across = data.xanchor[numbers[0]] - data.xanchor[numbers[1]]
     separation = float(np.linalg.norm(across))

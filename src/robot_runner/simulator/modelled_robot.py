@@ -13,16 +13,8 @@ from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
 from robot_runner.simulator.mjcf_interface import ActuatorKind, read_interface, read_model
-from robot_runner.simulator.physics import check_converged
-from robot_runner.simulator.sensors import (
-    RAYS,
-    PublishedTopic,
-    imu,
-    joint_state,
-    laser_scan,
-    odometry,
-    scan_of,
-)
+from robot_runner.simulator.physics import MORE_MEMORY, check_physics
+from robot_runner.simulator.sensors import RAYS, PublishedTopic, imu, joint_state, laser_scan, odometry, scan_of
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams
 
@@ -156,15 +148,19 @@ class ModelledRobot:
         mujoco.mju_mulQuat(pose[3:], turn, pose[3:].copy())
 
     def _reach(self) -> None:
-        for _ in range(self._steps, self._clock.step):
-            mujoco.mj_step(self._model, self._data, nstep=self._substeps)
-            if self._interface.wheels is not None:
-                self._count_wheels(self._interface.wheels)
+        try:
+            for _ in range(self._steps, self._clock.step):
+                mujoco.mj_step(self._model, self._data, nstep=self._substeps)
+                if self._interface.wheels is not None:
+                    self._count_wheels(self._interface.wheels)
+        except mujoco.FatalError as error:
+            problem = f"MuJoCo gave up on the model: {' '.join(str(error).split())}"
+            raise LinkError(problem, where=str(self.path), fix=MORE_MEMORY) from error
         self._steps = max(self._steps, self._clock.step)
         fix = (
             "Give the model a shorter time step, softer actuators or more damping; `python -m mujoco.viewer` shows it."
         )
-        check_converged(self._warnings, "model", where=str(self.path), fix=fix)
+        check_physics(self._warnings, "model", where=str(self.path), fix=fix)
 
     def _drive(self, linear: float, angular: float) -> None:
         wheels = self._interface.wheels

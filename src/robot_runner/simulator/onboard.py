@@ -109,11 +109,7 @@ class OnboardComputer:
     """CPU: the mean since the sample before. Memory: what is in use at the moment of the sample."""
 
     def __init__(
-        self,
-        parameters: Turtlebot3Parameters,
-        drive: DifferentialDrive,
-        tasks: TaskRunner,
-        streams: NoiseStreams,
+        self, parameters: Turtlebot3Parameters, drive: DifferentialDrive, tasks: TaskRunner, streams: NoiseStreams
     ) -> None:
         self._parameters = parameters
         self._drive = drive

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from operator import itemgetter
 from typing import TYPE_CHECKING, Protocol
 
@@ -23,27 +24,38 @@ if TYPE_CHECKING:
     Floats = npt.NDArray[np.float64]
 
 _SETTLING_STEPS = 200
+_Warning = mujoco.mjtWarning
 #: What MuJoCo notes where a number became too large or none, before it begins anew by itself.
-_diverged = itemgetter(
-    *map(int, (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC))
-)
+_diverged = itemgetter(*map(int, (_Warning.mjWARN_BADQPOS, _Warning.mjWARN_BADQVEL, _Warning.mjWARN_BADQACC)))
+#: What it notes where contacts have no room in its memory, before it goes on without them.
+_overflown = itemgetter(*map(int, (_Warning.mjWARN_CONTACTFULL, _Warning.mjWARN_CNSTRFULL)))
+MORE_MEMORY = 'Give it more memory, as in <size memory="100M"/>, or fewer things that touch each other.'
 #: How many numbers a robot has in MuJoCo's arrays: seven of its pose (six of its velocity) and two of its wheels.
 _POSITIONS, _VELOCITIES = 9, 8
 
 
-def check_converged(warnings: npt.NDArray[np.int32], what: str, *, where: str, fix: str) -> None:
-    """See that the physics of something has not diverged so far.
+if mujoco.get_mju_user_warning() is None:
+    # Else MuJoCo writes a file of its own, MUJOCO_LOG.TXT, into the folder in which somebody works.
+    mujoco.set_mju_user_warning(logging.getLogger(__name__).warning)
+
+
+def check_physics(warnings: npt.NDArray[np.int32], what: str, *, where: str, fix: str) -> None:
+    """See that the physics of something is true so far.
 
     Args:
         warnings: how often MuJoCo noted each (a view of its `data.warning.number`: looked up each time, it costs more).
-        what: diverged.
-        where: it did.
-        fix: what to do.
+        what: has it.
+        where: to mend it.
+        fix: what to do where it diverged.
 
     Raises:
-        LinkError: it has, and MuJoCo went on from the beginning as if nothing had been.
+        LinkError: it diverged, and MuJoCo went on from the beginning as if nothing had been; or it left contacts out.
     """
-    if any(_diverged(warnings.tolist())):
+    counts = warnings.tolist()
+    if any(_overflown(counts)):
+        problem = f"MuJoCo's memory is too small for all contacts of the {what}: some had no effect"
+        raise LinkError(problem, where=where, fix=MORE_MEMORY)
+    if any(_diverged(counts)):
         problem = f"the physics of the {what} diverged, and MuJoCo put the robot back to its beginning"
         raise LinkError(problem, where=where, fix=fix)
 
@@ -93,7 +105,7 @@ class Physics:
         """Go on until this many steps were made since the beginning; those already made are not repeated.
 
         Raises:
-            LinkError: the physics diverged.
+            LinkError: the physics went wrong.
         """
         model, data, riders = self._model, self._data, self._riders
         for row in range(self.steps + 1, steps + 1):
@@ -102,7 +114,7 @@ class Physics:
                 rider.note(row)
         self.steps = max(self.steps, steps)
         fix = "Give its parameters less extreme values: what is heavy, slippery or stiff."
-        check_converged(self._warnings, "simulated robot", where="Turtlebot3Parameters", fix=fix)
+        check_physics(self._warnings, "simulated robot", where="Turtlebot3Parameters", fix=fix)
 
     def put_back(self, number: int) -> None:
         """Put a body back where it settled at the beginning, and stop it; its wheels keep their angles."""

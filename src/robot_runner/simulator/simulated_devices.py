@@ -78,9 +78,7 @@ class SimulatedSerialLine:
     def _check_open(self) -> None:
         if self._is_closed:
             raise LinkError(
-                "the line was closed",
-                where="the simulated power meter",
-                fix="Drain it before it is closed.",
+                "the line was closed", where="the simulated power meter", fix="Drain it before it is closed."
             )
 
 
@@ -155,9 +153,7 @@ class SimulatedHost:
         """
         if self._is_closed:
             raise LinkError(
-                "the link was closed",
-                where="the simulated on-board computer",
-                fix="Use it before the run ends.",
+                "the link was closed", where="the simulated on-board computer", fix="Use it before the run ends."
             )
         if not 0 < rate <= _HIGHEST_RATE:
             raise LinkError(

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot import Message, Qos
     from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.type_catalogue import TypeCatalogue
+    from robot_runner.simulator.sensors import PublishedTopic
     from robot_runner.simulator.simulated_turtlebot3 import SimulatedRobot, Simulation
 
 _STEP = STEP_NS / 1e9
@@ -121,8 +122,9 @@ class SimulatedTransport:
     ) -> _Subscription:
         """Have `receive` called with each message, at the rate of the real robot, while the clock is slept on."""
         del qos, is_raw
-        name = self._own_name(topic, self._robot.topics, kind="topic that the robot publishes")
-        published, clock = self._robot.topics[name], self._simulation.clock
+        published, clock = self._published().get(topic), self._simulation.clock
+        if published is None:
+            raise self._unknown(topic, self._robot.topics, kind="topic that the robot publishes")
         check_type(topic, message_type, [published.message_type])
         listening = published.listen(lambda message: receive(_Reception(message_type, message, clock.now_ns)))
         return _Subscription(listening.close)
@@ -150,9 +152,8 @@ class SimulatedTransport:
 
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic of each robot of the simulation."""
-        types: dict[str, str] = {}
+        types = {name: topic.message_type for name, topic in self._published().items()}
         for namespace, robot in self._simulation.robots.items():
-            types |= {f"{namespace}/{name}": topic.message_type for name, topic in robot.topics.items()}
             types |= {f"{namespace}/{name}": message_type for name, message_type in robot.command_topics.items()}
         return types
 
@@ -204,15 +205,23 @@ class SimulatedTransport:
         for each in self._commands.values():
             each.check_motors()
 
+    def _published(self) -> dict[str, PublishedTopic]:
+        """Return what all robots of the simulation publish, by full name: whoever is on a graph hears all of it."""
+        robots = self._simulation.robots.items()
+        return {f"{namespace}/{name}": topic for namespace, robot in robots for name, topic in robot.topics.items()}
+
     def _own_name(self, given: str, known: Iterable[str], *, kind: str) -> str:
         """Return a name within the robot's namespace."""
         prefix = f"{self._robot.namespace}/"
         name = given.removeprefix(prefix)
         if prefix + name == given and name in known:
             return name
-        candidates = [prefix + one for one in known]
+        raise self._unknown(given, known, kind=kind)
+
+    def _unknown(self, given: str, known: Iterable[str], *, kind: str) -> LinkError:
+        candidates = [f"{self._robot.namespace}/{one}" for one in known]
         where = f"the simulated robot {self._robot.namespace}".rstrip()
-        raise LinkError(f"{given!r} is not a {kind}", where=where, fix=did_you_mean(given, candidates))
+        return LinkError(f"{given!r} is not a {kind}", where=where, fix=did_you_mean(given, candidates))
 
 
 class _CommandPublisher:

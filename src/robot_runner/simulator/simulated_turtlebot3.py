@@ -301,9 +301,7 @@ class Simulation:
         """
         if self._is_closed:
             raise LinkError(
-                "the simulation was closed",
-                where=f"robot {namespace!r}",
-                fix="Connect to the robot within the run.",
+                "the simulation was closed", where=f"robot {namespace!r}", fix="Connect to the robot within the run."
             )
         name = namespace.strip("/")
         full = f"/{name}" if name else ""

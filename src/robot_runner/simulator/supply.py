@@ -120,11 +120,7 @@ class PowerModel:
     """
 
     def __init__(
-        self,
-        parameters: Turtlebot3Parameters,
-        drive: DifferentialDrive,
-        tasks: TaskRunner,
-        streams: NoiseStreams,
+        self, parameters: Turtlebot3Parameters, drive: DifferentialDrive, tasks: TaskRunner, streams: NoiseStreams
     ) -> None:
         self._parameters = parameters
         self._drive = drive

@@ -128,6 +128,24 @@ def test_a_file_that_comes_late_is_waited_for(tmp_path):
     assert clock.now() == pytest.approx(30.0, abs=1.0)
 
 
+def test_a_file_that_is_still_being_copied_is_waited_for(tmp_path):
+    clock, profiler = FakeClock(), Ina219(card=str(tmp_path / "INA219.BIN"), card_patience_s=60.0)
+    context = make_context(tmp_path, profiler, robot=None, clock=clock)
+    for part in range(1, 11):
+        clock.at(29.4 + part * 0.4, lambda part=part: written(tmp_path, MARKED[: len(MARKED) * part // 10], blank=0))
+    measures = rehearse(context, profiler, mission=lambda: clock.sleep(2.0))
+    assert measures["Energy"] == pytest.approx(WATTS * 2.0)
+    assert context.broker.findings == ()
+
+
+def test_a_file_that_goes_on_growing_is_refused(tmp_path):
+    clock, profiler = FakeClock(), Ina219(card=str(tmp_path / "INA219.BIN"))
+    context = make_context(tmp_path, profiler, robot=None, clock=clock)
+    clock.every(0.3, lambda: written(tmp_path, MARKED, blank=round(clock.now() * 10)))
+    with pytest.raises(LinkError, match="is still being written"):
+        rehearse(context, profiler, mission=lambda: clock.sleep(2.0))
+
+
 def test_a_file_that_was_there_before_is_not_taken_for_this_run(tmp_path):
     written(tmp_path, MARKED)
     with pytest.raises(LinkError, match="no new recording came within 3 s"):

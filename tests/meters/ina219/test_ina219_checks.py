@@ -118,7 +118,11 @@ def test_two_sensors_of_one_meter_share_its_port_and_one_sensor_has_one_profiler
 
 @pytest.mark.parametrize(
     ("parameters", "problem"),
-    [({"port": "/dev/ttyUSB0", "address": 0x20}, "address is 32"), ({"sysfs": "auto", "address": 0x41}, "and sysfs")],
+    [
+        ({"port": "/dev/ttyUSB0", "address": 0x20}, "address is 32"),
+        ({"port": "/dev/ttyUSB0", "address": "0x40"}, "address is '0x40' → .*address=0x40"),
+        ({"sysfs": "auto", "address": 0x41}, "and sysfs"),
+    ],
 )
 def test_an_address_that_no_sensor_of_a_meter_has_is_refused(parameters, problem):
     with pytest.raises(PluginError, match=problem):

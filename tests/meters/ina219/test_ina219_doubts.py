@@ -73,7 +73,7 @@ def test_power_outside_the_plausible_limits_is_doubted(tmp_path, watts, told):
     assert [told in problem for problem in found] == ([True] if told else [])
 
 
-@pytest.mark.parametrize("limits", [(30, 2), (1,), (2, 2)])
+@pytest.mark.parametrize("limits", [(30, 2), (1,), (2, 2), 30, "2-30", ("2", "30")])
 def test_limits_that_are_none_are_refused(limits):
     with pytest.raises(PluginError, match="plausible_w is"):
         Ina219(plausible_w=limits)

@@ -173,7 +173,9 @@ def test_the_flags_of_the_bus_register_are_ignored(flags):
     assert Calibration().voltage((3100 << 3) | flags) == pytest.approx(12.4)
 
 
-@pytest.mark.parametrize("parameters", [{"shunt_ohm": 0.0}, {"shunt_ohm": -0.1}, {"rate_hz": 0.0}])
+@pytest.mark.parametrize(
+    "parameters", [{"shunt_ohm": 0.0}, {"shunt_ohm": -0.1}, {"rate_hz": 0.0}, {"card_patience_s": "5"}]
+)
 def test_a_shunt_or_a_rate_that_cannot_be_is_refused(parameters):
     with pytest.raises(PluginError, match="is "):
         Ina219(**parameters)

@@ -127,7 +127,10 @@ def _stream_of(data: bytes, address: int) -> SampleStream:
     return stream
 
 
-_POLL = 0.5
+#: A file that stays as it is for this long has been copied, s.
+_POLL = 1.0
+#: How long copying may go on when the patience is over, s: a file of 64 MB takes some seconds.
+_LONGEST_COPY = 60.0
 #: Share of the run's own measured time by which the marked span may differ from it before it is doubted, and s that a
 #: hand or an input pin may be late.
 _DIFFERENCE, _REACTION = 0.05, 1.0
@@ -203,13 +206,18 @@ class CardMeter:
 
     def _wait(self) -> None:
         deadline = self._clock.now() + self._patience
-        while _state(self._file) in {None, self._before}:
-            if self._clock.now() >= deadline:
+        last = None
+        while (state := _state(self._file)) != last or state is None:
+            is_new = state not in {None, self._before}
+            if self._clock.now() >= deadline + (_LONGEST_COPY if is_new else 0.0):
                 raise LinkError(
-                    f"no new recording came within {self._patience:g} s",
+                    "the new recording is still being written"
+                    if is_new
+                    else f"no new recording came within {self._patience:g} s",
                     where=str(self._file),
                     fix="Copy INA219.BIN from the meter's card to it after each mission, or give card_patience_s more.",
                 )
+            last = state if is_new else None
             self._clock.sleep(_POLL)
 
     def _doubts(self, marked: Window, window: Window | None) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -29,7 +30,7 @@ from robot_runner.meters.ina219.sysfs import DEFAULT_SYSFS_RATE, SysfsMeter, fin
 from robot_runner.meters.parameter_checks import check_positive
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.window import Window
@@ -145,8 +146,8 @@ def _sysfs_findings(where: str, folder: str) -> list[Finding]:
 def _check_address(way: Way, where: str) -> None:
     if way.address is None:
         return
-    if not _FIRST_ADDRESS <= way.address <= _LAST_ADDRESS:
-        fix = "An INA219 has one from 0x40 to 0x4f, by its solder bridges."
+    if not (isinstance(way.address, int) and _FIRST_ADDRESS <= way.address <= _LAST_ADDRESS):
+        fix = "An INA219 has one from 0x40 to 0x4f, by its solder bridges: address=0x40."
         raise PluginError(f"address is {way.address!r}", where=where, fix=fix)
     if way.sysfs is not None:
         fix = "Name the sensor's folder with sysfs, and leave address out."
@@ -160,8 +161,10 @@ _FIRST_ADDRESS, _LAST_ADDRESS = 0x40, 0x4F
 def _limits(limits: Sequence[float] | None, where: str) -> tuple[float, float] | None:
     if limits is None:
         return None
-    if len(limits) == 2 and limits[0] < limits[1]:  # noqa: PLR2004 - the lower and the upper one
-        return limits[0], limits[1]
+    if isinstance(limits, Sequence) and len(limits) == 2 and all(isinstance(each, int | float) for each in limits):  # noqa: PLR2004
+        low, high = limits
+        if low < high:
+            return low, high
     fix = "Give the lower and the upper one in W, as in plausible_w=(2, 30)."
     raise PluginError(f"plausible_w is {limits!r}", where=where, fix=fix)
 
@@ -201,8 +204,8 @@ class Ina219(Profiler):
         namespace: whose meter it is, on several simulated robots.
 
     Raises:
-        PluginError: the limits are in no order, the shunt or the rate is not positive, or two ways to the sensor are
-            named.
+        PluginError: the limits are no two numbers in order, the address is none, the shunt or the rate is not positive,
+            or two ways to the sensor are named.
 
     Example:
         >>> Ina219(port="/dev/ttyUSB0", shunt_ohm=0.05).measures[0].unit
@@ -233,7 +236,7 @@ class Ina219(Profiler):
         namespace: str = "",
     ) -> None:
         super().__init__(name=name)
-        given = {"shunt_ohm": shunt_ohm, "rate_hz": rate_hz}
+        given = {"shunt_ohm": shunt_ohm, "rate_hz": rate_hz, "card_patience_s": card_patience_s or None}
         check_positive(self.name, **{parameter: value for parameter, value in given.items() if value is not None})
         config = None if ssh_config is None else Path(ssh_config).expanduser()
         self.way = Way(

@@ -170,14 +170,7 @@ class SysfsMeter:
     has_samples_at_once = True
 
     def __init__(
-        self,
-        host: FileHost,
-        clock: Clock,
-        *,
-        folder: str,
-        shunt_ohm: float | None,
-        rate_hz: float | None,
-        where: str,
+        self, host: FileHost, clock: Clock, *, folder: str, shunt_ohm: float | None, rate_hz: float | None, where: str
     ) -> None:
         self._host = host
         self._clock = clock

@@ -91,11 +91,7 @@ def _read_run(folder: Path, sources: Sources) -> MeasuredRun:
     power = Series(*read_numbers(folder / sources.power / "samples.csv", ("time_s", "power_W")))
     states, means = [], []
     found = read_states(
-        folder,
-        window,
-        utilisation=sources.utilisation,
-        phases=sources.phases,
-        components=sources.components,
+        folder, window, utilisation=sources.utilisation, phases=sources.phases, components=sources.components
     )
     for state in found:
         watts = mean(cut(power, Window(state.start, state.end))) if state.seconds >= _SHORTEST else None

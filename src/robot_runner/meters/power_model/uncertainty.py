@@ -117,9 +117,7 @@ def _fitted(pieces: PiecesOfRuns, matrix: Floats, lag: int) -> Any:
     if pieces.runs[0] == pieces.runs[-1]:
         return model.fit(cov_type="HAC", cov_kwds={"maxlags": lag, "use_correction": True}, use_t=True)
     return model.fit(
-        cov_type="hac-panel",
-        cov_kwds={"groups": pieces.runs, "maxlags": lag, "use_correction": "hac"},
-        use_t=True,
+        cov_type="hac-panel", cov_kwds={"groups": pieces.runs, "maxlags": lag, "use_correction": "hac"}, use_t=True
     )
 
 

@@ -86,13 +86,8 @@ function draw(chosen) {
   chosen.forEach((each, place) => {
     const plot = view.plots[place];
     plot.chart.setData([each.file.times, each.column.high, each.column.low]);
-    setText(plot.readout, "last " + number(lastOf(each.column.high)) + " at " + number(each.file.times[each.file.times.length - 1]) + " s" + (each.file.is_cut ? ": later ones are not drawn, the file is too long" : each.file.is_live ? ", being taken" : ""));
+    setText(plot.readout, "last " + number(each.column.last) + " at " + number(each.file.last_at) + " s" + (each.file.is_cut ? ": later ones are not drawn, the file is too long" : each.file.is_live ? ", being taken" : ""));
   });
-}
-
-function lastOf(values) {
-  for (let place = values.length - 1; place >= 0; place -= 1) { if (values[place] !== null) { return values[place]; } }
-  return null;
 }
 
 function chart(box, paint, each) {
@@ -126,7 +121,7 @@ function showWay(file) {
   const step = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1000].find((each) => span / each <= 7) || span / 5;
   for (let at = Math.ceil(left / step) * step; at <= left + wide; at += step) { grid.push(drawing("line", { x1: at, x2: at, y1: top, y2: top + high })); }
   for (let at = Math.ceil(top / step) * step; at <= top + high; at += step) { grid.push(drawing("line", { x1: left, x2: left + wide, y1: at, y2: at })); }
-  const last = file.way[file.way.length - 1];
+  const last = file.pose;
   const svg = drawing("svg", { viewBox: [left, top, wide, high].join(" "), role: "img", "aria-label": "The way of the robot in " + view.run + "; it is at " + number(last[0]) + " m, " + number(last[1]) + " m" },
     drawing("g", { class: "grid", "stroke-width": hair }, ...grid),
     drawing("polyline", { class: "way", "stroke-width": 3 * hair, points: file.way.map((place) => place[0] + "," + -place[1]).join(" ") }),
