@@ -110,6 +110,21 @@ def test_a_service_that_nobody_can_understand_is_given_up_at_the_deadline(other,
     assert graph_look.look_at(RobotName.parse(f"dds:domain={DOMAIN}"), {"plugin Lamp": [need]}) == []
 
 
+def test_what_is_awaited_before_a_service_is_called_counts_as_time_of_the_call(other, link, monkeypatch):
+    other()
+    mine = link()
+    assert mine.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=60.0)["success"]
+    await_service = dds_transport.await_service
+
+    def await_long(session, service, service_type, until):
+        await_service(session, service, service_type, until)
+        time.sleep(0.3)
+
+    monkeypatch.setattr(dds_transport, "await_service", await_long)
+    with pytest.raises(LinkError, match=r"does not answer within 0\.2 s"):
+        mine.call("lamp", "std_srvs/SetBool", {"data": True}, timeout=0.2)
+
+
 def test_the_graph_shows_the_other_node_and_the_other_node_this_one(other, link):
     node, mine = other(), link()
     mine.subscribe("chatter", STRING, lambda _: None)

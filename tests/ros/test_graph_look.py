@@ -18,7 +18,7 @@ from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import graph_look
 from robot_runner.ros.graph_links import GRAPH_LINKS
 from robot_runner.ros.turtlebot3.steered_robot import Task, TaskServices
-from robot_runner.testing import FakeClock, RosbridgeServer
+from robot_runner.testing import FakeClock, FakeRobotLink, RosbridgeServer
 
 TRIGGER = "std_srvs/Trigger"
 HEAD = """\
@@ -65,6 +65,21 @@ def be_a_robot(link, *, services):
     link.offer_action("pick", "example_interfaces/Fibonacci", lambda _: {})
     for name, kind in services.items():
         link.offer(name, kind, lambda _: {})
+
+
+def test_what_a_plugin_needs_may_name_its_types_as_ros_2_does():
+    link = FakeRobotLink(FakeClock())
+    link.known_topics |= {"/odom": "nav_msgs/Odometry", "/cmd_vel": "geometry_msgs/Twist"}
+    link.offer("dock", TRIGGER, lambda _: {})
+    needs = [
+        GraphNeed.published("/odom", "nav_msgs/msg/Odometry"),
+        GraphNeed.subscribed("/cmd_vel", "geometry_msgs/msg/Twist"),
+        GraphNeed.service("/dock", "std_srvs/srv/Trigger"),
+    ]
+    assert [found for need in needs for found in graph_look.need_findings(link, need, "plugin")] == []
+    wrong = GraphNeed.service("/dock", "std_srvs/srv/Empty")
+    (finding,) = graph_look.need_findings(link, wrong, "plugin")
+    assert finding.problem == "the service '/dock' is of the type std_srvs/Trigger, not std_srvs/Empty"
 
 
 class GraphLook:

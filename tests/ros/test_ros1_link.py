@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 import xmlrpc.client
 from contextlib import ExitStack
 from pathlib import Path
@@ -27,6 +28,7 @@ from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.ros.ros1_master import Master
 from robot_runner.ros.ros1_types import as_mapping, as_message, message_class, shape_of
 from robot_runner.ros.shapes import completed
+from robot_runner.ros.transform_buffer import TransformBuffer
 
 STRING = "std_msgs/String"
 
@@ -173,6 +175,38 @@ class TestGraph:
             )
         assert heard == []
         assert "/other publishes std_msgs/Int32" in caplog.text
+
+    def test_transforms_are_heard_by_the_name_that_their_type_had_before_tf2(self, opened, master_uri, tmp_path):
+        link, buffer = opened(), TransformBuffer()
+        program = f"""
+            import os, rospy, tf2_msgs.msg, geometry_msgs.msg
+            class tfMessage(tf2_msgs.msg.TFMessage):  # as rosserial publishes it, and so the board of a TurtleBot3
+                _type = "tf/tfMessage"
+            told = geometry_msgs.msg.TransformStamped()
+            told.header.frame_id, told.child_frame_id, told.transform.rotation.w = "odom", "base", 1.0
+            rospy.init_node("board", disable_signals=True)
+            rospy.Publisher("/tf", tfMessage, queue_size=1, latch=True).publish([told])
+            deadline = time.monotonic() + 60
+            while not os.path.exists({str(tmp_path / "heard")!r}) and time.monotonic() < deadline:
+                time.sleep(0.01)
+            rospy.signal_shutdown("done")
+        """
+        board = threading.Thread(target=execute, args=(master_uri, program), kwargs={"folder": tmp_path})
+        board.start()
+        with ExitStack() as closing:
+            closing.callback(board.join)
+            closing.callback((tmp_path / "heard").touch)
+            deadline = time.monotonic() + 60
+            while "/tf" not in link.topics():
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+            assert link.topics()["/tf"] == "tf2_msgs/TFMessage"
+            assert "geometry_msgs/TransformStamped[] transforms" in link.definition("tf/tfMessage")
+            buffer.subscribe(link, closing)
+            while not buffer.frames:
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+        assert buffer.frames == ["base", "odom"]
 
     def test_a_master_that_hangs_holds_nobody_up(self):
         with pytest.raises(LinkError, match=r"took longer than 0\.1 s"):

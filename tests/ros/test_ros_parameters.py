@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +13,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.errors import LinkError, PluginError, StorageError
 from robot_runner.core.plugin import Circumstances
+from robot_runner.core.storage.claim_locks import state_folder
 from robot_runner.plugins import treatment
 from robot_runner.plugins.systems import Lifecycle, RosParameters
 from robot_runner.ros.experiment_checks import check_left_settings
@@ -40,7 +42,7 @@ _DEAD = 4_000_000  # above the highest process id of Linux
 @pytest.fixture(autouse=True)
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    return tmp_path / "state" / "robot-runner" / "settings"
+    return state_folder("settings")
 
 
 class TestRosParametersKeepsToTheContract(SystemContract):
@@ -254,6 +256,24 @@ def test_a_robot_is_known_again_under_another_name_of_its_graph(state, monkeypat
     assert [left_settings("states", each) for each in others] == [[]] * len(others)
     monkeypatch.setenv("ROS_DOMAIN_ID", "8")  # what is left stays where it was, whatever the variables say later
     assert left_settings("states", "dds") == []
+
+
+def test_what_another_computer_has_set_is_not_taken_for_left_in_a_home_that_both_share(state, monkeypatch):
+    left({"/slam": {"state": "active"}}, {"/slam": {"state": "inactive"}}, "Lifecycle", "states")
+    monkeypatch.setattr(socket, "gethostname", lambda: "another")  # whose processes are not seen from here
+    assert left_settings("states", "dds:domain=7") == []
+
+
+def test_a_user_without_a_home_has_left_nothing(monkeypatch):
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setattr(Path, "expanduser", _without_home)
+    assert left_settings("states", "dds:domain=7") == []
+    with pytest.raises(StorageError, match="no home folder"):
+        left({"/slam": {"state": "active"}}, {"/slam": {"state": "inactive"}}, "Lifecycle", "states")
+
+
+def _without_home(path):
+    raise RuntimeError("Could not determine home directory.")
 
 
 def test_who_stands_by_puts_back_what_the_run_left_and_keeps_the_file_where_it_cannot(tmp_path, state):

@@ -16,7 +16,7 @@ from tests.processor_wait import ProcessorWait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.robot import Encoding
+from robot_runner.core.links.robot import Encoding, Qos
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros import rosbridge_frames, rosbridge_session, rosbridge_types
 from robot_runner.ros.graph_addresses import RosbridgeAddress
@@ -242,6 +242,25 @@ def test_a_byte_of_a_type_that_only_the_robot_knows_has_a_sign_in_ros_1_and_none
     assert completed(shape, level, where="level") == level
     protocol = rosbridge_frames.to_protocol(shape, level)
     assert rosbridge_frames.from_protocol(shape, protocol, where="level") == level
+
+
+def test_who_subscribes_later_gets_the_fixed_frames_of_all_nodes_and_the_last_of_all_else(server):
+    def told(child):
+        return {"transforms": [{"header": {"frame_id": "base"}, "child_frame_id": child}]}
+
+    with closing(linked(server)) as link:
+        early, late = [], []
+        for topic, kind in (("/tf_static", "tf2_msgs/TFMessage"), ("/map_name", STRING)):
+            link.subscribe(topic, kind, early.append)
+        for child, name in (("lidar", "arena"), ("camera", "hall")):
+            server.publish("/tf_static", "tf2_msgs/TFMessage", told(child), is_latched=True)
+            server.publish("/map_name", STRING, {"data": name}, is_latched=True)
+        until(lambda: len(early) == 4)
+        for topic, kind in (("/tf_static", "tf2_msgs/TFMessage"), ("/map_name", STRING)):
+            link.subscribe(topic, kind, late.append, qos=Qos.TRANSIENT_LOCAL)
+        children = [each["child_frame_id"] for message in late[:2] for each in message["transforms"]]
+        assert children == ["lidar", "camera"]
+        assert late[2:] == [{"data": "hall"}]
 
 
 def test_a_callback_may_call_a_service(server):

@@ -230,3 +230,10 @@ def test_a_folder_without_definitions_is_refused(tmp_path):
 def test_an_unknown_distribution_is_refused():
     with pytest.raises(LinkError, match="Did you mean 'jazzy'"):
         TypeCatalogue.of(2, "jazy")
+
+
+def test_a_text_in_another_encoding_is_told_as_such():
+    latin1 = bytes([0, 1, 0, 0, 5, 0, 0, 0]) + "café".encode("latin-1") + b"\0"
+    with pytest.raises(LinkError, match="'utf-8' codec can't decode byte 0xe9") as caught:
+        TypeCatalogue.of(2).deserialise("std_msgs/String", latin1, Encoding.CDR)
+    assert caught.value.fix.startswith("Have its node send texts in UTF-8")

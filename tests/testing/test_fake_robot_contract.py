@@ -7,7 +7,7 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding, Qos, RobotLink, Subscription
 from robot_runner.ros.type_catalogue import TypeCatalogue
-from robot_runner.testing import FakeClock, FakeRobotLink, FakeTurtlebot3Link
+from robot_runner.testing import FakeAction, FakeClock, FakeRobotLink, FakeTurtlebot3Link
 
 STRING = "std_msgs/String"
 
@@ -32,6 +32,36 @@ def test_it_is_a_robot_link(link, clock):
 def test_what_is_published_keeps_how(link):
     link.publish("map", STRING, {"data": "a"}, qos=Qos.TRANSIENT_LOCAL)
     assert link.publications[0].qos is Qos.TRANSIENT_LOCAL
+
+
+@pytest.mark.parametrize(
+    ("message_type", "moving"),
+    [
+        ("geometry_msgs/Twist", {"linear": {"x": 0.2}}),
+        ("geometry_msgs/msg/Twist", {"angular": {"z": 0.2}}),
+        ("geometry_msgs/msg/TwistStamped", {"twist": {"linear": {"x": 0.2}}}),
+    ],
+)
+def test_a_robot_moves_until_it_is_told_to_stand_still_however_topic_and_type_are_spelt(link, message_type, moving):
+    link.publish("cmd_vel", message_type, moving)
+    assert not link.stands_still
+    link.publish("/cmd_vel", message_type, {})
+    assert link.stands_still
+
+
+def test_an_ideal_robot_drives_however_topic_and_type_are_spelt(clock):
+    robot = FakeTurtlebot3Link(clock)
+    robot.publish("/cmd_vel", "geometry_msgs/msg/TwistStamped", {"twist": {"linear": {"x": 0.2}}})
+    clock.sleep(1.0)
+    assert robot.wait_for("odom", "nav_msgs/Odometry")["pose"]["pose"]["position"]["x"] == pytest.approx(0.2, abs=0.02)
+
+
+def test_types_are_known_in_either_spelling_as_on_a_graph(clock):
+    link = FakeRobotLink(clock, actions={"dock": FakeAction(action_type="nav2_msgs/NavigateToPose")})
+    link.publish("door", "std_msgs/msg/String", {"data": "a"})
+    assert link.topics() == {"/door": STRING}
+    assert [each.message_type for each in link.publishers("door")] == [STRING]
+    assert link.send_goal("dock", "nav2_msgs/action/NavigateToPose").result(timeout=60.0).has_succeeded
 
 
 def test_what_is_delivered_is_heard_as_bytes_too(link, clock):

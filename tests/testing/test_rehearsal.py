@@ -163,3 +163,17 @@ def test_a_factor_that_nobody_looks_at_is_found(tmp_path):
     (finding,) = context.broker.findings
     assert finding.problem == "no callback and no plugin looked at Power: its treatments may never have been applied"
     assert "treatment('Power')" in finding.fix
+
+
+def test_a_phase_that_the_mission_did_not_have_is_warned_of_as_in_a_run(tmp_path):
+    class Driver(System):
+        def launch_mission(self, context):
+            with context.phase("navigate"):
+                context.clock.sleep(1.0)
+
+    driver = Driver()
+    context = make_context(tmp_path, driver, robot=None, phases=("navigate", "navigat"))
+    rehearse(context, driver)
+    warned = [fields for kind, fields in context.broker.records if kind == "finding"]
+    assert [each["problem"] for each in warned] == ["the mission had no phase 'navigat'"]
+    assert warned[0]["fix"] == "Did you mean 'navigate'?"

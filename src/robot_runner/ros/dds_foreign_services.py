@@ -33,7 +33,6 @@ from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions, reply_topic, request_topic
 from robot_runner.ros.dds_qos import service_profile
 from robot_runner.ros.dds_reception import Reception, delete, plain_service_wire_type
-from robot_runner.ros.graph_transport import service_timeout
 from robot_runner.ros.rtps_replies import RequestId, RtpsReplies, captured_messages
 
 if TYPE_CHECKING:
@@ -200,23 +199,20 @@ class ForeignServices:
         self._answers: dict[RequestId, bytes | None] = {}
         self._met: set[tuple[bytes, bytes]] = set()
 
-    def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
-        """Call a service that is there, and return its response.
+    def call(self, service: str, service_type: str, request: Message, deadline: float) -> Message | None:
+        """Call a service that is there, and return its response; None if none came by the deadline.
 
         Raises:
-            LinkError: it does not answer in time, or cannot be called.
+            LinkError: it cannot be called.
         """
-        deadline = time.monotonic() + timeout
         with self._lock:
             client = self._client(service, service_type)
         if not self.wait_for(client.is_matched, deadline):
-            raise service_timeout(service, timeout)
+            return None
         # A reply that is written before the server knows of our reader is lost.
         self.wait_for(client.is_met, min(deadline, time.monotonic() + _MEETING_SECONDS))
         answer = client.ask(request, deadline)
-        if answer is None:
-            raise service_timeout(service, timeout)
-        return client.response_of(answer)
+        return None if answer is None else client.response_of(answer)
 
     def expect(self, request: RequestId) -> None:
         """Keep the reply to a request, when it comes."""

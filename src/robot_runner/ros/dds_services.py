@@ -27,7 +27,7 @@ from robot_runner.ros.dds_graph import (
 )
 from robot_runner.ros.dds_qos import service_profile
 from robot_runner.ros.dds_reception import HEADER_BYTES, READING_QOS, delete, service_wire_type
-from robot_runner.ros.graph_transport import already_offered, service_timeout, wrong_service_type
+from robot_runner.ros.graph_transport import already_offered, wrong_service_type
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -96,12 +96,12 @@ class ServiceClient:
         self._request_type = request_type
         self._guid = self._writer.get_instance_handle() & _UINT64  # cyclonedds reads it as signed
 
-    def call(self, request: Message, timeout: float) -> dict[str, Any]:
-        """Send a request and return the response to it."""
-        deadline = time.monotonic() + timeout
+    def call(self, request: Message, deadline: float) -> dict[str, Any] | None:
+        """Send a request and return the response to it; None if none came by the deadline."""
         number = next(self._sequence)
         data = self._side.pack(self._side.request, _HEADER.pack(self._guid, number), request)
-        self._await_service(timeout)
+        if not self._is_matched(deadline):
+            return None
         self._answers[number] = None
         try:
             self._writer.write(self._request_type(data))
@@ -114,17 +114,19 @@ class ServiceClient:
             ) from error
         finally:
             answer = self._answers.pop(number)
-        if answer is None:
-            raise service_timeout(self._side.service, timeout)
-        return self._side.unpack(self._side.response, answer)
+        return None if answer is None else self._side.unpack(self._side.response, answer)
 
-    def _await_service(self, timeout: float) -> None:
+    def _is_matched(self, deadline: float) -> bool:
+        """Return whether the service takes and answers requests by the deadline; raise a `LinkError` if it is gone."""
+
         def is_there() -> bool:
             return bool(matched_subscriptions(self._writer) and matched_publications(self._reader))
 
-        if not self._side.session.graph.wait_for(is_there, timeout):
-            await_service(self._side.session, self._side.service, self._service_type, 0.0)
-            raise service_timeout(self._side.service, timeout)
+        session = self._side.session
+        if session.graph.wait_for(is_there, max(0.0, deadline - time.monotonic())):
+            return True
+        await_service(session, self._side.service, self._service_type, deadline)
+        return False
 
     def _take(self, sample: RawSample) -> None:
         if sample.sample_info.valid_data and len(sample.data) >= _BODY:
@@ -212,18 +214,18 @@ def is_foreign(session: Session, service: str) -> bool:
     return bool(readers) and not any("serviceid=" in reader.user_data for reader in readers)
 
 
-def await_service(session: Session, service: str, service_type: str, timeout: float) -> None:
+def await_service(session: Session, service: str, service_type: str, deadline: float) -> None:
     """Wait until a service is there.
 
     Raises:
-        LinkError: it is not there within `timeout` seconds, or is of another type.
+        LinkError: it is not there by the deadline, or is of another type.
     """
     wire = request_topic(service)
 
     def is_there() -> bool:
         return bool(session.graph.readers(wire))
 
-    if not session.settle(is_there) and not session.graph.wait_for(is_there, timeout):
+    if not session.settle(is_there) and not session.graph.wait_for(is_there, max(0.0, deadline - time.monotonic())):
         fix = session.loneliness() if session.is_alone() else "Start the node that offers it."
         raise missing("service", service, session.graph.services(), where="dds", fix=fix)
     asked = session.types.request(service_type).type_name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from robot_runner.ros.dds_qos import adapted_profile, policies_of, reader_profil
 from robot_runner.ros.dds_reception import delete, topic_wire_type
 from robot_runner.ros.dds_services import OfferedService, ServiceClient, await_service, is_foreign
 from robot_runner.ros.dds_session import Session
-from robot_runner.ros.graph_transport import ReceivedBytes, check_type
+from robot_runner.ros.graph_transport import ReceivedBytes, check_type, service_timeout
 from robot_runner.ros.ros2_actions import Ros2Actions
 
 if TYPE_CHECKING:
@@ -88,15 +89,20 @@ class DdsTransport:
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service and return its response; a client is kept, because it takes time to be discovered."""
-        await_service(self._session, service, service_type, timeout)
+        deadline = time.monotonic() + timeout
+        await_service(self._session, service, service_type, deadline)
         if is_foreign(self._session, service):
-            return self._foreign.call(service, service_type, request, timeout)
-        with self._lock:
-            key = service, service_type
-            if key not in self._clients:
-                self._clients[key] = ServiceClient(self._session, service, service_type)
-            client = self._clients[key]
-        return client.call(request, timeout)
+            response = self._foreign.call(service, service_type, request, deadline)
+        else:
+            with self._lock:
+                key = service, service_type
+                if key not in self._clients:
+                    self._clients[key] = ServiceClient(self._session, service, service_type)
+                client = self._clients[key]
+            response = client.call(request, deadline)
+        if response is None:
+            raise service_timeout(service, timeout)
+        return response
 
     def serve(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> OfferedService:
         """Offer a service; requests are answered in threads of their own."""

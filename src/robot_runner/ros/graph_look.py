@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from contextlib import closing, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, LinkError, Severity, nearest
@@ -166,6 +166,7 @@ def need_findings(link: GraphListing, need: GraphNeed, where: str) -> Iterator[F
     Raises:
         LinkError: the graph cannot be asked.
     """
+    need = replace(need, types=tuple(map(plain_type, need.types)))
     match need.part:
         case GraphPart.PUBLISHED:
             yield from _published(link, need, where)

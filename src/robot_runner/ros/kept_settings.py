@@ -10,10 +10,10 @@ import json
 import os
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.claim_locks import state_folder
 from robot_runner.core.storage.guarded_files import make_experiment_folder, read_json, remove
 from robot_runner.core.storage.outliving import process_stat
 from robot_runner.core.storage.safe_write import write_beside_and_rename
@@ -22,6 +22,7 @@ from robot_runner.ros.parameter_values import from_json, to_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
     from robot_runner.ros.parameter_values import ParameterValue
 
@@ -31,6 +32,8 @@ Settings: TypeAlias = "Mapping[str, Mapping[str, ParameterValue]]"
 #: The fields of /proc/<pid>/stat behind the program's name, from man 5 proc_pid_stat.
 _STATE, _STARTED = 0, 19
 _DEAD = "ZX"
+#: Where they are kept, among what is known on this computer: of processes of others nothing is seen from here.
+_FOLDER = "settings"
 #: The files of runs of this process that go on: with `RunProcess.IN_PROCESS` one process executes several.
 _in_care: set[Path] = set()
 
@@ -68,7 +71,7 @@ class KeptSettings:
     @property
     def path(self) -> Path:
         """Its file."""
-        return _folder() / f"{self.plugin}-{self.owner[0]}-{self.owner[1]}.json"
+        return state_folder(_FOLDER) / f"{self.plugin}-{self.owner[0]}-{self.owner[1]}.json"
 
     @property
     def is_left(self) -> bool:
@@ -123,7 +126,11 @@ def as_json(settings: Settings) -> dict[str, dict[str, Any]]:
 
 
 def _read_all() -> Iterator[KeptSettings]:
-    for path in sorted(_folder().glob("*.json")):
+    try:
+        paths = sorted(state_folder(_FOLDER).glob("*.json"))
+    except StorageError:  # who has no home has left nothing
+        return
+    for path in paths:
         with suppress(StorageError, KeyError, TypeError, ValueError, AttributeError):
             found = read_json(path)
             pid, started = found["owner"]
@@ -137,12 +144,6 @@ def _read_all() -> Iterator[KeptSettings]:
 
 def _settings(stored: Mapping[str, Mapping[str, Any]]) -> Settings:
     return {node: {name: from_json(value) for name, value in values.items()} for node, values in stored.items()}
-
-
-def _folder() -> Path:
-    """Return where they are kept: in the user's folder of state (XDG_STATE_HOME)."""
-    home = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-    return Path(home).expanduser() / "robot-runner" / "settings"
 
 
 def _started(pid: int) -> str:

@@ -15,7 +15,7 @@ from robot_runner.ros.kept_settings import KeptSettings, left_settings
 from robot_runner.ros.node_services import NodeNotReadyError, full_node
 from robot_runner.ros.parameter_access import all_at_once
 from robot_runner.ros.parameter_values import same_value, to_json
-from robot_runner.ros.robot_system import check_numbers
+from robot_runner.ros.robot_system import OfTheRobot, check_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -35,7 +35,7 @@ PUT_BACK_BY = MappingProxyType({"parameters": "RosParameters", "states": "Lifecy
 _BY_HAND = "Set it by hand, or restart the node."
 
 
-class RestoredSettings(System):
+class RestoredSettings(OfTheRobot, System):
     """Sets something of nodes before the mission, sees that they have it, and puts back what was there.
 
     What was there is written to a file first (`kept_settings`). The run puts it back at its end, whether it failed or
@@ -80,11 +80,6 @@ class RestoredSettings(System):
     def doubts(self, link: RobotLink, settings: Settings) -> Iterable[tuple[str, str]]:
         """Yield what may make the settings vain, each with a remedy; nothing, if not overridden."""
         del link, settings
-        return ()
-
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
         return ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, runtime_checkable
 
-from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.links.connect import is_simulated, join_beforehand
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.events.measure import Origin
+from robot_runner.core.links.connect import is_simulated, join_beforehand, resolved_robot
+from robot_runner.core.links.graph_names import full_name, namespace_prefix
+from robot_runner.core.links.graph_needs import GraphPart
 from robot_runner.core.plugin import System
 from robot_runner.ros.sent_messages import StandardTypes, misfits
+from robot_runner.ros.shapes import plain_type
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.events.measure import MeasureValue
+    from robot_runner.core.links.graph_needs import GraphNeed
+    from robot_runner.core.links.robot_name import RobotName
     from robot_runner.core.plugin import Circumstances
+
+_Kept = TypeVar("_Kept")
 
 
 def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object) -> None:
@@ -37,7 +46,23 @@ def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object
             raise PluginError(f"{name} is {value!r}", where=where, fix=fix)
 
 
-class RobotSystem(System):
+@runtime_checkable
+class TakesCommands(Protocol):
+    """A kind of link whose robots subscribe the same topics, whatever is on a graph."""
+
+    command_topics: Mapping[str, str]
+
+
+class OfTheRobot:
+    """What claims nothing for a run but its robot, as the experiment itself does."""
+
+    def claims(self, robot: str | None) -> Iterable[str]:
+        """Return what a run needs for itself beside the robot: nothing."""
+        del robot
+        return ()
+
+
+class RobotSystem(OfTheRobot, System):
     """A system that operates the experiment's robot, whichever it is."""
 
     #: What it does, for the finding that no robot is named.
@@ -47,26 +72,56 @@ class RobotSystem(System):
     #: Of its robot on the graph, where there are several.
     namespace: str = ""
 
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
-
     def stand_by(self, context: RobotRunnerContext) -> None:
         """Join the graph, so that `make_safe` is heard at once."""
         join_beforehand(context, namespace=self.namespace)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Return what stands in the way: no robot; on the embedded one, messages that do not follow their types.
+        """Return what stands in the way: no robot; on the embedded one, topics and messages that it does not take.
 
-        On a graph they are compared with its own definitions, when it is looked at.
+        A graph is looked at itself, and messages are compared with its own definitions.
         """
-        if is_simulated(circumstances.robot) and StandardTypes.is_known():
+        if circumstances.robot is not None and is_simulated(circumstances.robot):
             for need in self.required_graph(circumstances):
-                yield from misfits(StandardTypes(), need, f"plugin {self.name}")
+                yield from self._not_subscribed(need, *resolved_robot(circumstances.robot))
+                if StandardTypes.is_known():
+                    yield from misfits(StandardTypes(), need, f"plugin {self.name}")
         if circumstances.robot is None:
             yield Finding.error(
                 f"plugin {self.name}",
                 f"the plugin {self.does}, and the experiment names none",
                 f"Name it in the config: robot = '{self.for_example}'. Or: --set robot={self.for_example}.",
             )
+
+    def started(self, kept: _Kept | None) -> _Kept:
+        """Return what `start_run` has kept for the mission.
+
+        Raises:
+            PluginError: the run was not started.
+        """
+        if kept is None:
+            fix = "Emit start_run before launch_mission."
+            raise PluginError("the mission was launched before the run was started", where=self.name, fix=fix)
+        return kept
+
+    def publish_values(
+        self, context: RobotRunnerContext, values: Sequence[MeasureValue] | None, *, is_simulated: bool
+    ) -> None:
+        """Publish a value for each measure; none where they are None, as the mission did not take place."""
+        origin = Origin.SIMULATED if is_simulated else Origin.MEASURED
+        if values is None:
+            context.doubt("the mission did not take place", fix="Look at the run's log.")
+        for measure, value in zip(self.measures, values or [None] * len(self.measures), strict=True):
+            context.publish(measure.name, value, origin=None if values is None else origin)
+
+    def _not_subscribed(self, need: GraphNeed, kind: object, robot: RobotName) -> Iterator[Finding]:
+        if need.part is not GraphPart.SUBSCRIBED or not isinstance(kind, TakesCommands):
+            return
+        namespace = f"{namespace_prefix(robot.namespace)}{namespace_prefix(self.namespace)}"
+        given, where = full_name(namespace, need.name), f"plugin {self.name}"
+        topics = {full_name(namespace, name): true for name, true in kind.command_topics.items()}
+        if given not in topics:
+            yield Finding.error(where, f"the simulated robot does not subscribe {given!r}", did_you_mean(given, topics))
+        elif need.types and topics[given] not in map(plain_type, need.types):
+            problem = f"the simulated robot subscribes {given!r} as {topics[given]}, not {' or '.join(need.types)}"
+            yield Finding.error(where, problem, f"Name the type {topics[given]!r}.")

@@ -10,6 +10,7 @@ import logging
 import os
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -154,17 +155,16 @@ class _Client:
         self._lock = threading.Lock()
         self._heard = threading.Event()
         self._heard_at = time.monotonic()
-        self._open: list[Any] = []
+        self._open = ExitStack()
         # The states last: once they come, the server has had the time to find the others.
         for name, kind, take in (
             (_RESULT, f"{action_type}ActionResult", self._take_result),
             (_FEEDBACK, f"{action_type}ActionFeedback", self._take_feedback),
             (_STATUS, _STATUS_TYPE, self._take_status),
         ):
-            self._open.append(transport.subscribe(action + name, kind, take, qos=None, is_raw=False))
-        self._send = transport.advertise(action + _GOAL, f"{action_type}{_GOAL_ENDING}", Qos.DEFAULT)
-        self._cancel = transport.advertise(action + _CANCEL, _ID_TYPE, Qos.DEFAULT)
-        self._open += [self._send, self._cancel]
+            self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
+        self._send = _advertised(self._open, transport, action + _GOAL, f"{action_type}{_GOAL_ENDING}")
+        self._cancel = _advertised(self._open, transport, action + _CANCEL, _ID_TYPE)
 
     def await_server(self, timeout: float) -> None:
         """Wait until the server tells its states; raise a `LinkError` where it does not in time."""
@@ -205,9 +205,7 @@ class _Client:
         )
 
     def close(self) -> None:
-        for opened in reversed(self._open):
-            opened.close()
-        self._open.clear()
+        self._open.close()
 
     def _publish_cancel(self, sent: SentGoal) -> None:
         self._cancel.publish({"stamp": stamp_of(0), "id": sent.key})
@@ -275,19 +273,19 @@ class _Served:
         self._lock = threading.Lock()
         self._taking = threading.RLock()
         self._is_closed = threading.Event()
-        self._open: list[Any] = []
+        self._open = ExitStack()
         try:
-            self._result = self._advertised(transport, action + _RESULT, f"{action_type}ActionResult")
-            self._feedback = self._advertised(transport, action + _FEEDBACK, f"{action_type}ActionFeedback")
+            self._result = _advertised(self._open, transport, action + _RESULT, f"{action_type}ActionResult")
+            self._feedback = _advertised(self._open, transport, action + _FEEDBACK, f"{action_type}ActionFeedback")
             server.connect(self)
             for name, kind, take in (
                 (_GOAL, f"{action_type}{_GOAL_ENDING}", self._take_goal),
                 (_CANCEL, _ID_TYPE, self._take_cancel),
             ):
-                self._open.append(transport.subscribe(action + name, kind, take, qos=None, is_raw=False))
-            self._status = self._advertised(transport, action + _STATUS, _STATUS_TYPE)
+                self._open.callback(transport.subscribe(action + name, kind, take, qos=None, is_raw=False).close)
+            self._status = _advertised(self._open, transport, action + _STATUS, _STATUS_TYPE)
         except LinkError:
-            self._leave()
+            self._open.close()
             raise
         self._thread = threading.Thread(target=self._tell_again, name="action states", daemon=True)
         self._thread.start()
@@ -298,7 +296,7 @@ class _Served:
         self._is_closed.set()
         if self._thread is not threading.current_thread():
             self._thread.join(_STATUS_SECONDS)
-        self._leave()
+        self._open.close()
 
     def tell_feedback(self, execution: Execution, message: Message) -> None:
         told = self._told(execution.key, execution.status)
@@ -370,15 +368,11 @@ class _Served:
         stamp = self._stamps.get(key, {"sec": 0, "nanosec": 0})
         return {"goal_id": {"stamp": stamp, "id": key}, "status": _NUMBERS[status], "text": text}
 
-    def _advertised(self, transport: Transport, topic: str, message_type: str) -> TopicPublisher:
-        publisher = transport.advertise(topic, message_type, Qos.DEFAULT)
-        self._open.append(publisher)
-        return publisher
 
-    def _leave(self) -> None:
-        for opened in reversed(self._open):
-            opened.close()
-        self._open.clear()
+def _advertised(opened: ExitStack, transport: Transport, topic: str, message_type: str) -> TopicPublisher:
+    publisher = transport.advertise(topic, message_type, Qos.DEFAULT)
+    opened.callback(publisher.close)
+    return publisher
 
 
 def _header() -> dict[str, Any]:

@@ -107,7 +107,7 @@ class Ros1Transport:
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic that has a publisher or a subscriber."""
         state, types = self._master.state(), self._master.topic_types()
-        return {name: types.get(name, "") for name in sorted({*state.publishers, *state.subscribers})}
+        return {name: plain_type(types.get(name, "")) for name in sorted({*state.publishers, *state.subscribers})}
 
     def services(self) -> Mapping[str, str]:
         """Return the type of each service, asked of the service itself; those that do not answer are left out."""

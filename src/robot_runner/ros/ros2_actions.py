@@ -9,6 +9,7 @@ import logging
 import threading
 import time
 import uuid
+from contextlib import ExitStack
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import Message, Subscription
     from robot_runner.ros.action_server import Execution, GoalServer
-    from robot_runner.ros.graph_transport import GraphTypes, Reception, TopicPublisher, Transport
+    from robot_runner.ros.graph_transport import GraphTypes, Reception, Transport
     from robot_runner.ros.sent_goal import SentGoal
     from robot_runner.ros.shapes import Shape
 
@@ -235,12 +236,12 @@ class _Served:
 
     def __init__(self, transport: Transport, action: str, action_type: str, server: GoalServer) -> None:
         self._server = server
-        self._open: list[TopicPublisher | Subscription] = []
+        self._open = ExitStack()
         try:
             self._feedback = transport.advertise(action + _FEEDBACK, f"{action_type}_FeedbackMessage", Qos.DEFAULT)
-            self._open.append(self._feedback)
+            self._open.callback(self._feedback.close)
             self._status = transport.advertise(action + STATUS_TOPIC, STATUS_TYPE, Qos.TRANSIENT_LOCAL)
-            self._open.append(self._status)
+            self._open.callback(self._status.close)
             server.connect(self)
             # What is asked for first comes last: whoever finds it finds all of the action.
             for name, kind, answer in (
@@ -248,15 +249,15 @@ class _Served:
                 (_CANCEL, _CANCEL_TYPE, self._answer_cancel),
                 (_SEND, f"{action_type}_SendGoal", self._answer_goal),
             ):
-                self._open.append(transport.serve(action + name, kind, _complete(transport, kind, answer)))
+                self._open.callback(transport.serve(action + name, kind, _complete(transport, kind, answer)).close)
         except LinkError:
-            self._leave()
+            self._open.close()
             raise
 
     def close(self) -> None:
         """Offer it no more."""
         self._server.close()
-        self._leave()
+        self._open.close()
 
     def tell_feedback(self, execution: Execution, message: Message) -> None:
         self._feedback.publish({"goal_id": uuid_of(execution.key), "feedback": message})
@@ -298,11 +299,6 @@ class _Served:
         execution.over.wait()
         result = execution.result
         return {"status": GOAL_NUMBERS[execution.status], "result": {} if result is None else result.result}
-
-    def _leave(self) -> None:
-        for opened in reversed(self._open):
-            opened.close()
-        self._open.clear()
 
 
 def _complete(transport: Transport, kind: str, answer: Callable[[Message], Message]) -> Callable[[Message], Message]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,10 @@ _MOST_ANSWERING = 64
 #: Bytes as the robot has them; a server that does not know this compression sends JSON.
 _RAW = "cbor-raw"
 _RAW_FIELDS = frozenset({"bytes", "secs", "nsecs"})
+
+#: What several nodes tell together, each with a message that it keeps (`/tf_static`), and how many are given to who
+#: comes late; of all else it is the last.
+_TOGETHER, _MOST_TOGETHER = "tf2_msgs/TFMessage", 100
 
 
 class RosbridgeTransport:
@@ -108,8 +113,9 @@ class RosbridgeTransport:
             if (is_raw and known.compression != _RAW) or (not is_raw and known.shape is None):
                 raise _one_form(topic, message_type)
             known.receivers.append(receive)
-            if known.last is not None and qos is Qos.TRANSIENT_LOCAL:
-                receive(known.last)
+            if qos is Qos.TRANSIENT_LOCAL:
+                for each in list(known.kept):
+                    receive(each)
         return _Subscription(lambda: self._unsubscribe(known, receive))
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
@@ -190,7 +196,8 @@ class RosbridgeTransport:
         plain = "cbor" if self.types.generation == 1 else "none"
         check_type(name, message_type, self._told_type(name))
         request_id = self._session.fresh_id("subscribe")
-        topic = _Topic(name, message_type, shape, _RAW if is_known or is_raw else plain, request_id)
+        kept: deque[Reception] = deque(maxlen=_MOST_TOGETHER if message_type == _TOGETHER else 1)
+        topic = _Topic(name, message_type, shape, _RAW if is_known or is_raw else plain, request_id, kept)
         self._topics[name] = topic
         operation = {"op": "subscribe", "id": request_id, "topic": name, "type": self.types.wire_name(message_type)}
         try:
@@ -261,8 +268,8 @@ class _Topic:
     shape: Shape | None
     compression: str
     request_id: str
+    kept: deque[Reception]
     receivers: list[Callable[[Reception], None]] = field(default_factory=list)
-    last: Reception | None = None
 
 
 class _Subscription:
@@ -335,7 +342,7 @@ class _Reception:
 
 
 def _hand_on(topic: _Topic, reception: Reception) -> None:
-    topic.last = reception
+    topic.kept.append(reception)
     for receive in list(topic.receivers):
         receive(reception)
 

@@ -106,15 +106,21 @@ class Shape:
         return tuple(field.name for field in self.fields)
 
 
+#: One type by its md5 sum: rosserial, and so the board of a TurtleBot3 on ROS 1, publishes it by the name before tf2.
+_RENAMED: Mapping[str, str] = MappingProxyType({"tf/tfMessage": "tf2_msgs/TFMessage"})
+
+
 def plain_type(name: str) -> str:
-    """Return the name of a type without what ROS 2 has in its middle.
+    """Return the name of a type without what ROS 2 has in its middle, and as it is called today.
 
     Example:
         >>> plain_type("geometry_msgs/msg/Twist"), plain_type("std_srvs/Trigger")
         ('geometry_msgs/Twist', 'std_srvs/Trigger')
     """
     parts = name.split("/")
-    return f"{parts[0]}/{parts[2]}" if len(parts) == 3 and parts[1] in {"msg", "srv", "action"} else name  # noqa: PLR2004 - its parts
+    if len(parts) == 3 and parts[1] in {"msg", "srv", "action"}:  # noqa: PLR2004 - its parts
+        name = f"{parts[0]}/{parts[2]}"
+    return _RENAMED.get(name, name)
 
 
 def stamp_of(nanoseconds: int) -> dict[str, int]:

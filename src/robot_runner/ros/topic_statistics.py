@@ -17,6 +17,7 @@ from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.quality import Column, quality_of
+from robot_runner.ros.robot_system import OfTheRobot
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -76,7 +77,7 @@ def robot_findings(name: str, circumstances: Circumstances) -> list[Finding]:
     ]
 
 
-class TopicProfiler(Profiler):
+class TopicProfiler(OfTheRobot, Profiler):
     """A profiler of what a robot publishes, which the experiment names; a run claims nothing else for it."""
 
     #: Topics may be published by nobody before the mission.
@@ -85,11 +86,6 @@ class TopicProfiler(Profiler):
     #: Which robot, where there are several, and how long a topic may take to appear on the graph, s.
     namespace: str
     patience: float
-
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, which the experiment names."""
-        del robot
-        return ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot."""

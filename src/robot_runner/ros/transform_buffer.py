@@ -107,19 +107,25 @@ class TransformBuffer:
         self._branches: dict[str, _Branch] = {}
         self._lock = threading.Lock()
 
-    def subscribe(self, link: Subscriber, opened: ExitStack) -> None:
+    def subscribe(self, link: Subscriber, opened: ExitStack, *, topic: str = "/tf") -> None:
         """Keep what a robot tells from now on, until `opened` is closed.
+
+        Args:
+            link: to the robot.
+            opened: what is closed when no more is to be kept.
+            topic: on which it tells; what always holds is on the same with `_static` behind it. `tf` is that of the
+                robot's namespace, as of several robots with frames of the same names.
 
         Raises:
             LinkError: the link knows no type of transforms, or the topics carry another.
         """
-        for topic, qos in (("/tf_static", Qos.TRANSIENT_LOCAL), ("/tf", None)):
+        for name, qos in ((f"{topic}_static", Qos.TRANSIENT_LOCAL), (topic, None)):
             is_static = qos is not None
 
             def take(message: Message, *, is_static: bool = is_static) -> None:
                 self.take(message, is_static=is_static)
 
-            opened.callback(link.subscribe(topic, _TYPE, take, qos=qos).close)
+            opened.callback(link.subscribe(name, _TYPE, take, qos=qos).close)
 
     def take(self, message: Message, *, is_static: bool = False) -> None:
         """Keep the transforms of a tf2_msgs/TFMessage."""
@@ -293,5 +299,6 @@ class TransformBuffer:
 def _unknown(frame: str, known: Sequence[str]) -> LinkError:
     near = nearest(frame, known)
     there = f"frames are {enumerated(known)}" if known else "nobody has told of any frame yet"
-    fix = f"Did you mean {near!r}?" if near else f"Look what is published on /tf and /tf_static: {there}."
+    told = f"Look what is published on /tf and /tf_static, or in the robot's namespace: {there}."
+    fix = f"Did you mean {near!r}?" if near else told
     return LinkError(f"there is no frame {frame!r}", where=_WHERE, fix=fix)

@@ -144,11 +144,11 @@ class TypeCatalogue:
         try:
             return self._codec.as_mapping(name, read(data, name))
         except (_serde_error(), AssertionError, IndexError, ValueError, struct.error) as error:
-            raise LinkError(
-                f"{len(data)} bytes are no message of this type: {error}",
-                where=message_type,
-                fix="Name the ROS distribution that sent it, or give its definition, in the options of the robot.",
-            ) from error
+            fix = "Name the ROS distribution that sent it, or give its definition, in the options of the robot."
+            if isinstance(error.__cause__, UnicodeDecodeError):
+                fix = f"Have its node send texts in UTF-8, as ROS has them. Where it does: {fix}"
+            problem = f"{len(data)} bytes are no message of this type: {error}"
+            raise LinkError(problem, where=message_type, fix=fix) from error
 
     def _shape(self, name: str) -> Shape:
         if name not in self._shapes:

@@ -14,7 +14,7 @@ from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Encoding, GraphEndpoint, Qos, RawMessage
 from robot_runner.ros.action_calls import missing_action
 from robot_runner.ros.first_message import FirstMessage
-from robot_runner.ros.shapes import completed
+from robot_runner.ros.shapes import completed, plain_type
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS, velocity_of
 from robot_runner.testing.fake_actions import FakeAction, FakeGoal
 
@@ -146,10 +146,11 @@ class FakeRobotLink:
     @property
     def stands_still(self) -> bool:
         """Whether the last velocity command on each topic was one to stand still, or none was given."""
+        commands = [(each, plain_type(each.message_type)) for each in self.publications]
         last = {
-            each.topic: velocity_of(each.message_type, each.message)
-            for each in self.publications
-            if each.message_type in VELOCITY_COMMANDS
+            full_name("", each.topic): velocity_of(kind, each.message)
+            for each, kind in commands
+            if kind in VELOCITY_COMMANDS
         }
         return not any(map(_moves, last.values()))
 
@@ -268,7 +269,7 @@ class FakeRobotLink:
         if service in self._services:
             raise LinkError(f"there is a service {service!r} already", where=_WHERE, fix="Choose another name.")
         self._services[service] = answer
-        self._service_types[service] = service_type
+        self._service_types[service] = plain_type(service_type)
         return _Offer(self._services, service)
 
     def send_goal(
@@ -289,7 +290,7 @@ class FakeRobotLink:
         del timeout
         self._check()
         script = self._actions.get(action)
-        if script is None or script.action_type not in {_ANY_TYPE, action_type}:
+        if script is None or plain_type(script.action_type) not in {_ANY_TYPE, plain_type(action_type)}:
             raise missing_action(action, action_type, {name: each.action_type for name, each in self._actions.items()})
         accept = self._accepts.get(action)
         if script.status is GoalStatus.REJECTED or not (accept is None or accept(goal or {})):
@@ -334,7 +335,7 @@ class FakeRobotLink:
         }
         types |= self._advertised
         types |= {each.topic: each.message_type for each in self.publications}
-        return {full_name("", topic): message_type for topic, message_type in types.items()}
+        return {full_name("", topic): plain_type(message_type) for topic, message_type in types.items()}
 
     def services(self) -> dict[str, str]:
         """Return the types of the services; `*` where a test scripted one."""
@@ -355,7 +356,7 @@ class FakeRobotLink:
         is_here = name in self.topics() and (not own or topic in self.known_topics)
         default = [GraphEndpoint(_NODE, self.topics()[name])] if is_here else []
         others = self.known_publishers.get(topic, default)
-        return [*others, *([GraphEndpoint("/robot_runner", own[-1], is_own=True)] if own else [])]
+        return [*others, *([GraphEndpoint("/robot_runner", plain_type(own[-1]), is_own=True)] if own else [])]
 
     def subscribers(self, topic: str) -> list[GraphEndpoint]:
         """Return the one node where the topic is there, or what a test put there."""

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
+from robot_runner.core.errors import did_you_mean
 from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.early_end import MissionStopped
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
@@ -269,7 +270,7 @@ class Rehearsal:
     """
 
     def __init__(self, context: RobotRunnerContext, *plugins: Plugin) -> None:
-        self._times = context.times
+        self._context, self._times = context, context.times
         self._contexts = {plugin.name: context_for(plugin, context) for plugin in plugins}
         self._systems = [plugin for plugin in plugins if isinstance(plugin, System)]
         self._manager = EventManager()
@@ -306,6 +307,7 @@ class Rehearsal:
                     is_stopped = True
             if is_stopped:
                 self.make_safe()
+            self._miss_phases()
             self.emit(RobotRunnerEvents.POPULATE_RUN_DATA)
         except BaseException:
             self.make_safe()
@@ -316,6 +318,12 @@ class Rehearsal:
         with ExitStack() as asking:
             for system in self._systems:
                 asking.callback(made_safe, system, self._contexts[system.name])
+
+    def _miss_phases(self) -> None:
+        there = [phase.name for phase in self._context.phases]
+        for name in self._times.requested:
+            if name not in there:
+                self._context.warn(f"the mission had no phase {name!r}", fix=did_you_mean(name, there))
 
     def _emission(self, event: RobotRunnerEvents, but_not: Collection[str] = ()) -> Emission:
         if event is RobotRunnerEvents.LAUNCH_MISSION:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.robot import Qos
+from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import velocity_of
 from robot_runner.testing.fake_robot import FakeRobotLink
 
@@ -53,9 +55,9 @@ class FakeTurtlebot3Link(FakeRobotLink):
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
         """Record the message; a velocity command holds until the next."""
         super().publish(topic, message_type, message, qos=qos)
-        if topic == "cmd_vel":
+        if full_name("", topic) == "/cmd_vel":
             self._move()
-            twist = velocity_of(message_type, message)
+            twist = velocity_of(plain_type(message_type), message)
             self._speed = float(twist.get("linear", {}).get("x", 0.0)) * (1.0 - self.slip)
             self._rate = float(twist.get("angular", {}).get("z", 0.0)) * (1.0 - self.slip)
 

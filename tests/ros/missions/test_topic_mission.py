@@ -8,6 +8,7 @@ import pytest
 
 from robot_runner.conditions.topic_messages import topic_above
 from robot_runner.core.errors import ConditionTimeout, PluginError
+from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins import treatment
 from robot_runner.plugins.systems import TopicMission
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
@@ -69,3 +70,21 @@ def test_a_parameter_out_of_its_range_is_refused(parameter: str, value: object) 
     given = {"publish": {}, "until": 1.0, parameter: value}
     with pytest.raises(PluginError, match=f"{parameter} is"):
         TopicMission("cmd_vel", _TWIST, **given)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("mission", "problem", "fix"),
+    [
+        (TopicMission("cmd_vell", _TWIST, {}, until=1.0), "does not subscribe '/cmd_vell'", "Did you mean '/cmd_vel'?"),
+        (TopicMission("/cmd_vel", _TWIST, {}, until=1.0, namespace="bob"), "does not subscribe", "'/bob/cmd_vel'"),
+        (TopicMission("cmd_vel", f"{_TWIST}Stamped", {}, until=1.0), "as geometry_msgs/Twist, not", "Name the type"),
+        (TopicMission("/bob/cmd_vel", _TWIST, {}, until=1.0, namespace="bob"), "", ""),
+        (TopicMission("joint_commands", "sensor_msgs/JointState", {}, until=1.0), "", ""),
+    ],
+)
+def test_a_topic_that_the_embedded_robot_does_not_subscribe_is_found_by_check(
+    mission: TopicMission, problem: str, fix: str
+) -> None:
+    found = list(mission.check(Circumstances("simulated")))
+    assert len(found) == bool(problem)
+    assert all(problem in each.problem and fix in each.fix for each in found)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from robot_runner.core.errors import LinkError, PluginError
+from robot_runner.core.links.graph_needs import GraphPart
 from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.core.plugin import Circumstances
 from robot_runner.plugins.systems import ActionMission
 from robot_runner.ros.missions.way_measures import WayMeasures
 from robot_runner.ros.turtlebot3.odometry import ODOMETRY
@@ -53,6 +55,26 @@ def test_the_way_by_tf_is_that_of_the_robot_in_the_map(tmp_path: Path) -> None:
     unknown = WayMeasures(None, None, ("map", "base_lnk"), where="Go")
     with pytest.raises(LinkError, match="base_lnk"):
         unknown.begin(link, context, timeout=1.0)
+
+
+def test_the_way_by_tf_may_be_told_in_the_namespace_of_the_robot(tmp_path: Path) -> None:
+    clock = FakeClock()
+    link = FakeRobotLink(clock)
+    goal = {"pose": {"header": {"frame_id": "map"}}}
+    mission = ActionMission(
+        "go", "nav2_msgs/NavigateToPose", goal, path_frames=("map", "base_link"), tf_topic="tf", namespace="alice"
+    )
+    needs = mission.required_graph(Circumstances("dds"))
+    assert [each.name for each in needs if each.part is GraphPart.PUBLISHED] == ["tf"]
+    way = WayMeasures(None, None, ("map", "lidar"), where="Go", tf_topic="tf")
+    clock.every(
+        0.2, lambda: link.deliver("tf", {"transforms": [_transform("map", "base", 0.2 * clock.now(), clock.now())]})
+    )
+    clock.at(0.1, lambda: link.deliver("tf_static", {"transforms": [_transform("base", "lidar", 0.1, 0.0)]}))
+    way.begin(link, context := _context(tmp_path, clock, link), timeout=5.0)
+    way.begin_mission()
+    clock.sleep(5.0)
+    assert way.end_mission(context) == {"PathLength": pytest.approx(1.0, abs=0.05)}
 
 
 def _scanning(tmp_path: Path) -> tuple[WayMeasures, FakeRobotLink, Any]:

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from contextlib import closing
-from types import SimpleNamespace
 
 import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
@@ -20,7 +19,7 @@ from robot_runner.core.events.early_end import RunFailed
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.plugins import Circumstances
 from robot_runner.plugins.systems import BasicTurtlebot3, Program, Simulation
-from robot_runner.ros.graph_links import DDS
+from robot_runner.ros.graph_links import DDS, GraphLinkKind
 from robot_runner.ros.simulators import unpausing
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, Rehearsal, SystemContract, make_context
 
@@ -184,17 +183,36 @@ class _Told:
 
 @pytest.mark.parametrize("robot", ["rosbridge://sim:9090", "rosbridge+tls://sim:9090", "wss://sim/ros"])
 def test_a_simulator_behind_any_rosbridge_is_let_go_on_at_its_address(monkeypatch, robot):
-    addresses = []
+    ((name, _),) = opened_to_let_go_on(monkeypatch, robot)
+    assert name.address == robot
 
-    def open_link(name, clock, namespace):
-        addresses.append(name.address)
+
+@pytest.mark.parametrize(
+    ("robot", "namespace", "opened"),
+    [
+        ("ros2://alice", "", "/alice"),
+        ("ros2://alice", "sim", "/alice/sim"),
+        ("dds:domain=7,namespace=/alice", "/sim", "/alice/sim"),
+        ("dds", "sim", "/sim"),
+    ],
+)
+def test_a_simulator_is_let_go_on_below_the_namespace_in_which_the_run_has_it(monkeypatch, robot, namespace, opened):
+    ((_, found),) = opened_to_let_go_on(monkeypatch, robot, namespace)
+    assert found == opened
+
+
+def opened_to_let_go_on(monkeypatch, robot, namespace=""):
+    """Return name and namespace of the links that are opened to let a simulator go on."""
+    opened = []
+
+    def open_link(_kind, name, _clock, namespace):
+        opened.append((name, namespace))
         raise LinkError("nobody is there", where="robot", fix="Start it.")
 
-    kind = SimpleNamespace(takes_address=True, open=open_link)
-    monkeypatch.setattr(unpausing, "GRAPH_LINKS", dict.fromkeys(("rosbridge", "rosbridge+tls", "wss"), kind))
+    monkeypatch.setattr(GraphLinkKind, "open", open_link)
     unpause = Simulation("gazebo_classic_ros2")._dialect.unpause
-    unpausing._let_go_on(unpausing._told(robot, "", unpause, 1.0, ()))
-    assert addresses == [robot]
+    unpausing._let_go_on(unpausing._told(robot, namespace, unpause, 1.0, ()))
+    return opened
 
 
 def test_a_guardian_ends_when_it_is_told_to_also_while_another_process_holds_its_pipe(monkeypatch):

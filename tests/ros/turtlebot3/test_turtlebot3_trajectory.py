@@ -44,7 +44,7 @@ def test_the_way_of_a_mission_that_breaks_off_is_kept_so_far(tmp_path):
         raise LinkError("gone", where="robot", fix="Find it.")
 
     plugin.start_run(context)
-    plugin._reached_robot().tasks.start = fail
+    plugin.started(plugin._robot).tasks.start = fail
     context.times.begin()
     with pytest.raises(LinkError):
         plugin.launch_mission(context)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing, nullcontext
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import GoalRejectedError, LinkError, PluginError, did_you_mean
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.graph_names import full_name
@@ -72,6 +72,8 @@ class ActionMission(RobotSystem):
         odometry: topic of `nav_msgs/Odometry` for the measure `PathLength`; None for none.
         path_frames: the same by transforms instead of odometry: the frame in which the robot moves, and the robot's
             own, such as `("map", "base_link")`.
+        tf_topic: where `path_frames` are told; `tf` for a robot that tells them in its namespace (`/alice/tf`), as
+            Nav2 does where it is started for several robots.
         scan: topic of `sensor_msgs/LaserScan` for the measure `ClosestObstacle`; None for none.
         stop_topic: topic of the robot's velocity commands, where a robot is told to stand still when the mission breaks
             off and its server may not do so any more; None for none.
@@ -116,6 +118,7 @@ class ActionMission(RobotSystem):
         success: Mapping[str, Any] | None = None,
         odometry: str | None = None,
         path_frames: Sequence[str] | None = None,
+        tf_topic: str = "/tf",
         scan: str | None = None,
         stop_topic: str | None = None,
         connect_timeout_s: float = 5.0,
@@ -141,7 +144,7 @@ class ActionMission(RobotSystem):
         self.commands = (action,)
         self._of_result = ResultMeasures(result, where=self.name)
         self._of_feedback = FeedbackMeasures(feedback, where=self.name)
-        self._of_way = WayMeasures(odometry, scan, path_frames, where=self.name)
+        self._of_way = WayMeasures(odometry, scan, path_frames, where=self.name, tf_topic=tf_topic)
         self.measures = (*_MEASURES, *self._of_result.measures, *self._of_feedback.measures, *self._of_way.measures)
         self._check_names()
         self._link: RobotLink | None = None
@@ -184,10 +187,7 @@ class ActionMission(RobotSystem):
             LinkError: there is no such server, or it is gone; or the goal failed, and that fails the run; or it could
                 not be cancelled.
         """
-        link = self._link
-        if link is None:
-            fix = "Emit start_run before launch_mission."
-            raise PluginError("the mission was launched before the run was started", where=self.name, fix=fix)
+        link = self.started(self._link)
         self._accepted_at = None
         self._of_way.begin_mission()
         outcome, ended = self._executed(link, context)
@@ -205,25 +205,15 @@ class ActionMission(RobotSystem):
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Leave; a goal that is not over is cancelled."""
         heartbeat, self._heartbeat = self._heartbeat, None
-        with ExitStack() as closing:
-            closing.callback(self._of_way.close)
-            if heartbeat is not None:
-                closing.callback(heartbeat.end)
+        with closing(self._of_way), heartbeat or nullcontext():
             self._cancel()
-            if heartbeat is not None:
-                heartbeat.end()
-                heartbeat.say_farewell()
         if self._link is not None and self._values is not None:
             self._is_simulated = is_simulation(self._link, robot_namespace(context, self.namespace))
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no values where the mission did not take place."""
-        if self._values is None:
-            context.doubt("the mission did not take place", fix="Look at the run's log.")
-        values = self._values or {}
-        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
-        for measure in self.measures:
-            context.publish(measure.name, values.get(measure.name), origin=origin)
+        values = None if self._values is None else [self._values.get(measure.name) for measure in self.measures]
+        self.publish_values(context, values, is_simulated=self._is_simulated)
 
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Cancel the goal, also in a process that did not send it, and command zero where a stop topic is named."""

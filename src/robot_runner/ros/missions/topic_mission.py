@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
 from robot_runner.core.events.condition import Condition, Look
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.robot import Advertiser
@@ -141,10 +141,7 @@ class TopicMission(RobotSystem):
             ConditionTimeout: it did not hold in time; what was seen last is told.
             LinkError: the robot cannot be reached, or the message does not follow its definition.
         """
-        link = self._link
-        if link is None:
-            fix = "Emit start_run before launch_mission."
-            raise PluginError("the mission was launched before the run was started", where=self.name, fix=fix)
+        link = self.started(self._link)
         begun = context.clock.now()
         with ExitStack() as opened, self._made_safe(link):
             count = self._publish_until(link, context, self.until.watch(context, opened))
@@ -156,24 +153,16 @@ class TopicMission(RobotSystem):
         if link is None:
             return
         with ExitStack() as closing:
-            if heartbeat is not None:
-                closing.callback(heartbeat.end)
             if self._control is not None:
                 closing.callback(self._control.end)
-            self._say_safe(link)
-            if heartbeat is not None:
-                heartbeat.end()
-                heartbeat.say_farewell()
+            with heartbeat or nullcontext():
+                self._say_safe(link)
         if self._result is not None:
             self._is_simulated = is_simulation(link, robot_namespace(context, self.namespace))
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no values where the mission did not take place."""
-        if self._result is None:
-            context.doubt("the mission did not take place", fix="Look at the run's log.")
-        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
-        for measure, value in zip(self.measures, self._result or (None, None), strict=True):
-            context.publish(measure.name, value, origin=origin)
+        self.publish_values(context, self._result, is_simulated=self._is_simulated)
 
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Publish the safe message, also in a process that has not been connected to the robot before."""

@@ -41,6 +41,7 @@ class WayMeasures:
         scan: topic of `sensor_msgs/LaserScan`, or None.
         frames: instead of odometry the frame in which the robot moves, and the robot's own: `("map", "base_link")`.
         where: the plugin, for errors.
+        tf_topic: on which the frames are told.
 
     Attributes:
         measures: what it yields.
@@ -49,7 +50,15 @@ class WayMeasures:
         PluginError: the frames are no pair of names, or the way is to come from both.
     """
 
-    def __init__(self, odometry: str | None, scan: str | None, frames: Sequence[str] | None, *, where: str) -> None:
+    def __init__(
+        self,
+        odometry: str | None,
+        scan: str | None,
+        frames: Sequence[str] | None,
+        *,
+        where: str,
+        tf_topic: str = "/tf",
+    ) -> None:
         if frames is not None and (isinstance(frames, str) or len(frames) != _PAIR or not all(map(_is_name, frames))):
             fix = "Name the frame that stands still and the robot's: ('map', 'base_link')."
             raise PluginError(f"path_frames is {frames!r}", where=where, fix=fix)
@@ -57,7 +66,7 @@ class WayMeasures:
             problem = "the path cannot come from odometry and from transforms at the same time"
             raise PluginError(problem, where=where, fix="Leave out odometry or path_frames.")
         self._odometry, self._scan, self._frames = odometry, scan, frames
-        self._where = where
+        self._where, self._tf_topic = where, tf_topic
         path = [] if odometry is None and frames is None else [PATH_LENGTH]
         if frames is not None:
             path = [replace(PATH_LENGTH, description=f"Way of {frames[1]} in {frames[0]} during the mission, by tf.")]
@@ -74,7 +83,7 @@ class WayMeasures:
         if self._odometry is not None:
             yield GraphNeed.published(self._odometry, ODOMETRY, is_sole=True, fix=_FIX)
         if self._frames is not None:
-            yield GraphNeed.published("/tf", _TRANSFORMS, fix=_FIX)
+            yield GraphNeed.published(self._tf_topic, _TRANSFORMS, fix=f"{_FIX} On which topic, tf_topic says.")
         if self._scan is not None:
             yield GraphNeed.published(self._scan, _SCAN, fix=_FIX)
 
@@ -96,7 +105,7 @@ class WayMeasures:
             self._way = odometer
             self._rivals = partial(sole_publisher_findings, link, self._odometry, self._where)
         if self._frames is not None:
-            self._way = _WayOfFrame(*self._frames)
+            self._way = _WayOfFrame(self._tf_topic, *self._frames)
             self._way.begin(link, self._closing, context.clock, timeout)
         if self._scan is not None:
             self._closing.callback(link.subscribe(self._scan, _SCAN, self._take_scan).close)
@@ -163,9 +172,9 @@ class _WayOfFrame:
         set_back: the most by which the stamps went back from one place to the next, s.
     """
 
-    def __init__(self, fixed: str, moving: str) -> None:
+    def __init__(self, topic: str, fixed: str, moving: str) -> None:
         self.travelled = self.set_back = 0.0
-        self._fixed, self._moving = fixed, moving
+        self._topic, self._fixed, self._moving = topic, fixed, moving
         self._buffer = TransformBuffer()
         self._last: Transform | None = None
         self._clock: Clock | None = None
@@ -174,8 +183,8 @@ class _WayOfFrame:
     def begin(self, link: RobotLink, opened: ExitStack, clock: Clock, timeout: float) -> None:
         """Follow the frame until `opened` is closed; a `LinkError` says that it is not known within the timeout."""
         self._clock = clock
-        self._buffer.subscribe(link, opened)
-        opened.callback(link.subscribe("/tf", _TRANSFORMS, self._take).close)
+        self._buffer.subscribe(link, opened, topic=self._topic)
+        opened.callback(link.subscribe(self._topic, _TRANSFORMS, self._take).close)
         self._buffer.wait_for(self._fixed, self._moving, clock, timeout=timeout)
 
     def pose(self) -> Transform:

@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.measuring.live_samples import LiveSamples
@@ -185,10 +185,7 @@ class Waypoints(RobotSystem):
             LinkError: a waypoint was not reached, the odometry fell silent, or the robot does not move as it is
                 commanded.
         """
-        robot = self._robot
-        if robot is None:
-            fix = "Emit start_run before launch_mission."
-            raise PluginError("the mission was launched before the run was started", where=self.name, fix=fix)
+        robot = self.started(self._robot)
         path = context.raw_data_folder / "trajectory.csv"
         trajectory = Trajectory(LiveSamples(path))
         with ExitStack() as closing:
@@ -208,17 +205,11 @@ class Waypoints(RobotSystem):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish the measures; no values where the mission did not take place."""
-        outcome = self._outcome
-        if outcome is None:
-            context.doubt("the mission did not take place", fix="Look at the run's log.")
-            for measure in self.measures:
-                context.publish(measure.name, None)
-            return
-        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
-        turned_by = () if outcome.turned_by is None else (outcome.turned_by,)
-        values = (outcome.duration, outcome.distance, outcome.error, *turned_by, *outcome.legs)
-        for measure, value in zip(self.measures, values, strict=True):
-            context.publish(measure.name, value, origin=origin)
+        values, found = None, self._outcome
+        if found is not None:
+            turned_by = () if found.turned_by is None else (found.turned_by,)
+            values = found.duration, found.distance, found.error, *turned_by, *found.legs
+        self.publish_values(context, values, is_simulated=self._is_simulated)
 
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Stop the wheels, also in a process that has not been connected to the robot before."""

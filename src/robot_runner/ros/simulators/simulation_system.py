@@ -12,7 +12,7 @@ from robot_runner.core.links.connect import connect_robot, is_simulated, robot_n
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.plugin import System
 from robot_runner.ros.graph_links import follows_graph_clock
-from robot_runner.ros.robot_system import check_numbers
+from robot_runner.ros.robot_system import OfTheRobot, check_numbers
 from robot_runner.ros.simulators.simulator_dialects import dialect_of
 from robot_runner.ros.simulators.unpausing import guard_pauses, guard_pauses_no_more, unpause_from_elsewhere
 from robot_runner.ros.simulators.watched_pose import WatchedPose, checked_spot
@@ -32,7 +32,7 @@ _FIRST_TIME = 2.0
 _LOOK = 0.02
 
 
-class Simulation(System):
+class Simulation(OfTheRobot, System):
     """Resets a simulator before each run, sees that robot and time were reset, and measures its real-time factor.
 
     The simulator is found on the robot's graph. Where a run is to start it, put what starts it before this system:
@@ -107,11 +107,6 @@ class Simulation(System):
         self._time: WatchedTime | None = None
         self._reset_duration: float | None = None
         self._closing = ExitStack()
-
-    def claims(self, robot: str | None) -> Iterable[str]:
-        """Return what a run needs for itself: nothing but the robot, whose graph the simulator is on."""
-        del robot
-        return ()
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot; and what is of no use."""

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, RobotRunnerError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.links.graph_names import full_name
-from robot_runner.core.links.robot_name import RobotName
+from robot_runner.core.links.connect import resolved_robot
+from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:
@@ -129,9 +129,8 @@ def _guard() -> int:
 def _let_go_on(given: dict[str, Any]) -> int:
     from robot_runner.ros.simulators.simulator_dialects import Demand  # noqa: PLC0415  # only in that process
 
-    name = RobotName.parse(given["robot"])
-    name = name.on_graph if name.address and not GRAPH_LINKS[name.link].takes_address else name
-    namespace = given["namespace"] or name.namespace
+    _, name = resolved_robot(given["robot"])
+    namespace = f"{namespace_prefix(name.namespace)}{namespace_prefix(given['namespace'])}"
     demand = Demand(tuple(given["services"]), given["service_type"], given["request"], lambda _: "")
     try:
         with closing(GRAPH_LINKS[name.link].open(name, SystemClock(), namespace)) as link:

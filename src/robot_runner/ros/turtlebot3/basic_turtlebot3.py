@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, robot_namespace
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.treatments import factors_of
@@ -145,7 +145,7 @@ class BasicTurtlebot3(RobotSystem):
         Its phases go to `phases.csv` and, as they begin, to the other plugins; its way goes to `trajectory.csv`. They
         are phases of the run, too: `sleep`, `forward`, `task` and `rotate`, for which the config's `phases` may ask.
         """
-        task, robot = self._task_of(context), self._reached_robot()
+        task, robot = self._task_of(context), self.started(self._robot)
 
         def announce(number: int, phase: Phase) -> None:
             context.share(phase=phase.kind.value, phase_number=number, phase_count=len(self.mission.phases))
@@ -172,18 +172,12 @@ class BasicTurtlebot3(RobotSystem):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish duration, distance and pose error; no values where the mission did not take place."""
-        performance = self._performance
-        if performance is None:
-            context.doubt("the mission did not take place", fix="Look at the run's log.")
-            for measure in self.measures:
-                context.publish(measure.name, None)
-            return
-        for problem in _doubts(performance):
-            context.warn(problem, fix="Look whether the robot's way is free, and reposition the robot.")
-        origin = Origin.SIMULATED if self._is_simulated else Origin.MEASURED
-        context.publish("Duration", performance.duration, origin=origin)
-        context.publish("Distance", performance.distance, origin=origin)
-        context.publish("PoseError", performance.pose_error, origin=origin)
+        values, found = None, self._performance
+        if found is not None:
+            values = found.duration, found.distance, found.pose_error
+            for problem in _doubts(found):
+                context.warn(problem, fix="Look whether the robot's way is free, and reposition the robot.")
+        self.publish_values(context, values, is_simulated=self._is_simulated)
 
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Stop wheels and tasks, also in a process that has not been connected to the robot before."""
@@ -243,15 +237,6 @@ class BasicTurtlebot3(RobotSystem):
                 fix=did_you_mean(str(chosen), _KNOWN_TASKS),
             )
         return task
-
-    def _reached_robot(self) -> Robot:
-        if self._robot is None:
-            raise PluginError(
-                "the mission was launched before the run was started",
-                where=self.name,
-                fix="Emit start_run before launch_mission.",
-            )
-        return self._robot
 
 
 def _unknown_tasks(where: str, treatments: Iterable[object]) -> Iterator[Finding]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
@@ -65,6 +65,16 @@ class Heartbeat:
         if not link.is_simulated:
             self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
             self._thread.start()
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """End; with a farewell where nothing was raised, as the robot was made safe then."""
+        self.end()
+        if kind is None:
+            self.say_farewell()
 
     def end(self) -> None:
         """Beat no more; ending twice does nothing. Without a farewell the watchdog stops the robot."""
@@ -267,10 +277,10 @@ class Robot:
         Raises:
             LinkError: the robot cannot be reached.
         """
-        with ExitStack() as closing:
+        with ExitStack() as stopping:
             if self._has_tasks:
-                closing.callback(self.tasks.stop_all)
-            closing.callback(self.pilot.stop)
+                stopping.callback(self.tasks.stop_all)
+            stopping.callback(self.pilot.stop)
 
     def close(self) -> None:
         """Make it safe and end its subscription; closing twice does no harm.
@@ -280,10 +290,6 @@ class Robot:
         Raises:
             LinkError: the robot cannot be reached.
         """
-        with ExitStack() as closing:
-            closing.callback(self._subscription.close)
-            closing.callback(self._heartbeat.end)
+        with closing(self._subscription), self._heartbeat:
             self.control.end()
             self.make_safe()
-            self._heartbeat.end()
-            self._heartbeat.say_farewell()
