@@ -74,3 +74,9 @@ def test_excluded_treatments_are_left_out() -> None:
     model = RunTableModel(factors_of([3, 2]), [{"F0": "t2"}], design=OneFactorAtATime())
     assert [row[0] for row in rows_of(model)] == ["t0", "t1", "t0"]
     assert "compared with nothing" in str(model.warnings[0])
+
+
+def test_it_is_said_that_nothing_is_compared_where_the_base_is_excluded() -> None:
+    model = RunTableModel(factors_of([2, 2]), [{"F0": "t0", "F1": "t0"}], design=OneFactorAtATime())
+    assert rows_of(model) == [("t1", "t0"), ("t0", "t1")]
+    assert "the base is one of them" in str(model.warnings[0])

@@ -116,10 +116,10 @@ from a_helper import Base
 class RobotRunnerConfig(Base):
     plugins = [
         PsUtil(name="second"),
-        PsUtil(),
+        PsUtil(treatment("Version")),
     ]
     def create_run_table(self):
-        return RunTableModel([Factor("Task", TASKS)], repetitions=2, data_columns=["Energy", "Early"])
+        return RunTableModel([Factor("Task", TASKS), Factor.revisions("Version", ".", TAGS)], data_columns=MEASURES)
     def populate_run_data(self, context):
         return {"Energy": 2.0}
 """
@@ -144,6 +144,10 @@ def test_the_line_of_a_callback_is_that_of_the_config_or_of_its_base_class(lines
 def test_the_line_of_a_measure_is_in_the_method_that_yields_it(lines):
     assert lines.of_measure("Energy").place == "config/config.py:11"
     assert lines.of_measure("Early").place == "config/a_helper.py:10"
+
+
+def test_the_line_of_a_factor_is_the_one_that_makes_it(lines):
+    assert lines.of_factor("Version").place == lines.of_factor("Task").place == "config/config.py:10"
 
 
 def test_the_line_of_a_plugin_is_not_that_of_another_of_its_kind(lines):
@@ -179,6 +183,19 @@ def test_robot_and_host_are_those_that_executed_the_run(tmp_path, where, manifes
     facts = dict(explain_run(folder.root, "r_1").facts)
     assert facts["Robot"] == robot
     assert facts["Host"].startswith(host)
+
+
+@pytest.mark.parametrize(
+    ("design", "order"),
+    [
+        ({"facts": {"decides": "once these are done"}}, "as results decided"),
+        ({"facts": {}}, "in the order of the config"),
+        ({"facts": {"decides": "once these are done"}, "shuffle": True}, "randomised from seed 7"),
+    ],
+)
+def test_runs_that_results_decided_on_are_not_in_the_order_of_the_config(tmp_path, design, order):
+    folder = two_tasks(tmp_path / "made", (1.0,), (3.0,), name="made", manifest={"design": design, "seed": 7})
+    assert dict(explain_run(folder.root, "r_1").facts)["Place"] == f"run 1 of 2, {order}"
 
 
 def test_an_event_that_was_not_emitted_is_said_to_be_none(experiment):

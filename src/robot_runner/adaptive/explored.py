@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from robot_runner.core.design.asking import Told
     from robot_runner.core.design.factor import Combination
 
+#: Squares of larger values are beyond all numbers.
+_LARGEST = 1e100
+
 
 class Direction(Enum):
     """Which values of a measure are better."""
@@ -81,12 +84,13 @@ def explored(told: Sequence[Told], measures: Sequence[str]) -> tuple[list[Explor
             continue
         for name in measures:
             value = each.values.get(name)
-            if is_number(value):
+            if is_number(value) and abs(value) <= _LARGEST:
                 own.values.setdefault(name, {})[each.run.repetition] = float(value)
                 continue
             own.has_failed |= not each.is_excluded
             if value is not None:
-                odd.append((f"{each.run.run_id} has {value!r}, which is no number of {name}", "Name another measure."))
+                why = "too large to compute with" if is_number(value) else f"which is no number of {name}"
+                odd.append((f"{each.run.run_id} has {value!r}, {why}", "Name another measure."))
     searched = {key_of(each.run.combination) for each in told if each.run.batch == 1}
     return [each for key, each in found.items() if key in searched], odd
 

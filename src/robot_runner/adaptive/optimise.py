@@ -293,11 +293,9 @@ class _Search:
             "combinations": len(points),
             "without_value": sum(each.means(self.measures) is None for each in points),
             "best": [
-                {
-                    "combination": each.as_texts,
-                    "means": dict(zip(self.measures, each.means(self.measures) or (), strict=True)),
-                }
+                {"combination": each.as_texts, "means": dict(zip(self.measures, means, strict=True))}
                 for each in best
+                if (means := each.means(self.measures))
             ],
         }
 

@@ -177,14 +177,11 @@ class _Racing:
         # Where runs failed, each may be worse than another in the repetitions that they share.
         left = [each for each in runners if id(each) not in worse] or runners
         words = self._in_words(left, runners, worse, now)
-        known = {
-            "left": [each.as_texts for each in left],
-            "dropped": [each.as_texts for each in runners if id(each) in worse],
-        }
-        facts: dict[str, Any] = {"known": {"repetitions": now, **known}}
+        dropped = [each.as_texts for each in runners if id(each) in worse]
+        facts = {"known": {"repetitions": now, "left": [each.as_texts for each in left], "dropped": dropped}}
         if any(each.run.batch > 1 for each in told):
             words = f"{words}. The runs that confirm it are done"
-        elif not (has_values := any(each.values for each in runners)):
+        elif not any(each.values for each in runners):
             # The fault is not in the combinations: the repetitions that are left are worth keeping.
             odd = [*odd, without_values(self.measures)]
         elif len(left) > 1 and now < design.at_most:
@@ -192,7 +189,7 @@ class _Racing:
             runs = [(each.combination, now + 1) for each in left]
             name = f"repetition {now + 1}"
             return Decision(name=name, in_words=words, runs=runs, blocks=REPETITION, facts={"why": words, **facts})
-        elif design.confirm and has_values:
+        elif design.confirm:
             return confirmation(left, design.confirm, words, facts)
         return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
 

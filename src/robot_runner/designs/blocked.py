@@ -12,14 +12,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.balanced_blocks import balanced_blocks, pair_count
 from robot_runner.designs.block_search import concurrences, distributed, efficiency, efficiency_bound
-from robot_runner.designs.factor_roles import (
-    Roles,
-    factor_name,
-    refused,
-    role_findings,
-    shuffled,
-    texts_of_combination,
-)
+from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

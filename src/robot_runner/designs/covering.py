@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations, product
+from math import prod
 from random import Random
 from typing import TYPE_CHECKING, Any
 
@@ -139,10 +140,7 @@ class _Constraints:
     @property
     def is_free(self) -> bool:
         """Whether everything is allowed."""
-        every = 1
-        for each in self._levels:
-            every *= each
-        return not self._forbidden and (self._allowed is None or len(self._allowed) == every)
+        return not self._forbidden and (self._allowed is None or len(self._allowed) == prod(self._levels))
 
     def completed(
         self, fixed: _Partial, order: Sequence[int], values: Callable[[int, _Partial], Sequence[int]]

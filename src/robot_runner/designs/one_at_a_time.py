@@ -75,7 +75,9 @@ class OneFactorAtATime:
         used, kept = with_values(factors, rows, is_allowed)
         shown = {factor.name: str(value) for factor, value in zip(factors, first, strict=True)}
         facts = {"kind": "one_factor_at_a_time", "base": shown, "model": "main"}
-        warnings = left_out_warning(len(rows), len(kept), "these treatments are compared with nothing")
+        _, has_base = with_values(factors, rows[:1], is_allowed)
+        lost = "these treatments" if has_base else "the base is one of them, so that all treatments"
+        warnings = left_out_warning(len(rows), len(kept), f"{lost} are compared with nothing")
         if idle:
             problem = f"{listed(idle)} cannot be varied, as they do not apply under the base"
             warnings += (Finding.warning("design", problem, "Choose a base under which they apply."),)

@@ -66,7 +66,8 @@ class CentralComposite:
         corners = [[2 * place - 1 for place in row] for row in fraction_rows(words)]
         distance = 1.0 if self.axial == _FACED else len(corners) ** 0.25
         points = [[sign / distance for sign in row] for row in corners]
-        points += [_axis(len(factors), place, sign) for place in range(len(factors)) for sign in (-1, 1)]
+        places = range(len(factors))
+        points += [[float(sign * (each == place)) for each in places] for place in places for sign in (-1, 1)]
         return _surface(self, factors, points, is_allowed, {"axial_distance": round(distance, 6)})
 
 
@@ -121,10 +122,6 @@ _BLOCKS: dict[int, list[tuple[int, ...]]] = {
     6: [(0, 1, 3), (1, 2, 4), (2, 3, 5), (0, 3, 4), (1, 4, 5), (0, 2, 5)],
     7: [(3, 4, 5), (0, 5, 6), (1, 4, 6), (0, 1, 3), (2, 3, 6), (0, 2, 4), (1, 2, 5)],
 }
-
-
-def _axis(factors: int, place: int, sign: int) -> list[float]:
-    return [float(sign) if each == place else 0.0 for each in range(factors)]
 
 
 def _surface(

@@ -10,13 +10,7 @@ from robot_runner.core.design.design import DesignedRuns
 from robot_runner.core.design.held_order import HELD_ORDER, HeldOrder
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
-from robot_runner.designs.factor_roles import (
-    Roles,
-    factor_name,
-    refused,
-    role_findings,
-    shuffled,
-)
+from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

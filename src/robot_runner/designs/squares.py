@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.design import DesignedRuns
 from robot_runner.core.errors import Finding
-from robot_runner.designs.factor_roles import (
-    Roles,
-    factor_name,
-    refused,
-    role_findings,
-    shuffled,
-    texts_of_combination,
-)
+from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
 from robot_runner.designs.latin_squares import has_orthogonal_pair, latin_square, orthogonal_pair
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ import importlib.util
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.config.source import read_tree
 from robot_runner.core.errors import ConfigError, Finding, did_you_mean, nearest
 from robot_runner.legacy.earlier_experiment import check_callback
@@ -187,6 +188,18 @@ def _forgotten(session: Session, config: Any) -> Iterator[Finding]:
                 f"nothing subscribes it to {name}, so it is never called, as in the earlier tool",
                 "Subscribe it in __init__, or remove it.",
             )
+
+
+def check_waiting(session: Session, operation_type: object) -> Iterator[Finding]:
+    """Yield that runs wait for the user now which did not."""
+    subscribed = {each.event.value for each in session.subscriptions}
+    if operation_type is OperationType.SEMI and "continue" not in subscribed:
+        yield Finding.warning(
+            f"{session.path.name}, operation_type",
+            "operation_type is SEMI and nothing subscribes to CONTINUE: the earlier tool went on by itself, and now "
+            "each run waits until the user says to go on",
+            "Write OperationType.AUTO if the runs are to follow each other.",
+        )
 
 
 def check_packages(recognised: Recognised) -> Iterator[Finding]:

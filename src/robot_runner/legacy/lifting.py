@@ -21,7 +21,7 @@ from robot_runner.core.config.loader import (
     raised_in,
     threads_since,
 )
-from robot_runner.core.config.parameters import PARAMETERS, OperationType
+from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource
 from robot_runner.core.errors import ConfigError, StorageError, did_you_mean
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -32,6 +32,7 @@ from robot_runner.legacy.config_checks import (
     check_packages,
     check_plugins,
     check_subscriptions,
+    check_waiting,
     is_robot_operated,
 )
 from robot_runner.legacy.earlier_experiment import EarlierExperiment
@@ -171,7 +172,6 @@ class _Lifting:
             self._config.experiment_path = folder.root
         plugins = self._plugins()
         design = self._design(plugins)
-        self._say_what_changes()
         config = EarlierExperiment(self.session, self._stand_ins, self._parameters(), design, plugins)
         class_name = self._recognised.dialect.class_name
         return LoadedConfig(
@@ -181,7 +181,11 @@ class _Lifting:
             activated=(),
             overrides=dict(self._overrides),
             local_modules=self._local_modules,
-            findings=(*self.session.findings, *check_subscriptions(self.session, self._config)),
+            findings=(
+                *self.session.findings,
+                *check_waiting(self.session, getattr(self._config, "operation_type", None)),
+                *check_subscriptions(self.session, self._config),
+            ),
             folder=folder,
             spelling=design.names.spelling if isinstance(design, EarlierDesign) else EARLIER_SPELLING,
             threads=self._threads,
@@ -258,16 +262,6 @@ class _Lifting:
             where=type(self._config).__name__,
             fix=near.replace("Did you mean", "Rename") if near.startswith("Did") else f"Define {_TABLE_METHODS[0]}.",
         )
-
-    def _say_what_changes(self) -> None:
-        subscribed = {each.event.value for each in self.session.subscriptions}
-        if getattr(self._config, "operation_type", None) is OperationType.SEMI and "continue" not in subscribed:
-            self.session.warn(
-                "operation_type",
-                "operation_type is SEMI and nothing subscribes to CONTINUE: the earlier tool went on by itself, and "
-                "now each run waits until the user says to go on",
-                "Write OperationType.AUTO if the runs are to follow each other.",
-            )
 
 
 def _recorded_seed(folder: ExperimentFolder) -> int:

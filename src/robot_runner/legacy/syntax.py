@@ -61,14 +61,14 @@ def imports_of(tree: ast.Module) -> tuple[ImportedName, ...]:
 
 
 def walk_bodies(body: list[ast.stmt]) -> Iterator[ast.stmt]:
-    """Yield the statements that are executed when a module or a class is made: also those in `if`, `try` and `with`."""
+    """Yield the statements that are executed when a module or a class is made: also those in `if`, `try`, ..."""
     for statement in body:
         yield statement
         for part in ("body", "orelse", "finalbody"):
             if not isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
                 yield from walk_bodies(getattr(statement, part, []))
-        for handler in getattr(statement, "handlers", []):
-            yield from walk_bodies(handler.body)
+        for branch in (*getattr(statement, "handlers", ()), *getattr(statement, "cases", ())):
+            yield from walk_bodies(branch.body)
 
 
 def classes_of(tree: ast.Module) -> dict[str, ast.ClassDef]:

@@ -13,15 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.table_columns import ColumnRole
 from robot_runner.core.words import counted
-from robot_runner.replication.contents import (
-    CRATE,
-    DATA_PACKAGE,
-    LICENCE,
-    README,
-    REQUIREMENTS,
-    SUMS,
-    ZENODO,
-)
+from robot_runner.replication.contents import CRATE, DATA_PACKAGE, LICENCE, README, REQUIREMENTS, SUMS, ZENODO
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence

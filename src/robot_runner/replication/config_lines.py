@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 #: Where measures are named that others yield.
 _DECLARING = frozenset({"__init__", "create_run_table"})
+#: What makes a factor: called itself, or one of its methods, as in `Factor.revisions(...)`.
+_FACTORS = frozenset({"Factor", "FactorModel"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,7 @@ def _keyword(node: ast.AST, name: str) -> object:
 
 
 def _is_factor(node: ast.AST, name: str) -> bool:
-    if not isinstance(node, ast.Call) or _called(node) not in {"Factor", "FactorModel"}:
+    if not isinstance(node, ast.Call) or not {_called(node), _name_of(getattr(node.func, "value", node))} & _FACTORS:
         return False
     first = node.args[0].value if node.args and isinstance(node.args[0], ast.Constant) else None
     return name in {first, _keyword(node, "name"), _keyword(node, "factor_name")}

@@ -188,11 +188,8 @@ class _Explaining:
         batch = self._batch or {}
         order = batch if batch.get("batch", 1) > 1 else {**design, "seed": self._manifest.get("seed")}
         blocks = f" within blocks of {order['blocks']}" if order.get("blocks") else ""
-        planned = (
-            f"randomised{blocks} from seed {order['seed']}"
-            if order.get("shuffle")
-            else f"in the order of the config{blocks}"
-        )
+        by = "as results decided" if _mapping(design.get("facts")).get("decides") else "in the order of the config"
+        planned = f"randomised{blocks} from seed {order['seed']}" if order.get("shuffle") else f"{by}{blocks}"
         planned = f"{planned}, in batch {batch['batch']}" if batch else planned
         return f"changed by hand in run_table.csv; planned: {planned}" if design.get("is_reordered") else planned
 

@@ -58,7 +58,8 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
     """Return in words what would decide the combinations of a measure that are undecided.
 
     Args:
-        differences: as a comparison has them: `verdict`, `first_n`, `first_sd`, `second_sd`, `difference`, `bound`.
+        differences: as a comparison has them: `verdict`, `first_n`, `first_sd`, `second_sd`, `difference`, `bound`,
+            `not_computed`.
         alpha: the level of significance.
     """
     if not differences:
@@ -68,6 +69,8 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
     there_are = f"there {'is' if fewest == 1 else 'are'} {counted(fewest, 'run')} a combination"
     if fewest < 2:  # noqa: PLR2004 - one value has no spread
         return f"{there_are}, and 2 of each experiment are the fewest that can be tested"
+    if why := next((str(each["not_computed"]) for each in undecided if each.get("not_computed")), ""):
+        return f"{why[0].lower()}{why[1:].rstrip('.')}"  # more runs of the same kind have no test either
     needed = [_needed(each, alpha) for each in undecided if each["first_sd"] is not None]
     known = [each for each in needed if each is not None]
     if not known or len(known) < len(undecided):

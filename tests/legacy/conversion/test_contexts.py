@@ -25,6 +25,10 @@ def populate_run_data(self, rc): return {"seconds": self.size + rc.run_nr * 0}
 def size_of(self, of: RunnerContext): return of.run_variation["size"]
 def populate_run_data(self, context): return {"seconds": self.size_of(context)}
 """,
+    "a lambda's parameter": """
+of = staticmethod(lambda context: context.run_variation["size"])
+def populate_run_data(self, rc): return {"seconds": self.of(rc)}
+""",
     "an attribute that keeps it": """
 def start_run(self, context): self.run = context
 def populate_run_data(self, context): return {"seconds": self.run.execute_run["size"] + len(self.run.run_dir.name) * 0}
@@ -60,6 +64,15 @@ def test_a_context_is_converted_however_it_is_reached(
     new.write_text(convert(old).text, encoding="utf-8")
     columns = ["size", "seconds"]
     assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
+
+
+def test_the_context_of_a_lambda_that_is_subscribed_is_converted(config: Callable[..., Path], tmp_path: Path) -> None:
+    callback = 'lambda now: {"seconds": now.run_variation["size"] + now.run_nr * 0}'
+    new = tmp_path / "converted.py"
+    new.write_text(convert(config(subscribe=f"(RunnerEvents.POPULATE_RUN_DATA, {callback}),")).text, encoding="utf-8")
+    rows = measures_of(new, ["size", "seconds"])
+    assert rows
+    assert all(size == seconds for size, seconds in rows)
 
 
 NOT_WRITTEN = {

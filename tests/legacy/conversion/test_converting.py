@@ -187,6 +187,56 @@ def test_a_continue_callback_says_that_the_user_was_asked(
     assert len(measures_of(new, ["task"])) == 4
 
 
+def test_a_continue_callback_that_ends_early_lets_the_next_run_start_too(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    head = ROBOT.replace("OperationType.AUTO", "OperationType.SEMI")
+    methods = """\
+def ready(self):
+    print("ready")
+    return False
+def swap(self):
+    self.swaps = getattr(self, "swaps", 0) + 1
+    match self.swaps:
+        case 1:
+            return
+    if self.swaps == 2:
+        return print("swapped")
+    list(map(lambda each: each, self.asked()))
+def asked(self):
+    return []
+"""
+    subscribe = "(RobotRunnerEvents.BEFORE_EXPERIMENT, self.ready), (RobotRunnerEvents.CONTINUE, self.swap),"
+    new = converted(config(methods, head=head, subscribe=subscribe))
+    assert "        return []" in new.read_text()
+    assert len(measures_of(new, ["task"])) == 4
+
+
+def test_what_stands_beside_a_subscription_and_uses_its_names_is_kept(
+    config: Callable[..., Path], converted: Callable[[Path], Path]
+) -> None:
+    path = config("def populate_run_data(self, context): return {'seconds': self.seconds}")
+    beside = "        ]); self.seconds = len(RunnerEvents.START_RUN.name)"
+    path.write_text(path.read_text().replace("        ])", beside, 1))
+    assert {value for (value,) in measures_of(converted(path), ["seconds"])} == {"9"}
+
+
+def test_factors_by_keyword_are_renamed(config: Callable[..., Path], converted: Callable[[Path], Path]) -> None:
+    path = config()
+    text = path.read_text().replace('"size", [10, 20]', 'treatments=[10, 20], factor_name="size"')
+    path.write_text(text)
+    assert 'Factor(treatments=[10, 20], name="size")' in converted(path).read_text()
+
+
+@pytest.mark.parametrize(("subscribe", "is_said"), [("", True), ("(RobotRunnerEvents.CONTINUE, print),", False)])
+def test_it_is_said_that_runs_wait_now_which_went_on_by_themselves(
+    subscribe: str, is_said: bool, config: Callable[..., Path]
+) -> None:
+    head = ROBOT.replace("OperationType.AUTO", "OperationType.SEMI")
+    findings = convert(config(head=head, subscribe=subscribe)).findings
+    assert is_said is any("now each run waits" in finding.problem for finding in findings)
+
+
 def test_before_run_with_the_row_gets_the_context(
     config: Callable[..., Path], converted: Callable[[Path], Path]
 ) -> None:

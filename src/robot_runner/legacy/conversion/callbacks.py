@@ -11,7 +11,7 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RobotRunnerEvents
 from robot_runner.legacy.earlier_experiment import ROW_NAMES
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
-from robot_runner.legacy.syntax import attributes_of, imports_of, nodes
+from robot_runner.legacy.syntax import attributes_of, imports_of, nodes, walk_bodies
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -75,18 +75,26 @@ def named_callbacks(session: Session, config: ast.ClassDef, inherited: Inherited
     return CallbackNames(renamed, is_by_name, frozenset(event.callback_name for event in events))
 
 
-def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> None:
-    """Remove the subscriptions of a class, and an `__init__` in which nothing else is done."""
+def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> list[ast.stmt]:
+    """Remove the subscriptions of a class, and an `__init__` in which nothing else is done; return what is gone."""
+    removed: list[ast.stmt] = []
     for method in _methods(config):
         found = [statement for statement in method.body if _subscribes(statement)]
+        removed += found
         others = [statement for statement in method.body if statement not in found and not _is_docstring(statement)]
         if found and not others and method.name == "__init__":
             edits.remove_paragraph(_first_line(method), method.end_lineno or method.lineno)
             continue
         for statement in found:
-            edits.remove_lines(statement.lineno, statement.end_lineno or statement.lineno)
-        if len(found) == len(method.body):
+            lines = range(statement.lineno, (statement.end_lineno or statement.lineno) + 1)
+            beside = (each for each in method.body if each is not statement)
+            if method.lineno in lines or any(each.lineno in lines or each.end_lineno in lines for each in beside):
+                edits.replace(statement, "pass")
+            else:
+                edits.remove_lines(lines[0], lines[-1])
+        if len(found) == len(method.body) and method.lineno != found[0].lineno:
             edits.insert(edits.line_start(method.body[0].lineno), f"{' ' * method.body[0].col_offset}pass\n")
+    return removed
 
 
 def convert_lists_of_callbacks(config: ast.ClassDef, edits: Edits) -> None:
@@ -117,20 +125,29 @@ def convert_continue(config: ast.ClassDef, names: CallbackNames, inherited: Inhe
     is_asked_by_base = "continue_experiment" in inherited.heard
     by_itself = "return True  # the first run starts by itself"
     if before is not None and (asking is not None or is_asked_by_base):
-        edits.insert(edits.end_of(before.body[-1]), _following(before, by_itself))
+        _return_true(before, by_itself, edits)
     if asking is None:
         return
-    edits.insert(edits.end_of(asking.body[-1]), _following(asking, "return True  # the user was asked here"))
+    _return_true(asking, "return True  # the user was asked here", edits)
     if before is None and not is_asked_by_base:
         calling = ["super().before_experiment()"] if "before_experiment" in inherited.heard else []
         lines = "".join(f"\n{' ' * (asking.col_offset + _INDENT)}{line}" for line in (*calling, by_itself))
         edits.insert(edits.end_of(asking.body[-1]), f"\n\n{' ' * asking.col_offset}def before_experiment(self):{lines}")
 
 
-def _following(method: ast.FunctionDef, statement: str) -> str:
-    """Return a statement as it stands after the last one of a method, which may be written in one line."""
-    is_in_line = method.body[0].lineno == method.lineno
-    return f"; {statement}" if is_in_line else f"\n{' ' * method.body[0].col_offset}{statement}"
+def _return_true(method: ast.FunctionDef, statement: str, edits: Edits) -> None:
+    """Have a method return True wherever it ends, whatever it returned: the earlier tools did not look at that."""
+    for each in walk_bodies(method.body):
+        match each:
+            case ast.Return(value=None | ast.Constant()):
+                edits.replace(each, "return True")
+            case ast.Return(value=ast.expr() as value):  # which may be what asks the user
+                edits.insert(edits.start_of(value), "(")
+                edits.insert(edits.end_of(value), ", True)[1]")
+    if not isinstance(method.body[-1], ast.Return):
+        is_in_line = method.body[0].lineno == method.lineno  # of a method that is written in one
+        following = f"; {statement}" if is_in_line else f"\n{' ' * method.body[0].col_offset}{statement}"
+        edits.insert(edits.end_of(method.body[-1]), following)
 
 
 #: What a config says that does not hear an event of which it has inherited a callback.

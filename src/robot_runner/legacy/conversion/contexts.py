@@ -23,6 +23,7 @@ _ROWS = frozenset({"run_variation", "execute_run"})
 _ATTRIBUTES = {"run_nr": "run_number", "run_dir": "run_folder"}
 _NAMES_HERE = _ATTRIBUTES | dict.fromkeys(sorted(_ROWS), "combination")
 _RUN_ID = "__run_id"
+_LAMBDA = "<lambda>"
 _CHANGING = frozenset({"update", "setdefault", "pop", "popitem", "clear"})
 _CLASSES = frozenset({"RunnerContext", "RobotRunnerContext"})
 _BY_TEXT = frozenset({"hasattr", "getattr", "setattr", "delattr"})
@@ -40,7 +41,8 @@ def convert_contexts(tree: ast.Module, session: Session, edits: Edits, columns: 
         edits: takes the changes.
         columns: the measures' columns.
     """
-    functions = {function: set(_contexts_of(function, tree, session)) for function in nodes(tree, ast.FunctionDef)}
+    every: list[ast.FunctionDef | ast.Lambda] = [*nodes(tree, ast.FunctionDef), *nodes(tree, ast.Lambda)]
+    functions = {function: set(_contexts_of(function, tree, session)) for function in every}
     kept = {place for function, names in functions.items() for place in _places_kept(function, names)}
     contexts = kept.union(*functions.values())
     moved = set(_attributes_to_move(tree, contexts))
@@ -63,9 +65,14 @@ def _is_context(argument: ast.arg, tree: ast.Module) -> bool:
     )
 
 
-def _contexts_of(function: ast.FunctionDef, tree: ast.Module, session: Session) -> Iterator[str]:
+def _contexts_of(function: ast.FunctionDef | ast.Lambda, tree: ast.Module, session: Session) -> Iterator[str]:
     arguments = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
     yield from (each.arg for each in arguments if _is_context(each, tree))
+    if isinstance(function, ast.Lambda):
+        codes = (getattr(each.callback, "__code__", None) for each in session.subscriptions)
+        is_callback = any(code and (code.co_name, code.co_firstlineno) == (_LAMBDA, function.lineno) for code in codes)
+        yield from (each.arg for each in arguments[:1] if is_callback)
+        return
     if function.name in _callbacks_of(session, set(RobotRunnerEvents) - WITHOUT_CONTEXT):
         yield from (each.arg for each in arguments[1:2])
     if function.name in _callbacks_of(session, {RobotRunnerEvents.BEFORE_RUN}):
@@ -76,7 +83,7 @@ def _callbacks_of(session: Session, events: Collection[RobotRunnerEvents]) -> se
     return {str(getattr(each.callback, "__name__", "")) for each in session.subscriptions if each.event in events}
 
 
-def _places_kept(function: ast.FunctionDef, names: Collection[str]) -> Iterator[str]:
+def _places_kept(function: ast.FunctionDef | ast.Lambda, names: Collection[str]) -> Iterator[str]:
     """Yield where a function leaves its context for others: `self.context`."""
     for node in nodes(function, ast.Assign):
         if isinstance(node.value, ast.Name) and node.value.id in names:
@@ -116,7 +123,7 @@ class _Function:
 
     def __init__(
         self,
-        function: ast.FunctionDef,
+        function: ast.FunctionDef | ast.Lambda,
         contexts: Collection[str],
         session: Session,
         edits: Edits,

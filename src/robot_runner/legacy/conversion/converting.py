@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.source import CONFIG_CLASS, read_source, read_tree
 from robot_runner.core.errors import ConfigError, Finding
+from robot_runner.legacy.config_checks import check_waiting
 from robot_runner.legacy.conversion.bases import (
     BaseFile,
     Inherited,
@@ -43,14 +44,7 @@ from robot_runner.legacy.conversion.names import convert_parameters, convert_run
 from robot_runner.legacy.earlier_experiment import EarlierExperiment
 from robot_runner.legacy.recognition import Recognised, is_earlier_import, recognise
 from robot_runner.legacy.session import active_session
-from robot_runner.legacy.syntax import (
-    Edits,
-    classes_of,
-    imports_of,
-    names_of_types,
-    nodes,
-    used_names,
-)
+from robot_runner.legacy.syntax import Edits, classes_of, imports_of, names_of_types, nodes, used_names
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
@@ -160,7 +154,9 @@ class _Chain:
         """
         dialect = self._recognised.dialect
         with self._experiment.config.executing_nothing() as session:
-            config_class, findings = session.config_class, [*order_findings(session), *_left_out(session)]
+            config_class = session.config_class
+            waiting = check_waiting(session, self._experiment.parameters.operation_type)
+            findings = [*order_findings(session), *_left_out(session), *waiting]
         bases = base_files(self._recognised.path, config_class)
         for file, base_class in bases.items():
             text, tree = read_tree(file)
@@ -266,8 +262,9 @@ class _Converting:
         self.imports.findings += taken_over(where, config, callbacks, self._inherited)
         self._rename_class(config)
         if callbacks.is_by_name:
-            remove_subscriptions(config, self._edits)
-            self.imports.ours -= {"EventSubscriptionController", "RobotRunnerEvents"}
+            gone = {id(node) for each in remove_subscriptions(config, self._edits) for node in ast.walk(each)}
+            left = {self.imports.names.get(node.id) for node in nodes(self._tree, ast.Name) if id(node) not in gone}
+            self.imports.ours -= {"EventSubscriptionController", "RobotRunnerEvents"} - left
         convert_rows_of_before_run(config, self._session, self._edits)
         convert_continue(config, callbacks, self._inherited, self._edits)
         leave_unheard(config, callbacks, self._inherited, self._edits)

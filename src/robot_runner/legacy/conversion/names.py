@@ -86,6 +86,7 @@ _KEYWORDS = {
     "treatments": "factors",
 }
 _IN_PLACE = "num_of_repetitions"
+_FACTOR_NAME = "factor_name"
 #: Calls of a model or a factor that are attributes here, or that return the model itself.
 _CALLS = {
     "get_factors": ".factors",
@@ -105,12 +106,15 @@ def convert_run_tables(session: Session, tree: ast.Module, imports: ConvertedImp
                 _convert_model(session, call, edits)
                 if _vary(call, edits):
                     imports.ours.add("Factor")
+            case ast.Name(id=name) if imports.names.get(name) == "Factor":
+                for start in (edits.start_of(each) for each in call.keywords if each.arg == _FACTOR_NAME):
+                    edits.replace_span(start, start + len(_FACTOR_NAME), "name")
             case ast.Attribute(value=owner, attr=name) if name in _CALLS and not call.args and not call.keywords:
                 edits.replace_span(edits.end_of(owner), edits.end_of(call), _CALLS[name])
             case _:
                 pass
     for node in nodes(tree, ast.Attribute):
-        if node.attr == "factor_name":
+        if node.attr == _FACTOR_NAME:
             edits.replace_span(edits.end_of(node.value), edits.end_of(node), ".name")
 
 

@@ -45,12 +45,7 @@ from robot_runner.replication.commands.replication_plan import (
 )
 from robot_runner.replication.commands.replication_verdict import Comparing, Ending, facts_of
 from robot_runner.replication.differences import differing_environment
-from robot_runner.replication.replicating import (
-    find_source,
-    original_settings,
-    prepare_replication,
-    replicated_folder,
-)
+from robot_runner.replication.replicating import find_source, original_settings, prepare_replication, replicated_folder
 from robot_runner.replication.run_by_run import is_executed
 from robot_runner.replication.virtual_environments import execute_with, make_environment, program_in
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from robot_runner.replication.differences import Difference
     from robot_runner.replication.replicating import Source
     from robot_runner.replication.run_by_run import Sameness
-    from robot_runner.replication.verdicts import Margin, ReplicationVerdict
+    from robot_runner.replication.verdicts import ReplicationVerdict
 
 _STYLES = {
     Conclusion.IDENTICAL: "green",
@@ -136,7 +136,9 @@ class Comparing:
 
     def _comparison(self, replication: Path, same: Mapping[str, Sameness]) -> Mapping[str, Any] | None:
         """Return what the statistics say, as plain data; None where nobody needs them, or wants them here."""
-        bounds = _as_given(self._margins, same)
+        # Of texts there is no bound; whether they are compared at all is the comparison's to say.
+        bounded = {each.name for each in self._columns if each.type not in {"string", "any"}} & same.keys()
+        bounds = [f"{name}={margin.text.strip()}" for name, margin in self._margins.items() if name in bounded]
         page, beside = self.target / "comparison.html", self.target / "comparison.json"
         if _has_libraries():
             text = _compared(self.root, replication, bounds, page)
@@ -188,11 +190,6 @@ def _has_libraries() -> bool:
     except MissingLibraryError:
         return False
     return True
-
-
-def _as_given(margins: Mapping[str, Margin], same: Mapping[str, Sameness]) -> list[str]:
-    """Return the bounds of the measures that both have, as `compare` takes them."""
-    return [f"{name}={margin.text.strip()}" for name, margin in margins.items() if name in same]
 
 
 def _compared(original: Path, replication: Path, bounds: Sequence[str], page: Path) -> str:

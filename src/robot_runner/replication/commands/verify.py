@@ -5,6 +5,7 @@ Nothing is unpacked and nothing is executed. Exit code 0: intact; 2: refused.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from robot_runner.replication.verification import Verification
 
 _MEGABYTE = 1_000_000
-_DIGITS = 64
+_SHA256 = re.compile("[0-9a-f]{64}")
 
 
 def add_arguments(parser: Parser) -> None:
@@ -51,7 +52,7 @@ def add_arguments(parser: Parser) -> None:
 def execute(arguments: Namespace) -> int:
     """Verify the package, and say what is wrong with it."""
     path = Path(arguments.package or only_package("verify")).expanduser()
-    digest = _sha256(path, arguments.sha256) if arguments.sha256 else None
+    digest = _sha256(path, arguments.sha256) if arguments.sha256 is not None else None
     from robot_runner.replication.opening import open_package  # noqa: PLC0415 - for a quick --help
     from robot_runner.replication.verification import verify_package  # noqa: PLC0415 - as above
 
@@ -82,20 +83,19 @@ def execute(arguments: Namespace) -> int:
 
 
 def _sha256(path: Path, expected: str | None) -> str | None:
+    wanted = None if expected is None else expected.strip().casefold().removeprefix("sha256:")
+    if wanted is not None and not _SHA256.fullmatch(wanted):
+        raise UsageError(f"{expected!r} is no SHA-256", where="--sha256", fix="Give its 64 hexadecimal digits.")
     if not path.is_file():
-        if expected:
+        if wanted is not None:
             raise UsageError("a folder has no SHA-256", where="--sha256", fix="Name the zip file.")
         return None
     from robot_runner.replication.packing import file_sha256  # noqa: PLC0415 - as above
 
     digest = file_sha256(path)
-    if expected is not None:
-        wanted = expected.casefold().removeprefix("sha256:")
-        if len(wanted) != _DIGITS:
-            raise UsageError(f"{expected!r} is no SHA-256", where="--sha256", fix="Give its 64 hexadecimal digits.")
-        if wanted != digest:
-            fix = "Get the package again from where its authors published it."
-            raise UsageError(f"the package's SHA-256 is {digest}, not {wanted}", where=str(path), fix=fix)
+    if wanted not in {None, digest}:
+        fix = "Get the package again from where its authors published it."
+        raise UsageError(f"the package's SHA-256 is {digest}, not {wanted}", where=str(path), fix=fix)
     return digest
 
 
