@@ -15,6 +15,7 @@ from tests.conftest import HEAD, TABLE, written_config
 from tests.core.execution.conftest import execute_in
 
 from robot_runner.cli.extension import Extension, ExtensionRequest, extend_experiment
+from robot_runner.cli.planning import plan_of
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.growing import Additions, NewFactor
 from robot_runner.core.errors import DesignError, ExecutionError, RobotRunnerError
@@ -176,6 +177,61 @@ def test_a_table_that_is_older_than_a_batch_gets_its_runs(execute: Execute, *, i
     assert [each["batch"] for each in json.loads(text_of(executed, "manifest.json"))["design"]["batches"]] == [1, 2]
     assert resume(executed).done_count == 12
     assert len(executed.journal("attempt_started")) == 12
+
+
+def test_an_extension_that_was_killed_before_its_table_was_written_is_still_to_do(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    kept = {name: text_of(executed, name) for name in ("run_table.csv", "run_table.schema.json", "manifest.json")}
+    executed.config.write_text(executed.config.read_text().replace("repetitions=2", "repetitions=3"))
+    extend(executed)
+    journal = executed.folder / "journal.jsonl"
+    *lines, last = journal.read_text(encoding="utf-8").splitlines(keepends=True)
+    assert last.startswith('{"kind":"table_written"')
+    journal.write_text("".join(lines), encoding="utf-8")
+    for name, text in kept.items():
+        (executed.folder / name).write_text(text, encoding="utf-8")
+    for lost in ("", "run_table.csv"):
+        (executed.folder / lost).unlink() if lost else None
+        status = read_status(executed.folder)
+        assert (status.run_count, status.done, status.todo) == (6, 4, 2), lost
+        plan = plan_of(executed.config, {})
+        assert plan.is_recorded, lost
+        assert plan.duration.parts[0].startswith("2 runs"), lost
+        assert not [each for each in plan.findings if "plans more" in each.problem], lost
+    assert resume(executed).done_count == 6
+
+
+def test_treatments_that_a_grown_experiment_has_and_its_config_lost_are_told(
+    execute: Execute, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TASKS", "Video Network")
+    table = TABLE.replace('["Video", "Network"]', '__import__("os").environ["TASKS"].split()')
+    executed = execute(COUNTING, table=table)
+    extend(executed, 3, treatments={"Task": ["Audio"]})
+    monkeypatch.setenv("TASKS", "Video")
+    finished = resume(executed)
+    told = [str(each) for each in finished.findings if "does not plan any more" in str(each)]
+    assert len(told) == 1
+    assert "runs have 1 treatment of Task that the config does not plan any more: Network" in told[0]
+
+
+def test_numbers_that_json_does_not_have_grow_as_others_do(execute: Execute) -> None:
+    table = TABLE.replace('["Video", "Network"]', '[0.5, float("inf"), float("-inf")]')
+    executed = execute(COUNTING, table=table)
+    extend(executed, 3)
+    assert resume(executed).done_count == 9
+    (record,) = executed.journal("extended")
+    assert record["factors"]["Task"] == [0.5, {"text": "inf"}, {"text": "-inf"}]
+    assert {row["Task"] for row in executed.table} == {"0.5", "inf", "-inf"}
+
+
+def test_an_extension_names_a_manifest_that_is_none_of_ours(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    manifest = json.loads(text_of(executed, "manifest.json"))
+    del manifest["design"]["source"]
+    (executed.folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    with pytest.raises(ExecutionError, match="manifest is none of Robot Runner's"):
+        extend(executed, 3)
 
 
 def test_rows_that_were_deleted_by_hand_come_back_where_the_journal_is_to_count(execute: Execute) -> None:

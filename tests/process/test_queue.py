@@ -269,3 +269,15 @@ def test_what_is_damaged_changed_gone_or_not_to_be_kept_is_told_and_holds_up_nob
     assert "'list'" in robot_runner("queue", "lst").err
     folder.chmod(0o777)
     assert "others may write in the folder of the queue" in robot_runner("queue").err
+
+
+def test_the_number_of_an_experiment_that_was_dropped_is_given_to_no_other() -> None:
+    queue = ExperimentQueue()
+    facts = {"options": [], "started_in": "/", "experiment": "e", "results": "/e", "claims": [], "python": "python"}
+    facts |= {"config": "/e.py", "environment": {}, "config_sha256": ""}
+    assert [queue.add(**facts).number for _ in range(11)] == list(range(1, 12))
+    for number in (11, 10, 2):
+        queue.drop(number)
+    assert queue.add(**facts).number == 12
+    (queue.folder / "adding.lock").write_text("what is it")
+    assert queue.add(**facts).number == 13

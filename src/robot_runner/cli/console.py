@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import shlex
 import shutil
@@ -22,6 +21,7 @@ from rich.text import Text
 
 from robot_runner.cli.byte_code import no_byte_code
 from robot_runner.cli.harmless_stream import HarmlessStream, unguarded
+from robot_runner.core.storage.declared_shapes import finite
 from robot_runner.core.words import harmless, harmless_json, one_line
 
 if TYPE_CHECKING:
@@ -96,16 +96,8 @@ def is_live_terminal(stream: TextIO) -> bool:
 
 def print_json(facts: Any) -> None:
     """Print facts as JSON, or a text that is JSON already; a number that JSON does not have becomes its name."""
-    text = facts if isinstance(facts, str) else json.dumps(_finite(facts), indent=2, ensure_ascii=False, default=str)
+    text = facts if isinstance(facts, str) else json.dumps(finite(facts), indent=2, ensure_ascii=False, default=str)
     print(harmless_json(text))
-
-
-def _finite(facts: Any) -> Any:
-    if isinstance(facts, dict):
-        return {name: _finite(each) for name, each in facts.items()}
-    if isinstance(facts, list | tuple):
-        return list(map(_finite, facts))
-    return str(facts) if isinstance(facts, float) and not math.isfinite(facts) else facts
 
 
 def shown_path(path: Path) -> str:

@@ -31,7 +31,7 @@ from robot_runner.core.design.growing import Additions, Begun, grown_design
 from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import DesignError, ExecutionError, Finding
 from robot_runner.core.execution.begun_experiment import shown_config, unplanned_additions
-from robot_runner.core.execution.circumstances import keep_config_files, restored_manifest
+from robot_runner.core.execution.circumstances import keep_config_files, kept_manifest, restored_manifest
 from robot_runner.core.execution.recovery import (
     ACCEPT,
     Resumption,
@@ -41,7 +41,7 @@ from robot_runner.core.execution.recovery import (
 from robot_runner.core.execution.table_recovery import digest_of, recover_table
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
 from robot_runner.core.storage.lock import ExperimentLock
-from robot_runner.core.storage.manifest import read_manifest, write_manifest
+from robot_runner.core.storage.manifest import write_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.table_columns import FactorColumn
@@ -125,7 +125,7 @@ class _Extending:
         self._request = request
         self._folder = experiment.folder
         lost = restored_manifest(experiment)
-        self._manifest = lost.manifest if lost else read_manifest(self._folder.manifest)
+        self._manifest = lost.manifest if lost else kept_manifest(experiment)
         self._findings = [lost.finding] if lost else []
         self._design: Mapping[str, Any] = self._manifest["design"]
         self._config = as_configured(experiment.model)

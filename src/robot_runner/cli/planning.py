@@ -11,20 +11,20 @@ from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import event_manager_for, experiment_folder, grown_model
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.config.plugin_checks import gather_plugins
+from robot_runner.core.config.plugin_checks import companions, gather_plugins
+from robot_runner.core.config.preparation import measure_columns
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.errors import ConfigError, Finding, StorageError
-from robot_runner.core.events.measure import resolve_columns, with_phases
 from robot_runner.core.execution.begun_experiment import unplanned_additions
 from robot_runner.core.execution.deciding import asking_of, what_follows
 from robot_runner.core.execution.durations import Estimate, durations_of
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.execution.probe import probe_window_of, probed_plugins
 from robot_runner.core.execution.table_recovery import is_reordered
-from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import ExcludedRuns, executed_order, moved_in_words, moved_runs
+from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
+from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.durations import Durations
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.layout import ExperimentFolder
-    from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import TableSpelling
 
 
@@ -129,10 +128,10 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
     folder = folder_of(loaded)
     if folder is not None:
         model = grown_model(model, folder)
-    phases = parameters.phases if parameters is not None else ()
-    columns, column_findings = resolve_columns(
-        model.data_columns, {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
-    )
+    if parameters is not None:
+        plugins = (*companions(parameters, plugins)[0], *plugins)
+    column_findings: list[Finding] = []
+    columns = measure_columns(loaded, model, plugins, parameters, column_findings)
     refused = [finding for finding in column_findings if finding.is_error]
     if refused:
         raise ConfigError.of_findings(refused)
@@ -191,7 +190,7 @@ def _planned(
 
 
 def _is_of_config(manifest: Mapping[str, Any]) -> bool:
-    return bool(manifest.get("design", {}).get("source") == "config")
+    return "seed" in manifest and bool(manifest.get("design", {}).get("source") == "config")
 
 
 def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
@@ -215,41 +214,34 @@ def _plan_of_begun(
         found = (Finding.warning(each.where, each.problem, each.fix) for each in unplanned)
         table = model.plan(manifest["seed"])
         return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=(*warnings, *found)), ()
-    known = ExcludedRuns.read(folder.journal)
+    history = ExperimentHistory()
+    for record in read_journal(folder.journal):
+        history.take(record)
+    known = history.exclusions
     layout = replace(TableLayout.of_model(model, columns.names, spelling=spelling), has_exclusions=known.were_any)
     told: dict[str, Any] = {
-        "executed": executed_order(folder.journal),
+        "executed": history.executed,
         "excluded": {run_id: each.reason for run_id, each in known.present.items()},
     }
     if _is_of_config(manifest):
         table = model.plan(manifest["seed"])
         planned = Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told)
         if not folder.run_table.exists():
-            history = ExperimentHistory()
-            history.read(folder)
-            done = {run_id for run_id, status in history.statuses.items() if status is RunStatus.DONE}
+            history.read_table(folder)
             problem = "the run table is missing: it is made anew from the journal when the experiment is executed next"
             missing = Finding.warning(str(folder.run_table), problem)
-            return replace(planned, findings=(*warnings, missing)), done | known.present.keys()
+            return replace(planned, findings=(*warnings, missing)), history.settled
         rows = read_run_table(folder.run_table, layout, table)
+        history.take_rows(rows)
         if not is_reordered(table, rows):
-            return planned, _settled(rows)
+            return planned, history.settled
         problem = "the rows were put into another order by hand: runs are executed in that order"
         warnings = (*warnings, Finding.warning(str(folder.run_table), problem))
     rows = read_run_table(folder.run_table, layout)
-    runs = list(rows.planned)
-    findings = (*warnings, *rows.warnings)
+    history.take_rows(rows)
+    runs, findings = list(rows.planned), (*warnings, *rows.warnings)
     plan = Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings, **told)
-    return plan, _settled(rows)
-
-
-def _settled(rows: RunTableRows) -> set[str]:
-    """Return the runs of a table that are not executed any more."""
-    return {
-        run.run_id
-        for place, run in enumerate(rows.planned)
-        if rows.status(place) is RunStatus.DONE or rows.excluded(place) is not None
-    }
+    return plan, history.settled
 
 
 def configured_folder(path: Path, assignments: Sequence[str]) -> ExperimentFolder:

@@ -102,10 +102,12 @@ class ExperimentQueue:
         Raises:
             StorageError: it cannot be written.
         """
-        with self._adding():
-            number = max(self._numbers(), default=0) + 1
+        with self._adding() as descriptor:
+            last = os.pread(descriptor, 9, 0)  # it may have been dropped: nobody is to meet another under its number
+            number = max(*self._numbers(), int(last) if last.isdigit() else 0, 0) + 1
             added = QueuedExperiment(number, **facts)
             self.write(added)
+            os.pwrite(descriptor, str(number).encode(), 0)
         return added
 
     def read(self) -> tuple[list[QueuedExperiment], list[Finding]]:
@@ -204,8 +206,8 @@ class ExperimentQueue:
         return False
 
     @contextmanager
-    def _adding(self) -> Iterator[None]:
-        """Keep others from taking the same number."""
+    def _adding(self) -> Iterator[int]:
+        """Keep others from taking the same number; the descriptor that it gives is of a file with the last one."""
         path = self.folder / "adding.lock"
         deadline = time.monotonic() + _PATIENCE
         while (descriptor := lock_exclusively(path)) is None:
@@ -214,7 +216,7 @@ class ExperimentQueue:
                 raise StorageError(problem, where=str(path), fix="Look for a robot-runner that hangs, and end it.")
             time.sleep(_LOOK)
         try:
-            yield
+            yield descriptor
         finally:
             os.close(descriptor)
 

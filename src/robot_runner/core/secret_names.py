@@ -148,7 +148,7 @@ def without_environment_secrets(text: str) -> str:
     return text
 
 
-def _without_secrets(value: Any) -> Any:
+def without_secrets(value: Any) -> Any:
     """Return JSON data with no value of a variable with a secret's name in any text of it.
 
     What is no JSON data becomes its text, as it does when it is written.
@@ -157,10 +157,10 @@ def _without_secrets(value: Any) -> Any:
         case None | bool() | int() | float():
             return value
         case dict():
-            named = ((_without_secrets(name) if isinstance(name, str) else name, each) for name, each in value.items())
-            return {name: _without_secrets(each) for name, each in named}
+            named = ((without_secrets(name) if isinstance(name, str) else name, each) for name, each in value.items())
+            return {name: without_secrets(each) for name, each in named}
         case list() | tuple():
-            return [_without_secrets(each) for each in value]
+            return [without_secrets(each) for each in value]
     return without_environment_secrets(str(value))
 
 
@@ -176,7 +176,7 @@ def sentences_without_secrets(fields: dict[str, Any]) -> dict[str, Any]:
 
     Names, treatments and measures stay as they are: they are data, and one of them may be called as a password is.
     """
-    return fields | {name: _without_secrets(fields[name]) for name in _HIDING & fields.keys()}
+    return fields | {name: without_secrets(fields[name]) for name in _HIDING & fields.keys()}
 
 
 def forms_of(secret: str) -> set[str]:

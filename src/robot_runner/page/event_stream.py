@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
-import math
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
+from robot_runner.core.storage.declared_shapes import finite
 from robot_runner.page.followed_experiment import FollowedExperiment
 
 if TYPE_CHECKING:
@@ -38,16 +38,8 @@ def as_json(value: object) -> bytes:
     try:
         text = _encode(value)
     except ValueError:
-        text = _encode(_finite(value))
+        text = _encode(finite(value))
     return text.encode("utf-8", "replace")
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return list(map(_finite, value))
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _event(name: str, data: object) -> bytes:

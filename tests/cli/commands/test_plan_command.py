@@ -218,3 +218,31 @@ def test_where_the_run_table_is_lost_runs_that_are_done_take_no_time(
     assert answer.json["duration"]["parts"] == before["duration"]["parts"]
     assert "1 run" in answer.json["duration"]["parts"][0]
     assert {**answer.json, "findings": []} == before
+
+
+def test_runs_that_the_journal_has_and_the_table_not_yet_take_no_time(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
+    robot_runner("run", "config.py", "--skip", "r_4")
+    folder = tmp_path / "results" / "trial"
+    older, journal = (folder / "run_table.csv").read_text(), folder / "journal.jsonl"
+    count = len(journal.read_text().splitlines())
+    robot_runner("run", "config.py")
+    lines = journal.read_text().splitlines(keepends=True)
+    later = [line for line in lines[count:] if '"kind":"table_written"' not in line]
+    journal.write_text("".join([*lines[:count], *later]))
+    (folder / "run_table.csv").write_text(older)
+    assert "no run is to be executed" in robot_runner("plan", "config.py").out
+
+
+def test_the_measures_of_a_plan_are_the_columns_of_its_run_table(
+    robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    write_config("""
+quality_columns = True
+operator_steps = [OperatorStep("look at it", ask=[Question("Mood")])]
+operation_type = OperationType.SEMI
+""")
+    answer = robot_runner("plan", "config.py", "--json").json
+    assert [each["name"] for each in answer["measures"]] == ["Energy", "Energy.quality", "Mood", "Mood.quality"]

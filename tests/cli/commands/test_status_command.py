@@ -80,6 +80,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
         "is_paused": False,
         "pause_is_requested": False,
         "is_of_older_tool": False,
+        "lacks_plan": False,
         "order": "",
         "precision": [],
         "repeated": "",
@@ -206,6 +207,20 @@ def test_a_missing_schema_hides_nothing_that_was_executed(robot_runner: Callable
     told = robot_runner("status", "config.py").out
     assert "2 of 4 runs done, 2 failed, 0 to do" in told
     assert "the schema of the run table is missing" in told
+
+
+@pytest.mark.parametrize("kept_lines", [0, 3], ids=["no journal", "its beginning"])
+def test_what_is_not_known_is_not_called_done(robot_runner: Callable, half_done: Path, kept_lines: int) -> None:
+    (half_done / "run_table.csv").unlink()
+    journal = half_done / "journal.jsonl"
+    lines = journal.read_text(encoding="utf-8").splitlines(keepends=True)
+    journal.write_text("".join(lines[:kept_lines]), encoding="utf-8")
+    told = robot_runner("status", "config.py").out
+    assert "nobody executes it; `robot-runner run` with its config goes on" in told
+    assert ("0 of 4 runs done, 4 to do" if kept_lines else "0 done; how many are planned is not known") in told
+    beyond = [line for line in lines if '"kind":"experiment_started"' not in line]
+    journal.write_text("".join(beyond), encoding="utf-8")
+    assert "2 done, 2 failed; how many are planned is not known" in robot_runner("status", "config.py").out
 
 
 def test_runs_that_are_executed_again_are_not_counted_twice(robot_runner: Callable, half_done: Path) -> None:

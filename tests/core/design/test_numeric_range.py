@@ -32,10 +32,18 @@ def test_a_value_is_within_the_range_near_its_share_and_short(lower: float, widt
 
 
 def test_steps_and_whole_numbers_are_kept_to() -> None:
-    assert [Range(0.05, 0.22, step=0.05).at(share / 4) for share in range(5)] == [0.05, 0.1, 0.15, 0.2, 0.2]
+    assert [Range(0.05, 0.22, step=0.05).at(share / 3) for share in range(4)] == [0.05, 0.1, 0.15, 0.2]
     assert [Range(1, 4).at(share / 3) for share in range(4)] == [1, 2, 3, 4]
     assert type(Range(1, 4).at(0.4)) is int
     assert Range(0, 1.0).at(0.12345) == 0.123
+
+
+@pytest.mark.parametrize("step", [0.3, 0.4, 0.6, 0.7, 0.1, 0.5, 1])
+def test_a_range_ends_at_its_last_step_with_and_without_a_design(step: float) -> None:
+    span = Range(0, 1, step=step)
+    multiples = [round(number * step, 3) for number in range(11) if number * step < 1 + 1e-9]
+    assert [span.at(number / span.step_count) for number in range(span.step_count + 1)] == multiples
+    assert Factor("Load", span).treatments == (0, multiples[-1])
 
 
 def test_what_is_no_range_is_told_at_once() -> None:
@@ -60,7 +68,7 @@ def test_without_a_design_a_range_has_its_two_ends() -> None:
 def test_numbers_of_numpy_are_taken_as_pythons() -> None:
     numpy = pytest.importorskip("numpy")
     span = Range(numpy.float64(0.05), numpy.float64(0.22), step=numpy.float64(0.05))
-    assert [span.at(share / 4) for share in range(5)] == [0.05, 0.1, 0.15, 0.2, 0.2]
+    assert [span.at(share / 3) for share in range(4)] == [0.05, 0.1, 0.15, 0.2]
     assert Factor("Speed", Range(numpy.float64(0.05), numpy.float64(0.22))).treatments == (0.05, 0.22)
     assert {type(each) for each in (span.lower, span.upper, span.step)} == {float}
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from robot_runner import Condition, ConditionError, ConditionTimeout, Look
+from robot_runner.core.errors import PluginError
 from robot_runner.testing import FakeClock, make_context
 
 if TYPE_CHECKING:
@@ -76,3 +78,26 @@ def test_a_wait_is_over_where_what_is_left_is_less_than_the_clock_can_show(
 def test_a_time_that_is_none_is_refused_as_it_would_never_be_over(tmp_path: Path, timeout_s: Any) -> None:
     with pytest.raises(ConditionError, match="timeout_s is "):
         _After(30.0, []).wait(make_context(tmp_path, clock=FakeClock(), robot=None), timeout_s=timeout_s)
+
+
+class _Flag:
+    """Is true, and no bool: as a comparison of numpy's is."""
+
+    def __bool__(self) -> bool:
+        return True
+
+
+def test_what_a_look_shows_is_kept_as_a_journal_can_be_read(tmp_path: Path) -> None:
+    look = Look(_Flag(), 52.5)  # type: ignore[arg-type] # as conditions of users do
+    assert (look.holds, look.seen, Look(False, None).seen) == (True, "52.5", "")  # type: ignore[arg-type]
+
+
+def test_facts_of_a_clock_that_could_not_be_read_again_are_refused_where_they_are_told(tmp_path: Path) -> None:
+    context = make_context(tmp_path, robot=None)
+    before = {"wall_offset": 1.5, "round_trip": 0.25}
+    facts = {"host": "pi", "before": before, "after": None, "uncertainty": 0.125, "drift": None}
+    context.note_clock(facts)
+    with pytest.raises(PluginError, match="these are no facts of a clock: host is None, not a text"):
+        context.note_clock({**facts, "host": None})
+    with pytest.raises(PluginError, match="wall_offset is nan, not a finite number; after is missing"):
+        context.note_clock({"host": "pi", "before": before | {"wall_offset": math.nan}, "uncertainty": 1, "drift": 0})

@@ -242,6 +242,31 @@ def test_what_the_environment_keeps_secret_is_hidden_in_whichever_process_a_call
     assert "swordfish" not in str(executed.notices)
 
 
+HANDING_ON = """
+operation_type = OperationType.SEMI
+def before_experiment(self): return True
+def before_run(self, context):
+    context.share(door="open", steps={"a": [1, None]}, chart="x" * 200_000)  # longer than an argument may be
+    context.publish("Energy", 2.5)
+def populate_run_data(self, context):
+    shared = context.plugin_data["config"]
+    assert (shared["door"], shared["steps"], len(shared["chart"])) == ("open", {"a": [1, None]}, 200_000)
+    return {"Energy": context.measures["Energy"] * context.run_number}
+def continue_experiment(self, context):
+    context.warn(f"Energy was {context.measures['Energy']}")
+    return True
+"""
+
+
+@pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
+def test_what_before_run_shares_and_publishes_is_there_in_the_run_and_its_measures_in_continue(
+    execute: Execute, run_process: str
+) -> None:
+    executed = execute(HANDING_ON, table=TWO_RUNS, run_process=run_process)
+    assert [row["Energy"] for row in executed.table] == ["2.5", "5.0"], executed.finished.failures
+    assert any("Energy was 2.5" in str(each) for each in executed.finished.findings)
+
+
 def test_a_deadline_that_is_longer_than_the_system_can_wait_is_none() -> None:
     with EventDeadline("an event", 1e300, 1e300):
         pass

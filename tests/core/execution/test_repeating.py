@@ -15,6 +15,7 @@ from tests.core.execution.conftest import RecordingObserver
 from robot_runner.cli.excluding import exclude_runs
 from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.design.asking import Decision, Told
 from robot_runner.core.design.growing import Additions
 from robot_runner.core.execution import progress_manager, recovered_table
 from robot_runner.core.execution.experiment_status import read_status
@@ -27,6 +28,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from robot_runner.core.errors import Finding
@@ -203,6 +205,43 @@ def test_doubtful_values_count_unless_the_plan_leaves_them_out(execute: Execute,
     found = {each["of"]: each.get("n", 0) for each in record["precision"][0]["known"]}
     assert found == {task: plausible.count(task) for task in ("Video", "Network")}
     assert found["Video"] < found["Network"] == 4
+
+
+class Hearing:
+    """Decides on nothing, and keeps what it was told."""
+
+    measures = ("Energy",)
+
+    def __init__(self) -> None:
+        self.told: dict[str, Told] = {}
+
+    def may_add(self, runs: object) -> bool:
+        return True
+
+    def ask(self, told: Sequence[Told]) -> Decision:
+        self.told = {each.run.run_id: each for each in told}
+        return Decision(name="end", in_words="nothing")
+
+
+LIMITED = """
+analysis = AnalysisPlan("Energy", doubtful=Doubtful.LEAVE_OUT)
+def populate_run_data(self, context):
+    context.combination["Task"]
+    return {"Energy": {1: 50.0, 2: 150.0, 3: None}.get(context.run_number, 7.0)}
+"""
+
+
+def test_a_doubtful_value_that_the_plan_leaves_out_is_no_failure_and_its_run_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hearing = Hearing()
+    monkeypatch.setattr("robot_runner.core.execution.deciding.asking_of", lambda *_: hearing)
+    table = TABLE.replace('Measure("Energy", "J")', 'Measure("Energy", "J", high=99.0)')
+    resume(written_config(tmp_path, LIMITED, table=table))
+    told = hearing.told
+    assert [dict(told[run].values) for run in ("r_1", "r_2", "r_3")] == [{"Energy": 50.0}, {}, {}]
+    assert [told[run].is_excluded for run in ("r_1", "r_2", "r_3")] == [False, True, False]
+    assert [told[run].is_doubtful for run in ("r_1", "r_2", "r_3")] == [False, True, False]
 
 
 def test_a_part_of_the_runs_is_not_repeated_and_a_redone_run_is_judged_anew(execute: Execute, tmp_path: Path) -> None:

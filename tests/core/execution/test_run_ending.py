@@ -226,6 +226,13 @@ def test_the_mission_cannot_be_stopped_before_it_begins_and_is_stopped_once(exec
     assert "went through" in executed.log("r_1")
 
 
+@pytest.mark.parametrize("reason", ["None", "7", "ValueError('stuck')"])
+def test_a_mission_may_be_stopped_for_a_reason_that_is_no_text(execute: Execute, reason: str) -> None:
+    executed = ended(execute, f"context.stop_mission({reason})")
+    told = str(ValueError("stuck")) if "stuck" in reason else reason
+    assert [record["reason"] for record in executed.journal("mission_stopped")] == [told]
+
+
 def test_a_mission_that_does_not_leave_c_is_ended_when_the_grace_is_over(execute: Execute) -> None:
     hang = "import ctypes; m = ctypes.create_string_buffer(64); [ctypes.CDLL(None).pthread_mutex_lock(m) for _ in 'ab']"
     executed = ended(execute, f"{FAIL}\n{hang}", grace_in_s="1")

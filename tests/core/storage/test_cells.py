@@ -98,6 +98,13 @@ def test_a_cell_is_read_as_its_columns_type_says(text: str, kind: str | None, va
     assert same(typed_value(text, kind), value)
 
 
+@pytest.mark.parametrize("text", ["1e5", "1.50", "-0", "007", "true", "TRUE", "nan", "5", "-0.0", "True", "1e+22", "a"])
+def test_in_a_column_of_texts_and_numbers_no_cell_is_rewritten(text: str) -> None:
+    assert measure_text(typed_value(text, "any")) == text
+    assert list(map(measure_text, typed_values([text, "2.5", "x"], "any"))) == [text, "2.5", "x"]
+    assert measure_text(typed_values([text], "any")[0]) == text
+
+
 def test_a_decimal_comma_counts_only_where_cells_are_split_by_semicolons() -> None:
     assert number_of("0,5", decimal_comma=True) == 0.5
     assert number_of("0,5") is None

@@ -13,6 +13,7 @@ from robot_runner.core.events.measure import as_measure_value
 from robot_runner.core.storage import guarded_files
 from robot_runner.core.storage import journal as journal_file
 from robot_runner.core.storage.journal import Journal, read_journal, utc_now
+from robot_runner.core.storage.manifest import read_manifest, write_manifest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -83,6 +84,17 @@ def test_a_whole_number_that_a_measure_may_have_is_read_back(tmp_path: Path, val
     with Journal(path) as journal:
         journal.append("attempt_finished", measures=measures, **rest)
     assert [record["measures"] for record in read_journal(path)] == [measures]
+
+
+def test_seeds_and_treatments_of_any_size_are_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "journal.jsonl"
+    seed, parameters = 2**128 - 1, {"serial": {"factor": "Serial", "value": 10**20}}
+    with Journal(path) as journal:
+        journal.append("experiment_started", seed=seed)
+        journal.append("bound", run="r_1", attempt=1, owner="Meter", parameters=parameters)
+    assert [record.get("seed") for record in read_journal(path)] == [seed, None]
+    write_manifest(tmp_path / "manifest.json", {"seed": seed, "design": {"batches": [{"batch": 1, "seed": seed}]}})
+    assert read_manifest(tmp_path / "manifest.json")["seed"] == seed
 
 
 def test_a_journal_that_is_not_there_has_no_records(tmp_path: Path) -> None:

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+import json
+import math
 import platform
 from pathlib import Path
 
 import pytest
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.manifest import FORMAT, describe_host, describe_software, read_manifest, write_manifest
 
 
@@ -46,3 +49,16 @@ def test_what_is_no_manifest_of_ours_is_refused(tmp_path: Path, text: str, probl
 def test_a_folder_without_a_manifest_is_no_experiment(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="no experiment here"):
         read_manifest(tmp_path / "manifest.json")
+
+
+def test_numbers_that_json_does_not_have_are_written_as_every_reader_of_json_takes_them(tmp_path: Path) -> None:
+    def refuse(name: str) -> None:
+        raise AssertionError(name)
+
+    write_manifest(tmp_path / "manifest.json", {"clocks": {"pi": {"offset": math.nan}}})
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        journal.append("shared", owner="config", values={"limits": [math.inf, -math.inf, 0.5]})
+    manifest = json.loads((tmp_path / "manifest.json").read_text(), parse_constant=refuse)
+    assert manifest["clocks"]["pi"] == {"offset": "nan"}
+    (line,) = (tmp_path / "journal.jsonl").read_text().splitlines()
+    assert json.loads(line, parse_constant=refuse)["values"] == {"limits": ["inf", "-inf", 0.5]}

@@ -22,6 +22,7 @@ from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.design.design_findings import is_seed
 from robot_runner.core.design.growing import Additions, NewFactor
 from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.words import counted
@@ -130,7 +131,7 @@ def _listed(text: str) -> tuple[str, ...]:
 
 
 def _checked_seed(seed: int | None) -> int | None:
-    if seed is not None and seed < 0:
+    if seed is not None and not is_seed(seed):
         raise UsageError(f"{seed} is no seed", where="--seed", fix="Give a whole number from 0.")
     return seed
 

@@ -121,6 +121,8 @@ def _left(status: ExperimentStatus) -> str:
 
 def _counts(status: ExperimentStatus) -> str:
     failed = f", {status.failed:,} failed" if status.failed else ""
+    if status.lacks_plan:
+        return f"{status.done:,} done{failed}; how many are planned is not known"
     return f"{status.done:,} of {counted(status.run_count, 'run')} done{failed}, {status.todo:,} to do"
 
 
@@ -157,7 +159,7 @@ def _state(status: ExperimentStatus) -> str:
     if status.is_of_older_tool:
         return "another tool began it; `robot-runner run` with its config goes on, `robot-runner import` adopts it"
     if status.holder is None:
-        if status.todo or status.failed:
+        if status.todo or status.failed or status.lacks_plan:
             return "nobody executes it; `robot-runner run` with its config goes on"
         return "all runs are done"
     who = f"process {status.holder.pid} on {status.holder.host}"

@@ -153,9 +153,7 @@ def prepare(
         added, companion_findings = companions(parameters, plugins)
         plugins, findings = (*added, *plugins), [*findings, *companion_findings]
     events = _subscribe(loaded, plugins, findings)
-    step_findings = check_operator_steps(loaded.where, parameters.operator_steps, model) if parameters else []
-    findings += step_findings
-    columns = _columns(model, plugins, parameters if not step_findings else None, findings)
+    columns = measure_columns(loaded, model, plugins, parameters, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
         findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
@@ -302,18 +300,24 @@ def _subscribe(loaded: LoadedConfig, plugins: tuple[Plugin, ...], findings: list
         return EventManager()
 
 
-def _columns(
-    model: RunTableModel | None, plugins: tuple[Plugin, ...], parameters: Parameters | None, findings: list[Finding]
+def measure_columns(
+    loaded: LoadedConfig,
+    model: RunTableModel | None,
+    plugins: tuple[Plugin, ...],
+    parameters: Parameters | None,
+    findings: list[Finding],
 ) -> MeasureColumns:
+    """Return the measures that runs may yield, and which of them the run table has; what is wrong joins `findings`."""
     phases = parameters.phases if parameters is not None else ()
-    steps = parameters.operator_steps if parameters is not None else ()
     measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
-    if answers := operator_measures(steps):
+    steps = parameters.operator_steps if parameters is not None else ()
+    step_findings = check_operator_steps(loaded.where, steps, model)
+    if answers := operator_measures(steps) if not step_findings else ():
         measures[OPERATOR_OWNER] = answers
     if parameters is not None and parameters.robots:
         measures[ROBOTS_OWNER] = (Measure(ROBOT, "", "The robot that executed the run."),)
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
-    findings += column_findings
+    findings += [*step_findings, *column_findings]
     columns = columns.with_all_of(OPERATOR_OWNER).with_all_of(ROBOTS_OWNER)
     if parameters is not None and parameters.quality_columns:
         columns = columns.with_quality()

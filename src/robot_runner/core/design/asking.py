@@ -33,12 +33,15 @@ class Told(NamedTuple):
         run: its combination, repetition and batch.
         values: of the measures that are asked for, by name; those that the run did not yield, as it failed, are not in
             it, nor are doubtful ones where the analysis plan leaves them out.
-        is_excluded: whether somebody left the run out of the analysis: then it has no values.
+        is_excluded: whether the run, by somebody, or a doubtful value of it, by the analysis plan, is left out of the
+            analysis: what it lacks then tells of no failure.
+        is_doubtful: whether it is a doubtful value alone, and the run counts.
     """
 
     run: PlannedRun
     values: Mapping[str, Any]
     is_excluded: bool = False
+    is_doubtful: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import isfinite
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -156,5 +157,6 @@ class Batch:
 
 
 def plain_treatment(treatment: Any) -> Any:
-    """Return a treatment as JSON has it; of an object of a user's, which JSON does not know, its text."""
-    return treatment if type(treatment) in _PLAIN else {"text": str(treatment)}
+    """Return a treatment as JSON has it; of what JSON does not know, an object of a user's or `inf`, its text."""
+    is_plain = type(treatment) in _PLAIN and (type(treatment) is not float or isfinite(treatment))
+    return treatment if is_plain else {"text": str(treatment)}

@@ -147,11 +147,21 @@ def _warm_up_findings(given: object, factors: Sequence[Factor], columns: object)
             yield from name_findings(name, kind="column", warms_up=True)
 
 
+#: A longer seed could not be read back from the journal.
+_SEED_BITS = 1024
+
+
+def is_seed(value: object) -> bool:
+    """Return whether an order can come from a value: Python takes -1 for 1, so that two seeds would give one order."""
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 1 << _SEED_BITS
+
+
 def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
     """Say what is wrong with the seed and the blocks."""
-    is_seed = seed is None or (isinstance(seed, int) and not isinstance(seed, bool) and seed >= 0)
-    if not is_seed:  # random.Random takes -1 for 1, so that two seeds would give one order
+    if seed is not None and not is_seed(seed):
         problem = f"{seed!r} is of type {type(seed).__name__}"
+        if isinstance(seed, int) and not isinstance(seed, bool):
+            problem = f"it has {seed.bit_length():,} bits" if seed > 0 else f"it is {seed}"
         yield Finding.error("seed", problem, "Give a whole number from 0, or leave it out.")
     if blocks is None:
         return

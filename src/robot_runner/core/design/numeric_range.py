@@ -29,7 +29,7 @@ class Range:
 
     Attributes:
         lower: the least value.
-        upper: the greatest value.
+        upper: the greatest value; with a step, the last one that can be set up to the end that was given.
         unit: of the values, such as `m/s`.
         step: what it can be set to: the lower end and multiples of the step above it. None for a thousandth of the
             width, or less; 1 where both ends are whole numbers.
@@ -38,8 +38,8 @@ class Range:
         DesignError: the ends or the step cannot be.
 
     Example:
-        >>> Range(0.05, 0.22, unit="m/s").at(0.5)
-        0.135
+        >>> Range(0.05, 0.22, unit="m/s").at(0.5), Range(0.05, 0.22, step=0.05).upper
+        (0.135, 0.2)
     """
 
     lower: float
@@ -54,6 +54,9 @@ class Range:
         for name in ("lower", "upper", "step"):
             if isinstance(value := getattr(self, name), float):
                 object.__setattr__(self, name, float(value))  # one of numpy's is written in another way
+        if self.step is not None and not (steps := round((self.upper - self.lower) / self.step, 6)).is_integer():
+            last = round(self.lower + math.floor(steps) * self.step, max(_digits(self.lower), _digits(self.step)))
+            object.__setattr__(self, "upper", type(self.upper)(last) if self.is_whole else float(last))
 
     @property
     def is_whole(self) -> bool:
@@ -82,7 +85,7 @@ class Range:
 
     @property
     def step_count(self) -> int:
-        """How many steps there are from the lower end to the upper one, the last of which may be shorter."""
+        """How many steps there are from the lower end to the upper one; without one given, the last may be shorter."""
         return max(1, math.ceil(round((self.upper - self.lower) / self._step, 6)))
 
     @property

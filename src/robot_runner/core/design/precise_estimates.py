@@ -304,7 +304,7 @@ def _repetitions(runs: Sequence[PlannedRun]) -> int:
 def _observed(told: Sequence[Told], measure: str) -> Iterator[Observed]:
     """Yield what each run yielded; those that were excluded are left out."""
     for each in told:
-        if not each.is_excluded:
+        if not each.is_excluded or each.is_doubtful:
             treatments = {name: str(treatment) for name, treatment in each.run.combination.items()}
             yield Observed(each.run.run_id, treatments, each.run.repetition, each.values.get(measure))
 

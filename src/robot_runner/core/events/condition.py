@@ -44,6 +44,11 @@ class Look:
     value: float | str | bool | None = None
     is_known: bool = True
 
+    def __post_init__(self) -> None:
+        # Of numpy, or with a number to see, the journal's records of it could not be read back.
+        object.__setattr__(self, "holds", bool(self.holds))
+        object.__setattr__(self, "seen", "" if self.seen is None else str(self.seen))
+
 
 #: Looks at a condition that is being watched, again and again.
 LookAgain = Callable[[], Look]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -10,9 +11,11 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, runtime_checkable
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.early_end import EndingInPlace
 from robot_runner.core.events.measure import MeasureValue, Origin, PublishedMeasure
+from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.outliving import program_name, spare
+from robot_runner.core.storage.record_shapes import ClockFacts
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -317,7 +320,7 @@ class RobotRunnerContext(ExperimentContext):
         Call it from anywhere: a callback of an event, which it ends, or of a topic, or any thread. In another thread
         than the run's own it returns.
         """
-        self.ending.fail(self.owner, reason)
+        self.ending.fail(self.owner, str(reason))
 
     def stop_mission(self, reason: str) -> None:
         """End the mission at once, and the measured window at this moment; the run goes on and is not failed.
@@ -328,7 +331,7 @@ class RobotRunnerContext(ExperimentContext):
             PluginError: the mission has not begun.
         """
         if self.times.stop():
-            self.ending.stop_mission(self.owner, reason)
+            self.ending.stop_mission(self.owner, str(reason))  # what else it is could not be read back
 
     def outlives(self, process: StartedProgram | int) -> None:
         """Let a program that this run started go on when the run has ended, with all that it starts itself.
@@ -354,5 +357,11 @@ class RobotRunnerContext(ExperimentContext):
         """Say how another computer's clock stood to the run's, as `ClockRecord.facts` tells it.
 
         It is kept in the journal, run by run, and summed up for each computer in the manifest.
+
+        Raises:
+            PluginError: they are not as `ClockRecord.facts` tells them, and could not be read back.
         """
+        if faults := faults_of(parsed_json(json.dumps(dict(facts), default=str)), ClockFacts):
+            fix = "Pass on what ClockRecord.facts() returns."
+            raise PluginError(f"these are no facts of a clock: {'; '.join(faults)}", where=self.owner, fix=fix)
         self.broker.note(self.owner, "clock", facts)

@@ -321,8 +321,9 @@ class MeasureColumns:
         if isinstance(name, str) and name in declared:
             return declared[name]
         hint = did_you_mean(str(name), declared)
-        remedy = "Or add it to data_columns." if owner == CONFIG_OWNER else f"Or add it to the measures of {owner}."
-        raise MeasureError(f"measure {name!r} was not declared", where=owner, fix=f"{hint} {remedy}".strip())
+        place = "data_columns" if owner == CONFIG_OWNER else f"the measures of {owner}"
+        fix = f"{hint} Or add it to {place}." if hint else f"Add it to {place}."
+        raise MeasureError(f"measure {name!r} was not declared", where=owner, fix=fix)
 
 
 def resolve_columns(

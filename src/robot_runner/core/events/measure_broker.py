@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, MeasureError, did_you_mean
-from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, as_measure_value, shown
+from robot_runner.core.events.measure import Origin, PublishedMeasure, as_measure_value, shown
 from robot_runner.core.secret_names import without_environment_secrets
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from robot_runner.core.events.measure import MeasureColumns, MeasureValue
+    from robot_runner.core.events.measure import MeasureColumns
 
 
 #: Takes what happens in a run as it happens: a kind and its plain fields.
@@ -24,8 +23,8 @@ ReportRecord = Callable[[str, dict[str, Any]], None]
 class MeasureBroker:
     """Takes what is published in one run, refuses what was not declared, and reports the rest at once.
 
-    Plugins may publish from threads of their own. What a person entered before the run (`entered`, by column) is there
-    from the beginning, and was reported elsewhere.
+    Plugins may publish from threads of their own. What was published and shared before (`told`: the fields of each
+    measure's record, by column; `shared`, by plugin) is there from the beginning. Both are filled with what comes.
     """
 
     def __init__(
@@ -33,17 +32,19 @@ class MeasureBroker:
         run_id: str,
         columns: MeasureColumns,
         report: ReportRecord,
-        entered: Mapping[str, MeasureValue] = MappingProxyType({}),
+        told: dict[str, dict[str, Any]] | None = None,
+        shared: dict[str, dict[str, object]] | None = None,
     ) -> None:
         self._run_id = run_id
         self._columns = columns
         self._report = report
         self._lock = threading.Lock()
+        self._told = {} if told is None else told
         self._measures = {
-            name: PublishedMeasure(name, value, OPERATOR_OWNER, origin=Origin.ENTERED)
-            for name, value in entered.items()
+            name: PublishedMeasure(name, each["value"], each["owner"], origin=Origin(each["origin"]))
+            for name, each in self._told.items()
         }
-        self._shared: dict[str, dict[str, object]] = {}
+        self._shared = {} if shared is None else shared
         self._findings: list[Finding] = []
 
     @property
@@ -82,6 +83,7 @@ class MeasureBroker:
         with self._lock:
             self._measures[column.name] = published
             fields = {"name": column.name, "value": plain, "owner": owner, "origin": origin.value}
+            self._told[column.name] = fields
             self._report("measure", fields)
 
     def share(self, owner: str, values: Mapping[str, object]) -> None:

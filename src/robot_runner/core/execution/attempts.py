@@ -79,8 +79,7 @@ class Attempts:
             passage = Passage() if ongoing.is_ending else (yield from self._gates.pass_before(run, place.experiment))
             if ongoing.is_ending or self._is_stopped_by(passage.stop, run):
                 return outcome
-            entered = self._operator.answers(run.run_id)
-            task = replace(self._progress.begin(run, name, place.slot), attempts_left=attempts_left, entered=entered)
+            task = replace(self._progress.begin(run, name, place.slot), attempts_left=attempts_left)
             ongoing.notify(AttemptStarted(task, self._progress.time_left))
             outcome = yield from self._attempt(task, place, passage)
             if self._keep(task, outcome):
@@ -147,6 +146,7 @@ class Attempts:
         if place.experiment.parameters.robots:
             origin = Origin.SIMULATED if is_simulated(place.experiment.parameters.robot) else Origin.MEASURED
             robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": origin.value}
+            task.measures[ROBOT] = robot
             report_own("measure", robot)
         passage.report_to(report_own, [column.name for column in columns.declared])
         self._bind_plugins(task, report_own)

@@ -8,26 +8,29 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.plugin_checks import check_plugins, check_treatments
 from robot_runner.core.config.treatment_makers import Workshop, made_treatments
+from robot_runner.core.design.asking import AdaptiveDesign
 from robot_runner.core.design.batches import GrownRunTableModel, as_configured
+from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.circumstances import (
     change_findings,
+    kept_manifest,
     manifest_of,
     restored_manifest,
     resumed_manifest,
 )
 from robot_runner.core.execution.recovery import ACCEPT, config_changes
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
-from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.interruption import Interruption
     from robot_runner.core.execution.recovered_table import RecoveredTable
@@ -68,7 +71,7 @@ def _found(experiment: Experiment, *, accept_changes: bool) -> tuple[dict[str, A
         return lost.manifest, (lost.finding,)
     if not experiment.folder.manifest.exists():
         return manifest_of(experiment), ()
-    manifest = read_manifest(experiment.folder.manifest)
+    manifest = kept_manifest(experiment)
     if not accept_changes and (changes := config_changes(experiment)):
         config, others = experiment.config_path, config_changes(experiment, of_design=False, of_settings=False)
         unplanned = unplanned_additions(config, experiment.model, manifest, has_other_changes=bool(others))
@@ -147,7 +150,28 @@ def refuse_unplanned(experiment: Experiment, manifest: Mapping[str, Any]) -> tup
     found = unplanned_additions(experiment.config_path, experiment.model, manifest, has_other_changes=has_others)
     if any(each.is_error for each in found):
         raise ExecutionError.of_findings(found)
-    return found
+    return (*found, *_lost_treatments(experiment.config_path, experiment.model, manifest))
+
+
+def _lost_treatments(config: Path, model: RunTableModel, manifest: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield a warning where a plan that has grown, and so is the journal's, has treatments that the config lost.
+
+    They may come from outside, where no changed line tells; one that has not grown differs from its run table.
+    """
+    for own, lost in _lost(model, manifest["design"]) if model.batches else ():
+        if own.range is None:
+            many = counted(len(lost), "treatment")
+            problem = f"runs have {many} of {own.name} that the config does not plan any more: {listed(sorted(lost))}"
+            fix = "They are executed as the run table has them; leave them out with robot-runner exclude."
+            yield Finding.warning(f"{config}, create_run_table", problem, fix)
+
+
+def _lost(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[tuple[Factor, set[str]]]:
+    """Yield each factor of the config of which the experiment was planned with more treatments, and these."""
+    chosen = model.chosen if isinstance(model, GrownRunTableModel) else {}
+    for own in as_configured(model).factors:
+        if lost := set(design["factors"].get(own.name, ())).difference(own.texts, chosen.get(own.name, ())):
+            yield own, lost
 
 
 def unplanned_additions(
@@ -165,21 +189,21 @@ def unplanned_additions(
         has_other_changes: whether the config has changed outside what makes the run table, too, which an extension has
             to be told to accept.
     """
-    design = manifest.get("design") or {}
+    design = dict(manifest.get("design") or {})
+    if model.batches:  # the journal has them, and an extension that broke off left the manifest behind
+        design |= described_design(model)
     if design.get("source") != "config" or "factors" not in design:
         return ()
     now = as_configured(model)
     more = list(_more(now, design))
     if not more:
         return ()
-    less = any(
-        set(design["factors"].get(own.name, ())).difference(own.texts, _chosen(model).get(own.name, ()))
-        for own in now.factors
-    )
     problem = f"the config plans more than the run table has: {enumerated(more)}"
     accepting = f" {ACCEPT}" if has_other_changes else ""
     fix = f"Add these runs: robot-runner extend {shown_config(config)}{accepting}. Or undo the change."
-    finding = Finding.warning if less else Finding.error
+    if isinstance(now.design, AdaptiveDesign):
+        fix = "What decides by results cannot be extended: undo the change, or choose another experiment_name."
+    finding = Finding.warning if any(_lost(model, design)) else Finding.error
     return (finding(f"{config}, create_run_table", problem, fix),)
 
 
@@ -195,10 +219,6 @@ def _more(model: RunTableModel, design: Mapping[str, Any]) -> Iterator[str]:
             yield f"the factor {factor.name!r}"
         elif new:
             yield f"{counted(len(new), 'treatment')} of {factor.name} ({listed(new)})"
-
-
-def _chosen(model: RunTableModel) -> Mapping[str, Sequence[str]]:
-    return model.chosen if isinstance(model, GrownRunTableModel) else {}
 
 
 def shown_config(path: Path) -> str:

@@ -72,18 +72,25 @@ _NEEDED = {"design", "executions", "experiment_name", "seed"}
 _NEEDED_OF_DESIGN = {"factors", "repetitions", "source"}
 
 
-def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
-    """Return the manifest of an experiment that goes on.
+def kept_manifest(experiment: Experiment) -> dict[str, Any]:
+    """Return the manifest of an experiment that has begun, as it is in its folder.
 
     Raises:
+        StorageError: it cannot be read.
         ExecutionError: the folder holds another experiment.
     """
-    if not (manifest.keys() >= _NEEDED and manifest["design"].keys() >= _NEEDED_OF_DESIGN and manifest["executions"]):
-        raise ExecutionError(
-            "the folder's manifest is none of Robot Runner's",
-            where=str(experiment.folder.manifest),
-            fix="Choose another experiment_name or results_output_path.",
-        )
+    manifest = read_manifest(experiment.folder.manifest)
+    if manifest.keys() >= _NEEDED and manifest["design"].keys() >= _NEEDED_OF_DESIGN and manifest["executions"]:
+        return manifest
+    raise ExecutionError(
+        "the folder's manifest is none of Robot Runner's",
+        where=str(experiment.folder.manifest),
+        fix="Choose another experiment_name or results_output_path.",
+    )
+
+
+def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Return the manifest of an experiment that goes on."""
     manifest["executions"].append(_execution(experiment) | {"changed": changed_circumstances(manifest)})
     if experiment.model.batches:  # the journal has them, and an extension that broke off left the manifest behind
         manifest["design"] |= described_design(experiment.model)

@@ -156,7 +156,8 @@ class Deciding:
                 for name in measures
                 if has_values and values[name][place] is not None and run.run_id not in doubtful[name]
             }
-            yield Told(run, own, is_excluded)
+            is_doubtful = has_values and any(run.run_id in doubtful[name] for name in measures)
+            yield Told(run, own, is_excluded or is_doubtful, is_doubtful)
 
     def _grown(self, rows: RunTableRows, decision: Decision) -> Growth:
         begun = Begun(

@@ -77,7 +77,8 @@ class ExperimentHistory:
         self.is_paused = False
         self.sessions: list[Session] = []
         self._begun: dict[str, None] = {}
-        self._excluded = ExcludedRuns()
+        #: Also of runs that the table does not have.
+        self.exclusions = ExcludedRuns()
         self.gate: dict[str, Any] | None = None
         self.gate_seconds = 0.0
         self._in_flight: dict[str, InFlight] = {}
@@ -91,6 +92,8 @@ class ExperimentHistory:
         self._planned = 0
         #: How many runs were never begun and are listed nowhere, as the run table is missing.
         self.unlisted = 0
+        #: Whether neither a table nor the journal tells which runs are planned.
+        self.lacks_plan = False
         self._measures: Collection[str] = ()
         self._qualities: dict[str, dict[str, Quality]] = {}
 
@@ -109,7 +112,7 @@ class ExperimentHistory:
         """Take a record of the journal into account, the oldest first."""
         if self.sessions and not self.sessions[-1].is_whole and record["kind"] not in _BETWEEN_SESSIONS:
             self.sessions[-1] = replace(self.sessions[-1], ended_at=record.get("at", self.sessions[-1].ended_at))
-        self._excluded.take(record)
+        self.exclusions.take(record)
         take = getattr(self, f"_take_{record['kind']}", None)
         if take is not None:
             take(record)
@@ -126,23 +129,24 @@ class ExperimentHistory:
         """
         if files.run_table.exists() and files.schema.exists():
             self.take_rows(read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema))))
-        elif self._ends:
-            known = self._ends | self._since_table
-            self.statuses = {run: known[run] for run in (*self._begun, *known) if run in known}
-            self.unlisted = max(0, self._planned - len(self.statuses))
+            return
+        known = self._ends | self._since_table
+        self.statuses = {run: known[run] for run in (*self._begun, *known) if run in known}
+        self.unlisted = max(0, self._planned - len(self.statuses))
+        self.lacks_plan = not self.sessions
+        if self._ends:
             missing = files.schema if files.run_table.exists() else files.run_table
             what = "schema of the run table" if files.run_table.exists() else "run table"
             problem = f"the {what} is missing; the journal has what was executed"
             fix = "It is made anew when the experiment is executed next."
             self.findings.append(Finding.warning(str(missing), problem, fix))
-        self.settle()
 
     def take_rows(self, rows: RunTableRows) -> None:
         """Take the rows of the run table into account, and beyond them what the journal told since it was written."""
         layout = rows.layout
         self._measures = layout.measures
         self.statuses = {rows.run_id(place): rows.status(place) for place in range(len(rows))}
-        self.warm_ups = {run.run_id for run in rows.planned if run.is_warm_up}
+        self.warm_ups |= {run.run_id for run in rows.planned if run.is_warm_up}
         self.combinations = {run.run_id: run.combination for run in rows.planned}
         if not layout.spelling.tells_apart(RunStatus.TODO, RunStatus.FAILED):
             todo = {run for run, status in self.statuses.items() if status is RunStatus.TODO}
@@ -168,7 +172,13 @@ class ExperimentHistory:
     @property
     def excluded(self) -> dict[str, str]:
         """Why runs of the table are left out, by id."""
-        return {run: each.reason for run, each in self._excluded.present.items() if run in self.statuses}
+        return {run: each.reason for run, each in self.exclusions.present.items() if run in self.statuses}
+
+    @property
+    def settled(self) -> set[str]:
+        """The runs that are not executed any more: they are done, or left out."""
+        done = {run for run, status in self.statuses.items() if status is RunStatus.DONE}
+        return done | self.exclusions.present.keys()
 
     @property
     def bad_values(self) -> dict[str, dict[str, list[str]]]:
@@ -195,17 +205,22 @@ class ExperimentHistory:
             self.sessions[-1] = replace(self.sessions[-1], is_whole=True)
 
     def _take_repeated(self, record: Mapping[str, Any]) -> None:
+        self._take_added(record)
+        self._take_judged(record)
+
+    def _take_added(self, record: Mapping[str, Any]) -> None:
         self._planned += len(record["runs"])
         self._since_table |= {added["run"]: RunStatus.TODO for added in record["runs"]}
-        self._take_judged(record)
+        self.warm_ups |= {added["run"] for added in record["runs"] if added["repetition"] == 0}
 
     def _take_judged(self, record: Mapping[str, Any]) -> None:
         self.precision = tuple(str(each["in_words"]) for each in record.get("precision", ()))
         self.decided = str(record.get("why", ""))
 
     def _take_extended(self, record: Mapping[str, Any]) -> None:
-        if record.get("role") == CONFIRMATION:  # what somebody adds by hand is in the table at once
-            self._take_decided(record)
+        self._take_added(record)
+        if record.get("role") == CONFIRMATION:
+            self._take_judged(record)
 
     def _take_decided(self, record: Mapping[str, Any]) -> None:
         self._take_repeated(record)

@@ -63,6 +63,7 @@ class ExperimentStatus:
         repeated: until when combinations are repeated, and how often at least and at most; empty where they are not.
         precision: how precise the experiment was when it was looked at last, for each rule, in words.
         decided: what its design decided last and why, or what it will decide; empty where it decides nothing.
+        lacks_plan: whether nothing on disk tells how many runs are planned: then `todo` has those that are known of.
         order: how many runs were executed out of the order of the run table; empty where none was.
     """
 
@@ -91,6 +92,7 @@ class ExperimentStatus:
     is_paused: bool = False
     pause_is_requested: bool = False
     is_of_older_tool: bool = False
+    lacks_plan: bool = False
     order: str = ""
     repeated: str = ""
     precision: tuple[str, ...] = ()
@@ -150,11 +152,12 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         waiting_for=history.waiting_for if holder else None,
         warm_ups=len(history.warm_ups),
         warm_ups_done=sum(statuses.get(run) is RunStatus.DONE for run in history.warm_ups),
-        batches=tuple(int(each["runs"]) for each in manifest.get("design", {}).get("batches", ())),
+        batches=tuple(each.get("runs", 0) for each in manifest.get("design", {}).get("batches", ())),
         sessions=tuple(history.sessions),
         excluded=out,
         is_paused=holder is not None and history.is_paused,
         pause_is_requested=holder is not None and is_requested(files.pause),
+        lacks_plan=history.lacks_plan,
         order=moved_in_words(moved_runs(list(statuses), history.executed), history.executed),
         repeated=rule_in_words(*rules_of_mapping(manifest.get("repeat_until"))),
         precision=history.precision,

@@ -122,18 +122,16 @@ class Operator:
         """Take down that somebody read the treatment of a factor ahead of its run."""
         self._reads.setdefault(run_id, {})[factor, owner] = None
 
-    def answers(self, run_id: str) -> Mapping[str, MeasureValue]:
-        """Return what was answered about a run, by column."""
-        return dict(self._known().answers.get(run_id, {})) if self._steps else {}
-
     def hand_over(self, task: RunTask, report: Report) -> None:
         """Report what an attempt is to know: the answers as its measures, and who read its treatments before."""
-        if self._steps:
-            self._known().begin(task.run_id)
         for factor, owner in self._reads.get(task.run_id, ()):
             report("read", {"factor": factor, "owner": owner})
-        for name, value in task.entered.items():
+        if not self._steps:
+            return
+        self._known().begin(task.run_id)
+        for name, value in self._known().answers.get(task.run_id, {}).items():
             fields = {"name": name, "value": value, "owner": OPERATOR_OWNER, "origin": Origin.ENTERED.value}
+            task.measures[name] = fields
             report("measure", fields)
 
     def _known(self) -> _History:

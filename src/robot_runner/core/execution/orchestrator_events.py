@@ -252,6 +252,7 @@ class OrchestratorEvents:
         task = self._progress.task_of(finished, place)
         published = OutcomeBuilder(task.run_id, self._experiment.columns)
         published.go_on_from(self._progress.last_outcome(place))
+        task.measures.update(self._progress.last_outcome(place).fields()["measures"])
 
         def report(kind: str, fields: dict[str, Any]) -> None:
             published.take(kind, fields)

@@ -72,7 +72,7 @@ def run_contexts(
         report: takes what happens.
         ending: ends the run from any thread; None where callbacks of the orchestrator prepare it: they end in place.
     """
-    broker = MeasureBroker(task.run_id, experiment.columns, report, task.entered)
+    broker = MeasureBroker(task.run_id, experiment.columns, report, task.measures, task.shared)
     times = MissionTimes(clock, report, experiment.parameters.phases)
     run_path = experiment.folder.run(task.run_id)
     hosts = DeclaredHosts(experiment.parameters.hosts)

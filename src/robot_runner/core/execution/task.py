@@ -18,7 +18,7 @@ from robot_runner.core.execution.run_records import FINISHED, POPULATE
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-    from robot_runner.core.events.measure import MeasureColumns, MeasureValue
+    from robot_runner.core.events.measure import MeasureColumns
 
 #: Takes what happens in a run as it happens: the kind of the record and its plain fields.
 Report = Callable[[str, dict[str, Any]], None]
@@ -43,7 +43,9 @@ class RunTask:
         repetition: which repetition of its combination it is, from 1; 0 for a warm-up run.
         run_seed: a seed for this run alone, the same each time that it is executed.
         attempts_left: how often it is tried again where this attempt fails.
-        entered: what a person answered about this run, by column.
+        measures: what was published of this run by now, by column: the fields of the record that told of it.
+        shared: the key-value pairs that were shared by now, by plugin. Both are filled in place, so that the process of
+            the run begins with what a person answered, and with what `before_run` told.
         place: where it is executed; empty where there is one place only.
         slot: the number of the slot of this machine that has its files meanwhile; 0 where none has.
     """
@@ -57,7 +59,8 @@ class RunTask:
     experiment_seed: int
     run_seed: int
     attempts_left: int = 0
-    entered: Mapping[str, MeasureValue] = field(default_factory=dict)
+    measures: dict[str, dict[str, Any]] = field(default_factory=dict)
+    shared: dict[str, dict[str, object]] = field(default_factory=dict)
     place: str = ""
     slot: int = 1
 

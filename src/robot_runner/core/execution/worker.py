@@ -1,6 +1,7 @@
 """A run in a process of its own: forked from its keeper, or a fresh interpreter that the forked process becomes.
 
-The fresh interpreter executes `python -m robot_runner.core.execution.worker <description>`: it loads the config again.
+The fresh interpreter executes `python -m robot_runner.core.execution.worker <descriptor>`, of a file that describes the
+run: it loads the config again.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import json
 import os
 import signal
 import sys
+import tempfile
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -68,7 +70,13 @@ def become_interpreter(
         "records": report.descriptor,
         "systems": None if systems is None else systems.descriptor,
     }
-    os.execv(sys.executable, [sys.executable, "-P", "-m", _MODULE, json.dumps(description)])  # noqa: S606 - our own program
+    # Not as an argument: what was shared may be longer than the system takes, and others see arguments.
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as file:
+        json.dump(description, file, default=str)
+        file.flush()
+        os.lseek(file.fileno(), 0, os.SEEK_SET)
+        os.set_inheritable(file.fileno(), True)  # noqa: FBT003 - as above
+        os.execv(sys.executable, [sys.executable, "-P", "-m", _MODULE, str(file.fileno())])  # noqa: S606 - our own program
 
 
 def _own_robot(experiment: Experiment) -> dict[str, str]:
@@ -158,6 +166,7 @@ def restore_revisions(factors: Sequence[Factor], described: Sequence[Sequence[st
 
 if __name__ == "__main__":
     settle_streams()
-    _description = json.loads(sys.argv[1])
+    with open(int(sys.argv[1]), encoding="utf-8") as _file:  # noqa: PTH123 - a descriptor
+        _description = json.load(_file)
     _report = RecordWriter(_description["records"])
     leave_after(partial(_execute_described, _description, _report), _report)

@@ -124,7 +124,8 @@ def typed_value(text: str, kind: str | None, *, decimal_comma: bool = False) -> 
 
     Args:
         text: the cell.
-        kind: the column's type in the run table's schema; None or `any` goes by the cell's looks.
+        kind: the column's type in the run table's schema; None goes by the cell's looks, and `any`, the type of a
+            column with texts and other values, takes as text what Python would not have written so.
         decimal_comma: whether `0,5` is read as 0.5.
 
     Returns:
@@ -140,7 +141,7 @@ def typed_value(text: str, kind: str | None, *, decimal_comma: bool = False) -> 
     if kind in {"number", "integer"} and isinstance(value, str):
         number = number_of(text, decimal_comma=decimal_comma)
         return text if number is None else number
-    return value
+    return text if kind == "any" and measure_text(value) != text else value
 
 
 def typed_values(cells: Sequence[str], kind: str | None, *, decimal_comma: bool = False) -> list[CellValue]:
@@ -149,7 +150,7 @@ def typed_values(cells: Sequence[str], kind: str | None, *, decimal_comma: bool 
     if not everything:
         return [None] * len(cells)
     if kind in {None, "any", "number", "integer"} and not everything.strip(_NUMBER_CHARACTERS):
-        numbers = _all_ints(cells) or _all_floats(cells, everything)
+        numbers = _all_ints(cells) or (_all_floats(cells, everything) if kind != "any" else None)
         if numbers is not None:
             return numbers
     return [typed_value(cell, kind, decimal_comma=decimal_comma) for cell in cells]

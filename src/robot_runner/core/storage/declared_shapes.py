@@ -31,6 +31,8 @@ from robot_runner.core.errors import Finding
 Moment = NewType("Moment", str)
 #: One value of a run: a measure, a treatment, an answer.
 Scalar = bool | int | float | str | None
+#: What an order comes from; many draw one of 128 bits, as numpy does.
+Seed = NewType("Seed", int)
 
 #: Nobody reads more than this.
 _MOST_FAULTS = 20
@@ -90,6 +92,20 @@ def with_short_texts(value: Any) -> Any:
     if isinstance(value, str) and len(value) > _LONGEST_TEXT:
         return f"{value[:_LONGEST_TEXT]}… ({len(value) - _LONGEST_TEXT:,} more characters)"
     return value
+
+
+def finite(value: Any) -> Any:
+    """Return plain data in which a number that JSON does not have, such as the limit `inf`, is its name.
+
+    Example:
+        >>> finite({"limits": (0.5, float("inf"))})
+        {'limits': [0.5, 'inf']}
+    """
+    if isinstance(value, dict):
+        return {name: finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return list(map(finite, value))
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _encodable(value: Any) -> Any:
@@ -243,12 +259,12 @@ def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
             return
         for each in level:
             if type(each) is int:
-                _count_in_reach(each, place, faults)
+                _value_in_reach(each, place, faults)
 
 
 _NESTED: dict[type, _Look | None] = {dict: _not_too_deep, list: _not_too_deep}
 _NAMED: dict[Any, _Shape] = {
-    Any: _Shape("anything", {bool: None, int: _count_in_reach, float: None, str: None, NoneType: None, **_NESTED}),
+    Any: _Shape("anything", {bool: None, int: _value_in_reach, float: None, str: None, NoneType: None, **_NESTED}),
     Scalar: _Shape(
         " or ".join(_WORDS[each] for each in get_args(Scalar)),
         {bool: None, int: _value_in_reach, float: _finite, str: None, NoneType: None},
@@ -258,5 +274,6 @@ _NAMED: dict[Any, _Shape] = {
     bool: _Shape(_WORDS[bool], {bool: None}),
     NoneType: _Shape(_WORDS[NoneType], {NoneType: None}),
     int: _Shape(_WORDS[int], {int: _count_in_reach}),
+    Seed: _Shape(_WORDS[int], {int: _value_in_reach}),
     float: _Shape(_WORDS[float], {float: _finite, int: _count_in_reach}),
 }

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.secret_names import sentences_without_secrets
-from robot_runner.core.storage.declared_shapes import faults_of, parsed_json, with_short_texts
+from robot_runner.core.storage.declared_shapes import faults_of, finite, parsed_json, with_short_texts
 from robot_runner.core.storage.guarded_files import (
     LINE_LIMIT,
     MissingFileError,
@@ -38,7 +38,7 @@ _FLAGS = os.O_RDWR | os.O_CREAT | os.O_APPEND
 #: How much of the end of a journal tells of the last runs: some thousand of them.
 _LAST_BYTES = 4_000_000
 
-_encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), default=str).encode
+_encode = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False, default=str).encode
 
 
 def utc_now() -> str:
@@ -48,7 +48,11 @@ def utc_now() -> str:
 
 
 def _line_of(record: dict[str, Any]) -> bytes:
-    return f"{_encode(record)}\n".encode("utf-8", "backslashreplace")
+    try:
+        text = _encode(record)
+    except ValueError:
+        text = _encode(finite(record))
+    return f"{text}\n".encode("utf-8", "backslashreplace")
 
 
 @lru_cache(maxsize=1)

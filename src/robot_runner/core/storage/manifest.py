@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.secret_names import without_environment_secrets
+from robot_runner.core.secret_names import without_secrets
+from robot_runner.core.storage.declared_shapes import finite
 from robot_runner.core.storage.file_shapes import Manifest
 from robot_runner.core.storage.guarded_files import (
     DamagedFileError,
@@ -68,20 +69,9 @@ def write_manifest(path: Path, manifest: Mapping[str, Any]) -> None:
     Raises:
         StorageError: the folder cannot be written.
     """
-    hidden = {name: value if name in _COMPARED else _without_secrets(value) for name, value in manifest.items()}
-    text = json.dumps({"format": FORMAT, **hidden}, indent=2, ensure_ascii=False, default=str) + "\n"
+    hidden = {name: value if name in _COMPARED else without_secrets(value) for name, value in manifest.items()}
+    text = json.dumps(finite({"format": FORMAT, **hidden}), indent=2, ensure_ascii=False, default=str) + "\n"
     replace(path, text)
-
-
-def _without_secrets(value: Any) -> Any:
-    match value:
-        case str():
-            return without_environment_secrets(value)
-        case dict():
-            return {name: _without_secrets(each) for name, each in value.items()}
-        case list() | tuple():
-            return [_without_secrets(each) for each in value]
-    return value
 
 
 def is_damaged(path: Path) -> bool:

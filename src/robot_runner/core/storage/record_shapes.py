@@ -6,7 +6,7 @@ What a version wrote once stays valid, so a key is required only where every ver
 # Without `from __future__ import annotations`: a TypedDict would not see which of its keys are required.
 from typing import Any, NotRequired, TypedDict
 
-from robot_runner.core.storage.declared_shapes import Moment, Scalar
+from robot_runner.core.storage.declared_shapes import Moment, Scalar, Seed
 from robot_runner.core.storage.file_shapes import Repository
 
 
@@ -75,6 +75,21 @@ class _Offset(TypedDict):
     wall_offset: NotRequired[float | None]
 
 
+class _Reading(TypedDict):
+    wall_offset: float
+    round_trip: float
+
+
+class ClockFacts(TypedDict):
+    """What a plugin tells of another computer's clock: the manifest sums it up."""
+
+    host: str
+    before: _Reading
+    after: _Reading | None
+    uncertainty: float
+    drift: float | None
+
+
 class _Clock(_OfRun):
     owner: NotRequired[str]
     host: NotRequired[str]
@@ -125,7 +140,7 @@ class _TableWritten(Record):
 
 
 class _ExperimentStarted(_Dated):
-    seed: NotRequired[int | None]
+    seed: NotRequired[Seed | None]
     runs: NotRequired[int]
     design: NotRequired[str]
     factors: NotRequired[dict[str, list[str]]]
@@ -170,7 +185,7 @@ class _Extended(_Dated):
     batch: int
     repetitions: int
     shuffle: bool
-    seed: int
+    seed: Seed
     factors: dict[str, list[Any]]
     runs: list[_PlannedRun]
     blocks: NotRequired[str | None]
