@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import write_manifest
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
-from robot_runner.core.storage.table_schema import write_schema
+from robot_runner.core.storage.table_schema import read_schema, write_schema
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -153,3 +153,18 @@ def two_tasks(root: Path, video: Sequence[Any], network: Sequence[Any], **settin
     folder = Folder(root, {"Task": ["Video", "Network"]}, rows, {"Energy": "J"}, **settings)
     folder.write()
     return folder
+
+
+def searched(root: Path, rows: Sequence[tuple[str, int, float]], *, is_confirmed: bool) -> Path:
+    """Write an experiment of a search: treatment, batch and energy; the second batch may confirm what it found."""
+    treatments = sorted({row[0] for row in rows})
+    batches = [{"batch": 1}, {"batch": 2, "role": "confirmation"}] if is_confirmed else [{"batch": 1}]
+    design = {"source": "config", "factors": {"T": treatments}, "facts": {"decides": "Race"}, "batches": batches}
+    folder = Folder(root, {"T": treatments, "batch": []}, rows, {"E": "J"}, manifest={"design": design})
+    folder.write()
+    columns = [
+        replace(each, role=ColumnRole.BATCH, type="integer") if each.name == "batch" else each
+        for each in read_schema(folder.files.schema)
+    ]
+    write_schema(folder.files.schema, columns)
+    return root

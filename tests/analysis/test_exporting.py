@@ -80,6 +80,27 @@ def test_a_column_that_is_fractional_in_a_late_run_is_fractional_in_all(folder, 
     assert pd.read_parquet(tmp_path / "out" / "samples" / "Meter.samples.parquet")["count"].tolist() == [1.0, 1.0, 2.5]
 
 
+@pytest.mark.parametrize(
+    ("cells", "back"),
+    [
+        (["", "on"], [None, "on"]),
+        (["1", "on"], ["1", "on"]),
+        (["on", "2.5"], ["on", "2.5"]),
+        (["", "2026-01-31T12:00:00Z"], [pd.NaT, pd.Timestamp("2026-01-31T12:00:00")]),
+        ([str(2**62 + 1), ""], [2.0**62, None]),
+    ],
+)
+def test_a_column_that_is_of_another_type_in_a_late_run_has_one_that_holds_all(
+    folder, tmp_path, monkeypatch, cells, back
+):
+    monkeypatch.setattr("robot_runner.analysis.exporting._RUNS_AT_ONCE", 1)
+    for number, cell in enumerate(cells, start=1):
+        write_samples(folder, f"r_{number}", f"time_s,state\n10.0,{cell}\n")
+    load_results(folder.root).export(tmp_path / "out")
+    found = pd.read_parquet(tmp_path / "out" / "samples" / "Meter.samples.parquet")["state"]
+    assert [None if pd.isna(each) else each for each in found] == [None if pd.isna(each) else each for each in back]
+
+
 def test_the_default_place_is_in_the_experiments_folder(folder):
     files = load_results(folder.root).export()
     assert files[-1] == folder.root.resolve() / "export" / "datapackage.json"

@@ -178,6 +178,13 @@ def test_a_period_that_is_none_is_refused(results, period):
         results.aligned_samples({"Meter": ["power_W"]}, period=period)
 
 
+@pytest.mark.parametrize("period", [1e-12, 1e-300])
+def test_a_grid_that_no_memory_holds_is_refused_with_what_it_would_take(results, period):
+    with pytest.raises(AnalysisError, match="times a run") as refused:
+        results.aligned_samples({"Meter": ["power_W"]}, period=period)
+    assert "Give a longer period" in refused.value.fix
+
+
 def test_texts_are_not_aligned(tmp_path):
     made = make_experiment(tmp_path / "trial", repetitions=1)
     write_samples(made, "r_1", "time_s,state\n0.0,on\n1.0,off\n")

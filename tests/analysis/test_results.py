@@ -12,8 +12,10 @@ import pytest
 from tests.analysis.experiment_folders import two_tasks
 from tests.analysis.made_experiment import make_experiment, write_phases, write_samples
 
-from robot_runner.analysis import load_results
+from robot_runner.analysis import analyse, load_results
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.hypothesis import Hypothesis
 from robot_runner.core.errors import AnalysisError, StorageError
 from robot_runner.core.storage.journal import Journal
 
@@ -40,6 +42,24 @@ def test_treatments_keep_their_type(tmp_path):
     assert list(runs["Speed"].cat.categories) == [0.2, 0.1]
     assert list(runs["Light"].cat.categories) == [True, False]
     assert (runs["Level"] == 3).sum() == 4
+
+
+def test_whole_numbers_beside_fractions_are_the_treatments_that_plan_and_table_name(tmp_path):
+    hypothesis = Hypothesis("One is less.", measure="Energy", factors="Speed", contrast={1: 1, 2: -1})
+    plan = AnalysisPlan(measures=["Energy"], hypotheses=[hypothesis]).as_mapping()
+    made = make_experiment(
+        tmp_path / "e",
+        [Factor("Speed", [0.5, 1, 2])],
+        lambda treatments, repetition: {"Energy": 10.0 * float(treatments["Speed"]) + 0.1 * repetition},
+        analysis=plan,
+    )
+    write_samples(made, "r_2", "time_s,power_W\n10.0,7.5\n")
+    results = load_results(made.root)
+    assert list(map(str, results.runs["Speed"].cat.categories)) == ["0.5", "1", "2"]
+    assert results.runs["Speed"].astype("float64").unique().tolist() == [0.5, 1.0, 2.0]
+    assert analyse(results).hypotheses[0].is_supported
+    for treatment in (1, 1.0, "1"):
+        assert results.lazy_samples(treatments={"Speed": treatment}).frame()["run_id"].tolist() == ["r_2"]
 
 
 def test_treatments_that_are_one_number_are_told_apart_by_their_texts(tmp_path):

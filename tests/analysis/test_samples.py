@@ -115,6 +115,14 @@ def test_text_becomes_categories(folder):
     assert protocol.isna().sum() == 1
 
 
+def test_a_missing_number_is_missing_among_the_texts_of_other_runs(folder):
+    write_samples(folder, "r_1", "time_s,state\n10.0,1\n12.0,\n")
+    write_samples(folder, "r_2", "time_s,state\n10.0,on\n")
+    state = load_results(folder.root).samples()["state"]
+    assert list(state.cat.categories) == ["1", "on"]
+    assert state.isna().tolist() == [False, True, False]
+
+
 def test_a_row_that_is_cut_off_is_left_out_and_counted(folder):
     write_samples(folder, "r_2", "time_s,power_W,count\n10.0,6.0,4\n10.1,6\n10.2,6.5,5\n")
     samples = load_results(folder.root).samples(runs=["r_2"])

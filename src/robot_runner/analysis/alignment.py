@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from robot_runner.core.errors import AnalysisError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
 #: A value is made between samples that are this many of their periods apart at most; beyond that there is a hole.
 _MOST_PERIODS = 3.0
 _ROUNDING = 1e-9
+_BYTES, _GIGA = 8, 1e9
 
 
 class Resampling(Enum):
@@ -85,19 +89,31 @@ def median_period(times: Floats) -> float:
     return float(np.median(np.diff(times))) if len(times) > 1 else float("nan")
 
 
-def grid_of(spans: Sequence[tuple[float, float]], period: float, window: tuple[float, float] | None) -> Floats:
+def grid_of(
+    spans: Sequence[tuple[float, float]], period: float, window: tuple[float, float] | None, *, columns: int = 1
+) -> Floats:
     """Return the times at which samples are to stand: multiples of the period, s since the start of the mission.
 
     Args:
         spans: the first and the last time of each source.
         period: s.
         window: the measured one; None for the time that all sources cover.
+        columns: how many columns of all runs are to be held on such a grid.
+
+    Raises:
+        AnalysisError: they would take more memory than this machine has.
 
     Example:
         >>> grid_of([(-0.1, 1.3), (0.2, 1.0)], 0.5, None).tolist()
         [0.5, 1.0]
     """
     low, high = window or (max(first for first, _ in spans), min(last for _, last in spans))
+    times = max(0.0, (high - low) / period)
+    needed, there = times * columns * _BYTES / _GIGA, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / _GIGA
+    if needed > there:
+        problem = f"a grid of {period:g} s takes {needed:,.3g} GB: {times:,.3g} times a run"
+        fix = f"Give a longer period, or fewer runs and columns: this machine has {there:,.3g} GB of memory."
+        raise AnalysisError(problem, where="aligned samples", fix=fix)
     first, last = np.ceil(low / period - _ROUNDING), np.floor(high / period + _ROUNDING)
     return np.arange(first, last + 1) * period + 0.0  # of -0.0, 0.0
 

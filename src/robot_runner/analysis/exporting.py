@@ -27,7 +27,7 @@ from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_schema import data_package, file_resource, table_resource
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.analysis.raw_data import RawData
@@ -79,8 +79,9 @@ def export_results(
         path = target / "samples" / f"{kind.plugin}.{kind.name.removesuffix('.csv')}.parquet"
         try:
             _write_parquet(path, _sample_tables(results, raw, kind))
-        except pa.ArrowInvalid:  # whole numbers in some runs, fractions or missing values in others
-            _write_parquet(path, _sample_tables(results, raw, kind, as_floats=True))
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError):  # a column is of one type in some runs, and not in all
+            types = _types_of_all(_sample_tables(results, raw, kind))
+            _write_parquet(path, (_with_types(table, types) for table in _sample_tables(results, raw, kind)))
         written.append(path)
     copies = tuple(_copies_for_spreadsheets(results.folder, target)) if for_spreadsheets else ()
     package = target / "datapackage.json"
@@ -136,17 +137,38 @@ def _units(results: ExperimentFacts, frame: pd.DataFrame) -> dict[str, str]:
     return {name: results.unit(name) or split_unit(name)[1] for name in frame.columns}
 
 
-def _sample_tables(
-    results: ExperimentFacts, raw: RawData, kind: SampleFile, *, as_floats: bool = False
-) -> Iterator[pa.Table]:
+def _sample_tables(results: ExperimentFacts, raw: RawData, kind: SampleFile) -> Iterator[pa.Table]:
     for start in range(0, len(kind.run_ids), _RUNS_AT_ONCE):
         frame = read_samples(raw.request(kind, kind.run_ids[start : start + _RUNS_AT_ONCE], None))
-        whole = frame[list(kind.columns)].select_dtypes("integer").columns
-        frame = frame.astype(dict.fromkeys(whole, "float64")) if as_floats else frame
         yield arrow_table(frame, _units(results, frame))
 
 
-def _write_parquet(path: Path, tables: Iterator[pa.Table] | Sequence[pa.Table]) -> None:
+def _types_of_all(tables: Iterator[pa.Table]) -> dict[str, pa.DataType]:
+    """Return the type that holds all values of each column: numbers where all are numbers, else texts."""
+    found: dict[str, set[pa.DataType]] = {}
+    for table in tables:
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            found.setdefault(name, set()).update({column.type} if column.null_count < len(column) else ())
+    texts, numbers = pa.dictionary(pa.int32(), pa.string()), {pa.int64(), pa.float64()}
+    joint = {name: pa.float64() if types <= numbers else texts for name, types in found.items() if types}
+    return joint | {name: next(iter(types)) for name, types in found.items() if len(types) == 1}
+
+
+def _with_types(table: pa.Table, types: Mapping[str, pa.DataType]) -> pa.Table:
+    for place, field in enumerate(table.schema):
+        column, kind = table.column(place), types.get(field.name, field.type)
+        if field.type == kind:
+            continue
+        if column.null_count == len(column):
+            column = pa.chunked_array([pa.nulls(len(column), kind)])
+        elif pa.types.is_dictionary(kind):
+            column = column.cast(pa.string()).dictionary_encode()
+        # Whole numbers beyond 2^53 are rounded, as in `Results.samples`.
+        table = table.set_column(place, field.with_type(kind), column.cast(kind, safe=False))
+    return table
+
+
+def _write_parquet(path: Path, tables: Iterable[pa.Table]) -> None:
     with open_to_write(path) as file:
         writer: parquet.ParquetWriter | None = None
         try:

@@ -137,8 +137,10 @@ class RawData:
             if factor not in self.factors:
                 fix = did_you_mean(factor, self.factors)
                 raise AnalysisError(f"there is no factor {factor!r}", where="samples", fix=fix)
-            words = {str(each) for each in (wanted if isinstance(wanted, list | tuple | set | frozenset) else [wanted])}
-            known = list(map(str, table[factor].cat.categories))
+            all_of = list(table[factor].cat.categories)
+            chosen = wanted if isinstance(wanted, list | tuple | set | frozenset) else [wanted]
+            words = {str(next((known for known in all_of if known == each), each)) for each in chosen}  # 1.0 means 1
+            known = list(map(str, all_of))
             for word in words.difference(known):
                 problem, fix = f"factor {factor!r} has no treatment {word!r}", did_you_mean(word, known)
                 raise AnalysisError(problem, where="samples", fix=fix)
@@ -171,8 +173,10 @@ class RawData:
         require_choice(how, Resampling, "resampling", "aligned samples")
         sources = [_Source.of(self.sample_files, label, several(names)) for label, names in columns.items()]
         shared = [run_id for run_id in run_ids if all(run_id in source.kind.paths for source in sources)]
-        pieces = [piece for run_id in shared if (piece := self._aligned_run(run_id, sources, period, how)) is not None]
         headings = [source.heading(name) for source in sources for name in source.names]
+        columns_of_all = (1 + len(headings)) * len(shared)
+        found = (self._aligned_run(run_id, sources, period, how, columns_of_all) for run_id in shared)
+        pieces = [piece for piece in found if piece is not None]
         frame = pd.concat(pieces, ignore_index=True) if pieces else pd.DataFrame(columns=["time_s", *headings])
         lengths = [len(piece) for piece in pieces]
         table = self.runs.set_index(RUN_ID).loc[[str(piece.attrs["run"]) for piece in pieces]]
@@ -185,15 +189,16 @@ class RawData:
         return AlignedSamples(frame, period, how, told)
 
     def _aligned_run(
-        self, run_id: str, sources: Sequence[_Source], period: float, how: Resampling
+        self, run_id: str, sources: Sequence[_Source], period: float, how: Resampling, columns: int
     ) -> pd.DataFrame | None:
-        """Return the columns of one run; None where a source has no samples of it."""
+        """Return the columns of one run, of so many of all; None where a source has no samples of it."""
         read = [self._numbers(source, run_id) for source in sources]
         if any(not len(times) for times, _ in read):
             return None
         window = self.history.windows.get(run_id)
         length = None if window is None else (0.0, window[1] - window[0])
-        grid = grid_of([(float(times[0]), float(times[-1])) for times, _ in read], period, length)
+        spans = [(float(times[0]), float(times[-1])) for times, _ in read]
+        grid = grid_of(spans, period, length, columns=columns)
         data: dict[str, NDArray[np.float64]] = {"time_s": grid}
         for source, (times, values) in zip(sources, read, strict=True):
             source.take(run_id, times, self.history.uncertainties.get(run_id, {}))

@@ -301,7 +301,9 @@ def _factor(values: Sequence[Any], kind: str, declared: Sequence[str]) -> pd.Cat
         # `1` and `1.0`, or `01`, are one number: treatments that are told apart stay texts.
         if len(set(typed)) == len(order) and type_of_values(typed) == kind:
             categories = typed
-    return pd.Categorical(texts, order, ordered=True).rename_categories(categories)
+    # Of its own, pandas makes 1.0 of a treatment 1 beside 0.5, which neither table nor hypotheses call so.
+    kept = object if len(set(map(type, categories))) > 1 else None
+    return pd.Categorical(texts, order, ordered=True).rename_categories(pd.Index(categories, dtype=kept))
 
 
 def _text(value: Any) -> str:

@@ -99,7 +99,7 @@ class GrowingColumn:
         if self._texts is None:
             self._texts = [pa.nulls(self._missing, pa.string())]
             if self._numbers is not None:
-                self._texts.append(pa.array(self._numbers[: self._length]).cast(pa.string()))
+                self._texts.append(pa.array(self._numbers[: self._length], from_pandas=True).cast(pa.string()))
                 self._numbers = None
         self._texts += piece.cast(pa.string()).chunks
 

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 #: Stands where a value is missing.
 MISSING = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
-#: Findings that differ in numbers alone are told once.
-NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 TIMES = "\N{MULTIPLICATION SIGN}"
 ALPHA = "\N{GREEK SMALL LETTER ALPHA}"
 RHO = "\N{GREEK SMALL LETTER RHO}"
+#: What differs between findings of one kind: the processes in brackets that disturbed a run, and numbers.
+_VARYING = re.compile(r"\([^()]*, pid \d+[^()]*\)|\d+(?:[.,]\d+)*")
 _SMALLEST_P = 0.001
 _LARGE_STATISTIC = 999.5  # three digits of what is larger are written with an exponent
 _DIGITS = 4
@@ -52,6 +52,16 @@ def labelled(name: str, unit: str) -> str:
     """Return a name with its unit, as in `Energy (J)`; a name that ends in it, as imported headings do, is left."""
     has_it = unit in {"", "1"} or name.endswith((f"({unit})", f"[{unit}]"))
     return name if has_it else f"{name} ({unit})"
+
+
+def kind_of(problem: str, run_id: str) -> str:
+    """Return what a finding has in common with those of its kind about other runs, which are told together.
+
+    Example:
+        >>> kind_of("12 samples were lost during slow_a", "slow_a")
+        '# samples were lost during #'
+    """
+    return _VARYING.sub("#", problem.replace(run_id, "#"))
 
 
 def with_unit(value: float | None, unit: str, digits: int = _DIGITS) -> str:

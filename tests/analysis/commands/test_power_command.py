@@ -73,7 +73,9 @@ def test_means_come_from_a_file_and_from_a_pilot(
     combinations = {tuple(each["treatments"]): each for each in of_file["assumed"][0]["combinations"]}
     assert combinations["Video", "0.2"] == {"treatments": ["Video", "0.2"], "mean": 115.0, "sd": 14.0}
     assert robot_runner("run", study, "--plain").code == 0
-    pilot = robot_runner("power", study, "--pilot", "experiments/two_tasks", "--difference", "Task=6", *words).json
+    of_pilot = ("--pilot", "experiments/two_tasks", "--difference", "Task=6")
+    assert "the same Energy" in robot_runner("power", study, *of_pilot, *words).err  # its runs do not vary
+    pilot = robot_runner("power", study, *of_pilot, "--sd", "5", *words).json
     assert [each["title"] for each in pilot["scenarios"]] == ["the pilot's effects", "the smallest effects of interest"]
     assert any("uncertain" in note for note in pilot["notes"])
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from statsmodels.stats.proportion import confint_proportions_2indep
+from tests.analysis.experiment_folders import searched
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis.comparison.compared import Bound, Verdict
@@ -162,6 +163,34 @@ def test_units_that_differ_are_converted_and_told(make_folder):
     [difference] = comparison.measure("E").differences
     assert (difference.second_mean, difference.difference) == pytest.approx((1100.0, 50.0))
     assert any("J and kJ: values of other are converted to J" in note for note in comparison.notes)
+
+
+def test_a_share_in_percent_is_converted_to_one_of_one(make_folder):
+    percent = make_folder(factors={}, rows=[(40.0,), (50.0,)], measures={"Load": "%"})
+    share = make_folder(factors={}, rows=[(0.41,), (0.51,)], measures={"Load": "1"})
+    for folders, difference in (((percent, share), 1.0), ((share, percent), -0.01)):
+        [found] = compare(*(each.root for each in folders)).measure("Load").differences
+        assert found.difference == pytest.approx(difference)
+
+
+SEARCHED = [("a", 1, 9.0), ("b", 1, 9.9), ("a", 2, 5.0), ("a", 2, 5.2)]
+
+
+def test_of_a_search_the_runs_that_confirm_it_are_compared(make_folder, tmp_path):
+    other = make_folder(factors={"T": ["a", "b"]}, rows=[("a", 5.1), ("a", 5.2)], measures={"E": "J"}, name="other")
+    comparison = compare(other.root, searched(tmp_path / "search", SEARCHED, is_confirmed=True))
+    [difference] = comparison.measure("E").differences
+    assert (difference.second_n, difference.second_mean) == (2, pytest.approx(5.1))
+    assert difference.p_value is not None
+    assert any("and not the 2 runs of it" in note for note in comparison.notes)
+
+
+def test_a_search_that_nothing_confirms_is_not_tested(make_folder, tmp_path):
+    other = make_folder(factors={"T": ["a", "b"]}, rows=[("a", 5.1), ("a", 5.2)], measures={"E": "J"})
+    search = searched(tmp_path / "search", SEARCHED, is_confirmed=False)
+    [difference] = compare(other.root, search, bound="5%").measure("E").differences
+    assert (difference.p_value, difference.verdict) == (None, Verdict.UNDECIDED)
+    assert "the best of many looks better than it is" in difference.not_computed
 
 
 @pytest.mark.parametrize(("unit", "told"), [("V", "J and V"), ("", "J and not known")])
@@ -348,6 +377,16 @@ def test_values_some_of_which_are_texts_are_not_compared(make_folder):
         [difference] = compare(*folders, bound="5%").measure("Time").differences
         assert difference.difference is None
         assert "values that are no numbers" in difference.not_computed
+
+
+def test_what_is_text_in_both_leaves_the_verdict_to_the_numbers(make_folder):
+    rows = [("a", value, "left") for value in (1.0, 1.001, 1.002)]
+    made = {"factors": {"T": ["a"]}, "measures": {"E": "J", "Robot": ""}, "types": {"Robot": "string"}}
+    one, other = (make_folder(rows=rows, name=name, **made).root for name in ("one", "other"))
+    found = compare(one, other, bound="5%")
+    assert ([each.label for each in found.measures], found.verdict) == (["E (J)"], Verdict.EQUIVALENT)
+    assert found.notes == ("Not compared, as it is text in both: Robot.",)
+    assert compare(one, other, measures="Robot").verdict is Verdict.UNDECIDED
 
 
 def test_notes_tell_experiments_of_one_name_apart(make_folder):

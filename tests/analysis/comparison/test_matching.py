@@ -42,3 +42,11 @@ def test_a_bound_in_percent_of_a_mean_of_0_is_said_to_be_none(tmp_path: Path) ->
     assert "which is 0 for Video, Network" in found.conclusion
     assert "The largest difference is 0.03333 (Video)." in found.conclusion
     assert [each.what for each in found.not_computed] == ["equivalence of Video", "equivalence of Network"]
+
+
+def test_a_treatment_that_is_written_as_a_fraction_beside_others_is_the_same_one(tmp_path: Path) -> None:
+    original = made(tmp_path / "original", [Factor("Speed", [1, 2])])
+    replication = made(tmp_path / "replication", [Factor("Speed", [0.5, 1, 2])])
+    found = compare(original, replication)
+    assert [each.label for each in found.measure("Energy").differences] == ["1", "2"]
+    assert found.notes == ("Only replication has 0.5.",)

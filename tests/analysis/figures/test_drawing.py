@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 from robot_runner.analysis.figures.courses import MissionCourses, PhaseSpan, course_of_run
 from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
@@ -246,6 +247,13 @@ def test_the_same_figure_is_the_same_file_in_each_process():
     )
     told = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert told.strip() == hashlib.sha256(figure_bytes(single(), FigureFormat.SVG)).hexdigest()
+
+
+def test_a_figure_that_is_laid_out_is_drawn_once(monkeypatch):
+    draws = []
+    monkeypatch.setattr(Figure, "draw", lambda figure, renderer, draw=Figure.draw: draws.append(draw(figure, renderer)))
+    figure_bytes(distribution(), FigureFormat.SVG)
+    assert len(draws) == 1
 
 
 def test_an_event_after_the_last_sample_leaves_the_axes_their_room():

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pytest
 
+from robot_runner.analysis.importing.foreign_table import read_foreign_table
 from robot_runner.analysis.importing.units import plain_cells
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.mark.parametrize(
@@ -23,6 +29,7 @@ from robot_runner.analysis.importing.units import plain_cells
         (["1.5 kJ", "2 J"], ["1.5 kJ", "2 J"], ""),
         (["video", "1,5"], ["video", "1,5"], ""),
         (["1;2", "3;4"], ["1;2", "3;4"], ""),
+        (["0,125", "0,250"], ["0.125", "0.250"], "decimal commas"),
         ([], [], ""),
     ],
 )
@@ -58,3 +65,16 @@ def test_points_may_group_thousands_where_others_have_decimal_commas():
     found = plain_cells(["1.234", "12"], decimal=None, has_decimal_commas=True)
     assert found.doubt == "1.234 may be 1234 or 1.234"
     assert list(plain_cells(["1.5", "12"], decimal=None, has_decimal_commas=True).cells) == ["1.5", "12"]
+
+
+@pytest.mark.parametrize(("decimal", "plain"), [(",", ["1000", "990"]), (".", ["1.000", "990"])])
+def test_the_decimal_sign_settles_what_points_mean(decimal: str, plain: list[str]) -> None:
+    found = plain_cells(["1.000", "990"], decimal=decimal, has_decimal_commas=True)
+    assert (list(found.cells), found.doubt) == (plain, "")
+
+
+def test_one_column_with_decimal_commas_puts_the_points_of_others_in_doubt(tmp_path: Path) -> None:
+    path = tmp_path / "run_table.csv"
+    path.write_text('Task,Energy,Packets\nVideo,"870,5",1.000\nNetwork,"831,2",990\n', encoding="utf-8")
+    assert read_foreign_table(path).doubts == {"Packets": "1.000 may be 1000 or 1.000"}
+    assert read_foreign_table(path, decimal=",").column("Packets") == ("1000", "990")

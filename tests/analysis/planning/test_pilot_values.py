@@ -12,7 +12,7 @@ from robot_runner.analysis import load_results
 from robot_runner.analysis.planning.assumed_values import AssumedMeasure
 from robot_runner.analysis.planning.pilot_values import pilot_values
 from robot_runner.analysis.planning.planned_study import Study
-from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis
+from robot_runner.analysis.planning.power_analysis import Assumptions, power_analysis, scenarios_of
 from robot_runner.analysis.planning.power_search import Search
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
@@ -136,3 +136,21 @@ def test_factors_that_the_pilot_did_not_vary_have_no_effect(tmp_path: Path) -> N
     means = found.measures["Energy"].means
     assert means["Video", "0.1"] == means["Video", "0.2"] < means["Network", "0.1"]
     assert any("Speed" in note for note in found.notes)
+
+
+def test_a_spread_that_is_given_takes_the_place_of_the_pilots(tmp_path: Path) -> None:
+    study = study_of(TASK)
+    pilot = pilot_of(tmp_path / "pilot", study, assumed(), 6)
+    (told,) = scenarios_of(study, Assumptions(pilot=pilot, spreads=["40"]))
+    assert (told.title, set(told.measures[0].spreads.values())) == ("the pilot's effects", {40.0})
+
+
+def test_values_that_do_not_vary_have_no_power(tmp_path: Path) -> None:
+    study = study_of(TASK)
+    given = [
+        Assumptions(spreads=["0"], differences=["Task=5"]),
+        Assumptions(pilot=pilot_of(tmp_path / "pilot", study, assumed(spread=0.0), 4)),
+    ]
+    for assumptions in given:
+        with pytest.raises(AnalysisError, match="assumed to have the same Energy, so that nothing can be tested"):
+            scenarios_of(study, assumptions)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from tests.analysis.experiment_folders import searched
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner import AnalysisPlan, Estimand
@@ -207,6 +208,18 @@ def test_the_r_script_agrees_with_the_report(name: str, written: Callable[[str],
     assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
     assert "numbers agree" in finished.stdout
     assert not list(written(name).script.parent.rglob("hacked"))
+
+
+@needs_r
+def test_of_a_search_the_runs_that_confirm_it_are_computed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    energies = enumerate([9.0, 9.9, 8.1, 5.0, 5.2, 5.4, 6.0, 6.3, 6.5])
+    rows = [("ab"[place % 2 if place < 3 else place > 5], 1 + (place > 2), energy) for place, energy in energies]
+    notebook, script = write_recomputations(searched(tmp_path / "trial", rows, is_confirmed=True))
+    assert "numbers agree" in executed(notebook, monkeypatch)
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
 
 
 @needs_r

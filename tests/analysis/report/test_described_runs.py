@@ -83,6 +83,7 @@ def test_a_factor_that_did_not_vary_leaves_figures_and_tables_as_they_are(tmp_pa
     assert "Named runs are outliers." in drawn.caption
     headings = [column.name for column in table(document, "means").columns]
     assert headings == ["Measure", "A / 1", "A / 2", "B / 1", "B / 2"]
+    assert [row[1].text for row in table(document, "means").rows if "Reached" in row[0].text] == ["50.00 % (3 of 6)"]
     assert table(document, "describe Energy").columns[0].name == "Task / Speed"
 
 
@@ -91,7 +92,7 @@ def test_blocks_are_no_treatments_of_the_means_and_cards(tmp_path: Path) -> None
     assert "2 treatments of Task" in cards(document)
     assert "6 runs each of a combination" in cards(document)
     means = table(document, "means")
-    assert means.caption == "Means by Task."
+    assert means.caption == "Means and proportions by Task."
     assert [column.name for column in means.columns] == ["Measure", "A", "B"]
 
 
@@ -99,6 +100,10 @@ def test_captions_say_what_residuals_are_left_of(tmp_path: Path) -> None:
     square = [Factor("Day", [1, 2, 3]), Factor("Hour", [1, 2, 3]), Factor("Task", ["A", "B", "C"])]
     designed = report(tmp_path / "square", square, chosen=LatinSquare("Day", "Hour"))
     assert "(value less what effects and blocks of the design add to it)" in figure(designed, "qq Energy").caption
+    in_blocks = report(tmp_path / "blocks", [Factor("Day", [1, 2, 3]), TASK], chosen=Blocks("Day"))
+    assert (
+        "(value less the mean of its combination and what blocks add to it)" in figure(in_blocks, "qq Energy").caption
+    )
     plain = report(tmp_path / "plain", [TASK])
     assert "each run less the mean of its combination. Dashed" in figure(plain, "order Energy").caption
     assert "(value less the mean of its combination)" in figure(plain, "qq Energy").caption
@@ -108,7 +113,7 @@ def test_intervals_have_their_level_beside_them(tmp_path: Path) -> None:
     plan = AnalysisPlan("Energy", alpha=0.01, covariates="order")
     document = report(tmp_path / "trial", [Factor("Task", ["A", "B", "C"])], plan=plan)
     pairs = table(document, "pairs Energy Task").note
-    assert "99% confidence intervals (95% for Cliff's delta, 95% for Vargha-Delaney A12), in brackets, " in pairs
+    assert "99% confidence intervals, in brackets, belong to p." in pairs
     for name, level in {"slopes Energy": "99", "adjusted Energy": "99", "describe Energy by Task": "95"}.items():
         assert table(document, name).note.startswith(f"CI: {level}% confidence interval")
 

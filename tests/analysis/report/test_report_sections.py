@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from robot_runner.analysis.report.blocks import Chart, Paragraph, Part, Remarks, Tone
@@ -12,6 +14,9 @@ from robot_runner.analysis.report.rendering import markdown_of
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.core.events.measure import ROBOTS_OWNER
+from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.table_schema import read_schema, write_schema
 
 
 def material_of(folder):
@@ -79,6 +84,47 @@ def test_whether_machine_and_software_changed_between_executions_is_told(two_tas
     found = threats(two_tasks(manifest={"executions": [stamps, {**stamps, "changed": changed}, stamps]}))
     assert "package numpy (1.0, later 2.0)" in found["Machine or software changed on the way"].text
     assert "Executed in parts" not in found
+
+
+def retry(folder, *runs):
+    """Add a second attempt at runs, which ends as their first one did."""
+    with Journal(folder.files.journal) as journal:
+        for run in runs:
+            status = "done" if folder.status(int(run[2:]) - 1) == "Done" else "failed"
+            ended = {"is_last": True, "status": status, "seconds": 1.0, "stamps": {}, "measures": {}, "failure": None}
+            journal.append("attempt_started", at="2026-01-31T13:00:00.000Z", run=run, attempt=2)
+            journal.append("attempt_finished", at="2026-01-31T13:00:01.000Z", run=run, attempt=2, **ended)
+
+
+def test_of_runs_that_took_several_attempts_those_with_results_are_told(two_tasks):
+    folder = two_tasks(statuses={2: "Failed"})
+    retry(folder, "r_2", "r_3")
+    found = threats(folder)
+    assert found["Runs took more than one attempt"].text.startswith("r_2: results are those of the last attempt")
+    assert found["Runs failed"].text.startswith("1 run failed")
+
+
+def test_which_robot_executed_a_run_comes_from_no_sensor(make_folder):
+    rows = [("a", 1.0, "left"), ("b", 2.0, "right")]
+    measures = {"Energy": "J", "Robot": ""}
+    folder = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures=measures, origin="simulated")
+    columns = [
+        replace(each, owner=ROBOTS_OWNER) if each.name == "Robot" else each for each in read_schema(folder.files.schema)
+    ]
+    write_schema(folder.files.schema, columns)
+    assert threats(folder)["Values are simulated"].text.startswith("Energy comes from simulated sensors")
+
+
+def test_doubts_that_name_their_run_are_told_once(two_tasks):
+    folder = two_tasks()
+    with Journal(folder.files.journal) as journal:
+        for run, process in (("r_1", "node, pid 7"), ("r_2", "python3, pid 41"), ("r_3", "node, pid 9")):
+            problem = f"another process ({process}) took 31 % of a core during {run}"
+            journal.append("finding", run=run, attempt=1, owner="machine", problem=problem, fix="End it.")
+    remarks = [each for each in threats_of(material_of(folder)) if each.title == "machine noticed"]
+    assert [each.text for each in remarks] == [
+        "Another process (node, pid 7) took 31 % of a core during r_1, and the like (r_1, r_2, r_3). End it."
+    ]
 
 
 def test_gaps_and_saturation_are_threats(two_tasks):

@@ -14,6 +14,7 @@ from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, Measu
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
+from robot_runner.analysis.statistics.designed_columns import residuals_of
 from robot_runner.analysis.statistics.linear_model import FittedModel
 from robot_runner.analysis.statistics.post_hoc import compare_pairs
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
@@ -231,7 +232,7 @@ def test_a_factor_that_differs_only_between_batches_is_not_compared():
 
 def test_residuals_are_without_what_a_batch_adds():
     data = measure(cells(UNEQUAL, lambda treatments, batch: SHIFT * batch + ord(treatments[0])))
-    assert np.abs(data.residuals()).max() < 1e-9
+    assert np.abs(residuals_of(data)[0]).max() < 1e-9
 
 
 def test_data_of_one_batch_are_as_they_were():

@@ -239,7 +239,9 @@ def test_slopes_adjusted_means_and_what_stands_without_are_told(tmp_path: Path) 
     (plain,) = statistics.without_covariates
     assert plain.test.method.value == "Welch's t-test"
     assert [each.mean for each in found.means] == pytest.approx([each.mean for each in plain.by_treatment])
-    assert statistics.standings[0].conclusion.startswith("Not adjusted for Voltage, the effect of Task on Energy is")
+    conclusion = statistics.standings[0].conclusion
+    assert conclusion.startswith("Not adjusted for Voltage, the effect of Task on Energy is no longer significant")
+    assert conclusion.endswith(": the conclusion does not stand without the adjustment.")
     assert statistics.measure("Voltage").adjustment is None
 
 

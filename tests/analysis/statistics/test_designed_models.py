@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -16,7 +17,8 @@ from tests.analysis.statistics import designed_data as data
 from tests.analysis.statistics.designed_data import designed
 
 from robot_runner.analysis import analyse
-from robot_runner.analysis.statistics.analysed_design import design_of
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, covariate_column, design_of
+from robot_runner.analysis.statistics.designed_columns import residuals_of
 from robot_runner.analysis.statistics.designed_models import designed_model_of
 from robot_runner.analysis.statistics.lenth_test import LenthContrast, pseudo_error
 from robot_runner.analysis.statistics.tested import TestMethod
@@ -154,6 +156,64 @@ def test_a_surface_has_coefficients_lack_of_fit_and_a_stationary_point():
     assert float(surface.at(at)) == pytest.approx(surface.stationary.value)
     assert found.post_hoc == ()
     assert [effect.label for effect in found.test.effects] == ["Time", "Temperature", "Time x Temperature"]
+
+
+def left_of(results, **changed):
+    return residuals_of(replace(design_of(results).data("y"), **changed))[0]
+
+
+def test_residuals_hold_nothing_that_the_model_of_the_design_takes_out():
+    tables = made_tables()
+    # Whole plots that are numbered anew in each replicate are the same ones.
+    names, facts, rows, values = tables["split_plot_in_replicates"]
+    lines = [[*row, value] for row, value in zip(rows, values, strict=True)]
+    anew = [[replicate, f"p{plot[-1]}", *rest] for replicate, plot, *rest in lines]
+    apart = designed(lines, names, facts)
+    assert left_of(designed(anew, names, facts)) == pytest.approx(left_of(apart))
+    # What is carried over from the treatment before is in the model of a crossover without a washout.
+    names, facts, rows, _ = tables["crossover"]
+    before = dict(zip(rows[1:], rows, strict=False))
+    carried = [3.0 * int(before[row][2][1]) if row[1] != "1" else 0.0 for row in rows]
+    lines = [[*row, value] for row, value in zip(rows, carried, strict=True)]
+    assert left_of(designed(lines, names, facts)) == pytest.approx(0)
+    assert np.ptp(left_of(designed(lines, names, facts | {"washout": True}))) > 1
+    # So are batches and covariates, whatever the design.
+    results = designed(lines, names, facts)
+    frame = design_of(results).data("y").frame
+    batch, voltage = np.arange(len(frame)) % 2 + 1, np.arange(len(frame)) ** 2 / 100
+    told = frame.assign(**{BATCH: batch, covariate_column("U"): voltage, VALUE: frame[VALUE] + 7 * batch - voltage})
+    assert left_of(results, frame=told, is_extended=True, covariates=("U",)) == pytest.approx(0)
+    # An interaction is, also where a few runs are lost.
+    facts = {"kind": "fractional_factorial", "resolution": 4}
+    twice = [(*row[:4], int(row[0] == row[1])) for row in [*data.FILTRATION_HALF] * 2][2:]
+    assert left_of(designed(twice, [*"ABCD"], facts)) == pytest.approx(0)
+
+
+def drifting(days, slope):
+    """Incomplete blocks, one after another: what each adds, and what each run does."""
+    random = np.random.default_rng(4)
+    rows = [(f"d{day}", f"t{one}", shift) for day, shift in enumerate(days) for one in random.permutation(5)[:4]]
+    values = [shift + slope * place + float(random.normal()) / 4 for place, (*_, shift) in enumerate(rows)]
+    lines = [(day, one, value) for (day, one, _), value in zip(rows, values, strict=True)]
+    return analyse(designed(lines, ["Day", "Treatment"], {"kind": "blocks", "block": ["Day"]})).measure("y")
+
+
+def test_a_drift_is_looked_for_within_the_blocks_that_the_model_takes_out():
+    falling = drifting([0.0] * 8, -1.0).drift
+    assert falling.slope == pytest.approx(-1, abs=0.05)  # and not the 0 that blocks leave over all runs
+    assert falling.slope_interval.low < -1 < falling.slope_interval.high
+    assert falling.within == ("Day",)
+    assert "y falls over the order of the table, which may be another than that of execution, within Day by" in (
+        falling.warning
+    )
+    jumping = drifting([7.0, -9.0, 3.0, 30.0, 4.0, -6.0, 2.0, 11.0], -1.0).drift
+    assert jumping.slope == pytest.approx(falling.slope)  # whatever days differ by
+    rows = [(batch, operator, letter, y) for batch, operator, letter, _, y in data.PROPELLANTS]
+    found = analyse(
+        designed(rows, ["Batch", "Operator", "X"], {"kind": "latin_square", "row": "Batch", "column": "Operator"})
+    )
+    assert found.measure("y").drift is None
+    assert "the model takes out what tells the order" in " ".join(each.why for each in found.measure("y").not_computed)
 
 
 def with_effects(values):

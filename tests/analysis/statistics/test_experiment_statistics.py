@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from tests.analysis.statistics.reference_data import one_factor
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.statistics.correlations import drift_of
+from robot_runner.analysis.statistics.designed_columns import residuals_of
 from robot_runner.analysis.statistics.detectable_effect import repetitions_needed
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import TestMethod
@@ -98,6 +99,13 @@ def test_one_repetition(tmp_path):
     assert measure.test is None
     assert any("repeat the runs" in each.why for each in measure.not_computed)
     assert measure.by_treatment[0].sd is None
+
+
+def test_residuals_that_their_design_fixes_are_not_tested_for_normality(tmp_path):
+    found = statistics(tmp_path, (Factor("Task", ["Video", "Network"]),), repetitions=2).measure("Energy")
+    assert "Shapiro-Wilk" not in {each.name for each in found.assumptions}
+    why = {each.what: each.why for each in found.not_computed}["Shapiro-Wilk test of the residuals"]
+    assert "fewer than 3 degrees of freedom" in why
 
 
 def test_all_values_are_equal(tmp_path):
@@ -198,6 +206,26 @@ def test_blocks_of_repetitions_are_compared_within(tmp_path):
     assert measure.test.effects[0].is_significant
 
 
+def test_residuals_and_drift_are_those_within_blocks(tmp_path):
+    days = [0.0, 300.0, -500.0, 200.0, 900.0, -100.0]
+
+    def energies(name, days=days, **made):
+        def value(treatments, repetition):
+            return {"Energy": energy(treatments, repetition)["Energy"] + days[repetition - 1]}
+
+        return statistics(tmp_path / name, values=value, repetitions=6, shuffle=True, **made).measure("Energy")
+
+    jumping, level = energies("jumping", blocks="Repetition"), energies("level", blocks="Repetition", days=[0.0] * 6)
+    assert jumping.quantiles.observed == pytest.approx(level.quantiles.observed)  # whatever blocks differ by
+    assert jumping.drift.p_value == pytest.approx(level.drift.p_value)
+    assert jumping.drift.within == ("blocks",)
+    assert energies("plain").drift.within == ()
+    # A factor that differs between blocks is compared with how these vary.
+    of_days = one_factor({"a": [1.0, 2.0, 5.0], "b": [3.0, 4.0, 9.0]}, in_blocks=True)
+    between = replace(of_days, frame=of_days.frame.assign(**{" block": [f"d{place}" for place in range(6)]}))
+    assert sum(residuals_of(between)[0] ** 2) == pytest.approx(26 / 3 + 62 / 3)
+
+
 def test_drift_over_the_order_of_execution_is_warned_of(tmp_path):
     def falling(treatments, repetition):
         return {"Energy": 900.0 - 3.0 * repetition + 0.1 * NOISE[hash_of(treatments, repetition)]}
@@ -250,6 +278,12 @@ def test_another_alpha_than_the_planned_makes_everything_exploratory(tmp_path):
     found = analyse(load_results(folder.root), alpha=0.1)
     assert not found.is_planned
     assert not found.measures[0].is_planned
+
+
+def test_a_level_of_confidence_is_not_taken_for_alpha(tmp_path):
+    folder = make_experiment(tmp_path / "e", (TASKS,), energy)
+    with pytest.raises(AnalysisError, match=r"alpha is 0.95 .*Give one below 0.5: 0.05 for a confidence of 0.95"):
+        analyse(load_results(folder.root), alpha=0.95)
 
 
 def test_a_measure_that_is_not_there_is_named(tmp_path):

@@ -9,8 +9,9 @@ import pytest
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.analysed_design import design_of
 from robot_runner.analysis.statistics.disclosed import Beside, Reason
-from robot_runner.analysis.statistics.left_out import false_positives, outside
+from robot_runner.analysis.statistics.left_out import doubtful_values, false_positives, outside
 from robot_runner.core.design.outliers import Outliers
 
 if TYPE_CHECKING:
@@ -43,6 +44,12 @@ def made(folder: Path, plan: dict[str, Any], watts: dict[str, list[float]] | Non
 
 def statistics(folder: Path, plan: dict[str, Any], **more: Any) -> Any:
     return analyse(made(folder, plan, **more))
+
+
+def test_a_run_without_a_value_leaves_none_out(tmp_path: Path) -> None:
+    watts = {**WATTS, "Video": [*WATTS["Video"][:6], None]}
+    design = design_of(made(tmp_path, {}, watts))
+    assert [each.run_id for each in doubtful_values(design, "Energy", ["r_11", "r_13"])] == ["r_11"]
 
 
 @pytest.mark.parametrize(

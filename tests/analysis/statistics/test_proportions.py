@@ -149,16 +149,18 @@ def test_where_all_say_the_same_nothing_is_tested(tmp_path: Path, answers: list[
     assert found.proportions.overall.n == 12
 
 
-def test_intervals_belong_to_the_p_value_beside_them(tmp_path: Path) -> None:
-    random = np.random.default_rng(3)
-    for number in range(12):
-        n = int(random.integers(3, 12))
-        answers = {(room,): said(int(random.binomial(n, 0.6)), n) for room in ROOM.treatments}
-        found = analysed(tmp_path / str(number), [ROOM], answers).measure("Success")
-        for pair in found.post_hoc[0].comparisons if found.post_hoc else ():
-            assert pair.interval is not None
-            assert pair.p_value is not None
-            assert (pair.p_value < 0.05) is not (pair.interval.low <= 0 <= pair.interval.high)
+def test_a_pair_is_judged_by_the_exact_test_as_an_effect_is(tmp_path: Path) -> None:
+    answers = {("lab",): said(8, 10), ("hall",): said(3, 10), ("yard",): said(10, 10)}
+    found = analysed(tmp_path, [ROOM], answers).measure("Success")
+    p_values = [pair.p_value for pair in found.post_hoc[0].comparisons]
+    exact = [stats.fisher_exact(of).pvalue for of in ([[8, 2], [3, 7]], [[8, 2], [10, 0]], [[3, 7], [10, 0]])]
+    assert p_values == pytest.approx(exact)
+    # In strata, too; those in which all say the same tell nothing.
+    both = analysed(tmp_path / "rooms", [PLANNER, ROOM], IN_ROOMS).measure("Success")
+    assert both.test is not None
+    assert both.post_hoc[0].comparisons[0].p_value == both.test.effects[0].p_value == pytest.approx(0.00214069941867)
+    alike = analysed(tmp_path / "alike", [ROOM], answers | {("lab",): said(10, 10)}).measure("Success")
+    assert [pair.p_value for pair in alike.post_hoc[0].comparisons] == pytest.approx([exact[2], 1.0, exact[2]])
 
 
 def test_hypotheses_families_and_doubtful_runs_are_as_the_plan_has_them(tmp_path: Path) -> None:

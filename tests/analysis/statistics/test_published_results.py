@@ -12,6 +12,7 @@ from tests.analysis.statistics import reference_data as data
 
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality
 from robot_runner.analysis.statistics.correlations import correlations_of
+from robot_runner.analysis.statistics.designed_columns import residuals_of
 from robot_runner.analysis.statistics.detectable_effect import _power, repetitions_needed
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, noncentralities_of_f, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import fit_model
@@ -95,6 +96,19 @@ def test_cohens_d_of_mtcars():
     assert effect.magnitude is Magnitude.LARGE
 
 
+@pytest.mark.parametrize(("is_blocked", "last"), [(False, "Vargha-Delaney A12"), (True, "rank-biserial correlation")])
+def test_intervals_of_effect_sizes_have_the_level_of_the_study(is_blocked, last):
+    random = np.random.default_rng(1)
+    values = {"a": random.normal(0, 1, 9).tolist(), "b": random.normal(1, 1, 9).tolist()}
+    measure = data.one_factor(values, in_blocks=is_blocked)
+    usual, strict = (computed(measure, alpha=alpha)[1][0].effect_sizes for alpha in (0.05, 0.01))
+    assert (usual[-1].name, len(usual)) == (last, 2 if is_blocked else 3)
+    for one, other in zip(usual, strict, strict=True):
+        assert other.interval != one.interval
+        assert (one.interval.level, other.interval.level) == pytest.approx((0.95, 0.99))
+        assert other.interval.low <= one.interval.low < one.value < one.interval.high <= other.interval.high
+
+
 def test_cliffs_delta_of_thousands_of_runs_holds_no_table_of_all_pairs():
     random = np.random.default_rng(4)
     one, other = np.round(random.normal(0.2, 1, 4_000), 2), np.round(random.normal(size=4_000), 2)
@@ -131,7 +145,7 @@ def test_cliffs_delta_of_the_package_effsize():
 def test_assumptions_of_plant_growth():
     # shapiro.test(residuals(aov(...))): W = 0.96607, p = 0.4379; car::leveneTest: F = 1.1192, p = 0.3412
     measure = data.one_factor(data.PLANT_GROWTH)
-    shapiro = normality(measure.residuals(), 0.05)
+    shapiro = normality(residuals_of(measure)[0], 0.05)
     assert shapiro.statistic == pytest.approx(0.96607, abs=5e-6)
     assert shapiro.p_value == pytest.approx(0.4379, abs=5e-5)
     levene = equal_variances(measure.groups(["A"]), 0.05)

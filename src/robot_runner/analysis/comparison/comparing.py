@@ -30,21 +30,23 @@ from robot_runner.analysis.comparison.equivalence import (
 )
 from robot_runner.analysis.comparison.matching import (
     are_answers,
-    are_numbers,
-    can_be_converted,
+    are_texts,
     chosen_measures,
     differing_circumstances,
     in_unit,
     match_runs,
     names_of,
+    of_one_quantity,
 )
 from robot_runner.analysis.results import results_of
+from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.wording import listed, sentence
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
+from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -77,7 +79,7 @@ def compare(
     Args:
         first: the experiment that is compared with, or its folder: the original, the real robot, what was measured.
         second: the other one: the replication, the simulated robot, what a model estimated.
-        measures: names, or `one=other` where they differ; None for all that both have.
+        measures: names, or `one=other` where they differ; None for all that both have, but for texts.
         bound: what difference would not matter, as in `10`, `"5%"` or `["5%", "Energy=10"]`; None claims nothing.
         alpha: the level of significance, below 0.5.
         is_paired: whether the runs of a combination belong together one by one; None means within one experiment only.
@@ -95,7 +97,8 @@ def compare(
     """
     if not 0 < alpha < 0.5:  # noqa: PLR2004 - 1 - 2 alpha is a level of confidence
         raise AnalysisError(f"alpha is {alpha!r}", where="compare", fix="Give a number between 0 and 0.5.")
-    ours, theirs = map(results_of, (first, second))
+    given = tuple(map(results_of, (first, second)))
+    ours, theirs = (each.confirming for each in given)
     paired = ours.folder == theirs.folder if is_paired is None else is_paired
     bounds = _bounds(bound)
     chosen = chosen_measures(ours, theirs, measures)
@@ -109,6 +112,14 @@ def compare(
     is_same, names = ours.folder == theirs.folder, names_of(ours, theirs)
     labels = chosen[0] if is_same and len(chosen) == 1 and len(set(chosen[0])) > 1 else names
     called = (ours.name, theirs.name) if is_same else names
+    shared = [name for name in ours.measures if measures is None and name in theirs.measures]
+    texts = [name for name in shared if (name, name) not in chosen]
+    notes = [
+        *_notes_on_searches(called, given),
+        *matching.notes,
+        *([f"Not compared, as it is text in both: {listed(texts)}."] if texts else []),
+        *_notes_on_values((ours, theirs), called, chosen),
+    ]
     return Comparison(
         Side(labels[0], ours.name, ours.folder, len(ours.done)),
         Side(labels[1], theirs.name, theirs.folder, len(theirs.done)),
@@ -117,8 +128,15 @@ def compare(
         paired,
         compared,
         differing_circumstances(ours, theirs),
-        tuple(dict.fromkeys([*matching.notes, *_notes_on_values((ours, theirs), called, chosen)])),
+        tuple(dict.fromkeys(notes)),
     )
+
+
+def _notes_on_searches(called: tuple[str, ...], experiments: tuple[Results, ...]) -> Iterator[str]:
+    for name, results in zip(called, experiments, strict=True):
+        if searched := len(results.done) - len(results.confirming.done):
+            runs = counted(searched, "run")
+            yield f"Of {name}, runs that confirm what a search found are compared, and not the {runs} of it."
 
 
 def _notes_on_values(
@@ -127,7 +145,7 @@ def _notes_on_values(
     first, second = experiments
     for one, other in chosen:
         units = first.unit(one), second.unit(other)
-        if units[0] != units[1] and can_be_converted(units[1], units[0]):
+        if units[0] != units[1] and of_one_quantity(units[1], units[0]):
             yield f"{one} is in {units[0]} and {units[1]}: values of {called[1]} are converted to {units[0]}."
     for name, results, measures in zip(called, experiments, zip(*chosen, strict=True), strict=True):
         doubtful = doubtful_runs(results)
@@ -184,9 +202,11 @@ class _Asked(NamedTuple):
 def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) -> MeasureComparison:
     """Compare a measure in all combinations; p-values are adjusted after Holm for their number."""
     units = matching.first.unit(names[0]), matching.second.unit(names[1])
-    columns = matching.first.done[names[0]], matching.second.done[names[1]]
-    are_texts = any(each.notna().any() and not are_numbers(each) for each in columns)
-    obstacle = "One of the experiments has values that are no numbers." if are_texts else ""
+    obstacle = ""
+    if matching.first.is_exploratory or matching.second.is_exploratory:
+        obstacle = sentence(SEARCHED)
+    elif any(map(are_texts, (matching.first, matching.second), names)):
+        obstacle = "One of the experiments has values that are no numbers."
     asked = asked._replace(are_answers=are_answers(matching, names), obstacle=obstacle)
     found_values = (group.values(*names, is_paired=asked.is_paired) for group in matching.groups)
     values = [(one, in_unit(other, units[1], units[0])) for one, other in found_values]
@@ -283,6 +303,6 @@ def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: s
             why = "The runs of one experiment are all equal, so that there is no posterior distribution."
             why = "They are computed of means, and not of proportions." if are_proportions else why
             yield NotComputed(f"probabilities of {each.label}", why)
-    if one != other and not can_be_converted(other, one):
+    if one != other and not of_one_quantity(other, one):
         why = f"The units are {one or 'not known'} and {other or 'not known'}: numbers are compared as they are."
         yield NotComputed("conversion of units", why)

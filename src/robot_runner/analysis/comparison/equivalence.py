@@ -17,6 +17,7 @@ import numpy as np
 from scipy import integrate, optimize, special, stats
 
 from robot_runner.analysis.comparison.compared import Agreement, Bound, PracticalEquivalence
+from robot_runner.analysis.comparison.matching import of_one_quantity
 from robot_runner.analysis.importing.units import known_units, unit_of
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
 from robot_runner.analysis.statistics.proportions import Share, difference_ends, score_of
@@ -263,10 +264,9 @@ def _read(text: str) -> tuple[str, Bound]:
 def _in_unit(bound: Bound, given: str, wanted: str) -> Bound | None:
     if not given or given == wanted:
         return bound
-    ours, theirs = unit_of(given), unit_of(wanted)
-    if ours is None or theirs is None or ours.si != theirs.si:
-        return None
-    return Bound(bound.value * ours.factor / theirs.factor)  # of a difference, offsets cancel out
+    units = of_one_quantity(given, wanted)
+    # Of a difference, offsets cancel out.
+    return None if units is None else Bound(bound.value * units[0].factor / units[1].factor)
 
 
 class _Posterior(NamedTuple):

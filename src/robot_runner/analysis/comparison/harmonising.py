@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_runner.analysis.comparison.matching import can_be_converted, in_unit
+from robot_runner.analysis.comparison.matching import in_unit, of_one_quantity
 from robot_runner.analysis.statistics.analysed_design import VALUE, design_of
 from robot_runner.analysis.statistics.left_out import left_out_of
 from robot_runner.analysis.statistics.robustness import doubtful_runs
@@ -304,7 +304,7 @@ def unit_findings(choice: MeasureChoice, experiments: Sequence[Experiment]) -> I
         if not unit:
             problem = f"the unit of {column} is not known: its values are taken to be in {choice.unit}"
             yield Finding.warning(each.name, problem, "Name the unit, as in data_columns or when it is imported.")
-        elif not can_be_converted(unit, choice.unit):
+        elif not of_one_quantity(unit, choice.unit):
             problem = f"{column} is in {unit}, which cannot be converted to {choice.unit}"
             yield Finding.error(each.name, problem, "Leave the experiment out, or name other measures with --measure.")
         else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from robot_runner.analysis.importing.units import unit_of
+from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.analysis.run_frame import several
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
@@ -68,14 +68,14 @@ def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
     notes = _notes_on_factors(dict(zip(names, (first, second), strict=True)), factors)
     ours, theirs = (_by_combination(each, factors) for each in (first, second))
     for name, here, there in zip(names, (ours, theirs), (theirs, ours), strict=True):
-        alone = [" / ".join(key) for key in here if key not in there]
+        alone = [" / ".join(_treatments(rows, factors)) for key, rows in here.items() if key not in there]
         if alone:
             notes.append(f"Only {name} has {', '.join(alone[:6])}{' and others' if len(alone) > 6 else ''}.")  # noqa: PLR2004
     groups = []
     for key, rows in ours.items():
         if key in theirs:
             pair = _paired(first, second, rows, theirs[key]) if is_paired else (rows, theirs[key])
-            groups.append(MatchedRuns(dict(zip(factors, key, strict=True)), *pair))
+            groups.append(MatchedRuns(dict(zip(factors, _treatments(rows, factors), strict=True)), *pair))
     return Matching(first, second, factors, tuple(groups), tuple(notes))
 
 
@@ -85,7 +85,7 @@ def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str]
     Args:
         first: the experiment that is compared with.
         second: the other one.
-        wanted: names, or `one=other` where they differ; None for all that both have.
+        wanted: names, or `one=other` where they differ; None for all that both have, but for texts.
 
     Raises:
         AnalysisError: an experiment has no such measure, or there is none that both have.
@@ -96,7 +96,8 @@ def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str]
             ours, theirs = next(iter(first.measures), "A"), next(iter(second.measures), "B")
             fix = f"Say which to compare: --measure {ours}={theirs}."
             raise AnalysisError("the experiments have no measure of one name", where=second.name, fix=fix)
-        return shared
+        # What is text in both, as which robot it was, would leave all of them undecided.
+        return [each for each in shared if not all(map(are_texts, (first, second), each))] or shared
     return [_named(first, second, text) for text in several(wanted)]
 
 
@@ -129,8 +130,14 @@ def _by_combination(results: Results, factors: tuple[str, ...]) -> dict[tuple[st
         return {(): done}
     by: dict[tuple[str, ...], pd.DataFrame] = {}
     for key, rows in done.groupby(list(factors), observed=True, sort=True):
-        by[tuple(map(str, key))] = rows
+        # Beside 0.5, the treatment 1 is 1.0, and still the same one.
+        by[tuple(f"{each:.17g}" if isinstance(each, float) else str(each) for each in key)] = rows
     return by
+
+
+def _treatments(rows: pd.DataFrame, factors: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the treatments that runs of one combination have, as texts."""
+    return tuple(str(rows[name].iloc[0]) for name in factors)
 
 
 def _paired(
@@ -164,23 +171,36 @@ def _paired(
 _UNPAIRED = "Compare without --paired, or experiments that have the same factors."
 
 
-def can_be_converted(own: str, wanted: str) -> bool:
-    """Return whether a unit is known, and is one of the same quantity as another that is known."""
+def of_one_quantity(own: str, wanted: str) -> tuple[Unit, Unit] | None:
+    """Return two units that values can be converted between; None where one is not known, or is of another quantity."""
     ours, theirs = unit_of(own), unit_of(wanted)
-    return ours is not None and theirs is not None and ours.si == theirs.si
+    if ours is None or theirs is None:
+        return None
+    if {own, wanted} == {"%", "1"}:  # a share, which elsewhere may as well be a number without any unit
+        ours, theirs = (_SHARE if each.symbol == "1" else each for each in (ours, theirs))
+    return (ours, theirs) if ours.si == theirs.si else None
+
+
+_SHARE = Unit("1", "%", 100.0)
 
 
 def in_unit(values: Any, own: str, wanted: str) -> Any:
     """Return a number, or several, in the wanted unit; as they are where that cannot be told."""
-    ours, theirs = unit_of(own), unit_of(wanted)
-    if ours is None or theirs is None or ours.si != theirs.si or ours == theirs:
+    units = of_one_quantity(own, wanted)
+    if units is None or units[0] == units[1]:
         return values
-    return (ours.to_si(values) - theirs.offset) / theirs.factor
+    return (units[0].to_si(values) - units[1].offset) / units[1].factor
 
 
 def are_numbers(values: pd.Series) -> bool:
     """Whether a measure can be computed with: a text among its values may say why there is no number."""
     return bool(pd.api.types.is_numeric_dtype(values))
+
+
+def are_texts(results: Results, measure: str) -> bool:
+    """Whether there are values of a measure that cannot be computed with."""
+    values = results.done[measure]
+    return bool(values.notna().any()) and not are_numbers(values)
 
 
 def numbers_of(values: pd.Series) -> NDArray[np.float64]:

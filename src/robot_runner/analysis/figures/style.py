@@ -209,6 +209,8 @@ def verbatim(text: str, kept: str = "") -> str:
         >>> verbatim("two\nlines")
         'two lines'
     """
+    if text.isprintable():
+        return text
     return "".join(character if character.isprintable() or character in kept else " " for character in text)
 
 
@@ -251,7 +253,7 @@ def _settle(figure: Figure) -> None:
     if engine is None:
         return
     engine.execute(figure)
-    figure.set_layout_engine("none")
+    figure.set_layout_engine(None)  # and not "none", which keeps a stand-in for which all is drawn once more
     for axes in figure.axes:
         left, bottom, width, height = (round(edge, _DIGITS) for edge in axes.get_position().bounds)
         axes.set_position((left, bottom, width, height))

@@ -25,7 +25,6 @@ _DELIMITERS = {",": "", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _DECIMAL_COMMA = re.compile(r"(?<![0-9])-?[0-9]+,[0-9]+(?![0-9,])")
 #: What pandas writes above a column that has no name.
 _WRITTEN_FOR_NONE = re.compile(r"Unnamed: \d+(_level_\d+)?")
-_BOOLEANS = frozenset({"true", "false"})
 
 #: As much of a file as is needed to see how it is written.
 _HEAD = 1 << 16
@@ -97,12 +96,14 @@ class ForeignTable:
 
     def is_boolean(self, heading: str) -> bool:
         """Return whether the column has `true` and `false` in any case of letters, and nothing else."""
-        return heading in self._boolean
+        return self._says_only(heading, {"true", "false"})
 
     def says_yes_or_no(self, heading: str) -> bool:
         """Return whether the column has `yes` and `no` in any case of letters, and nothing else."""
-        cells = self._distinct.get(heading)
-        return cells is not None and {cell.casefold() for cell in cells} <= {"yes", "no"}
+        return self._says_only(heading, {"yes", "no"})
+
+    def _says_only(self, heading: str, words: Collection[str]) -> bool:
+        return heading in self._distinct and all(cell.casefold() in words for cell in self._distinct[heading])
 
     def unit(self, heading: str) -> Unit | None:
         """Return the unit that stands behind each number of a column, or in its heading; None where neither is."""
@@ -131,11 +132,6 @@ class ForeignTable:
     def _numeric(self) -> frozenset[str]:
         distinct = self._distinct.items()
         return frozenset(name for name, cells in distinct if all(self.number(cell) is not None for cell in cells))
-
-    @cached_property
-    def _boolean(self) -> frozenset[str]:
-        distinct = self._distinct.items()
-        return frozenset(name for name, cells in distinct if {cell.casefold() for cell in cells} <= _BOOLEANS)
 
 
 def read_foreign_table(path: Path, decimal: str | None = None) -> ForeignTable:
@@ -241,11 +237,11 @@ def _table(
         many = f"{len(unnamed)} columns have" if len(unnamed) > 1 else "a column has"
         notes.append(f"{many} no heading ({', '.join(unnamed)} here): values may stand under headings of others")
     commas = dialect.decimal_comma
-    plain = (
-        {name: plain_cells(columns[place], decimal=decimal, has_decimal_commas=commas) for place, name in named.items()}
-        if columns
-        else {}
-    )
+    cells = {name: columns[place] for place, name in named.items()} if columns else {}
+    plain = {name: plain_cells(each, decimal=decimal, has_decimal_commas=commas) for name, each in cells.items()}
+    if not commas and any(each.has_decimal_commas for each in plain.values()):
+        # One column tells of the others: where it has `870,5`, `1.000` beside it may be a thousand.
+        plain = {name: plain_cells(each, decimal=decimal, has_decimal_commas=True) for name, each in cells.items()}
     notes += [f"{name} is written with {each.words}" for name, each in plain.items() if each.words and not commas]
     return ForeignTable(
         path,

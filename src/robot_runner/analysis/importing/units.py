@@ -266,6 +266,7 @@ _STYLES = (
     ("[ \u00a0\u202f]", "[.,]", "blanks between thousands"),
     ("['\u2019]", ".", "apostrophes between thousands"),
 )
+_WITH_COMMAS = frozenset(words for _, decimal, words in _STYLES if decimal == ",")
 _WITH_UNIT = re.compile(r"([+-]?\d[\d.,]*(?:[eE][+-]?\d+)?)\s*([^\d\s.,].{0,11})")
 
 
@@ -284,6 +285,11 @@ class PlainCells:
     unit: Unit | None = None
     words: str = ""
     doubt: str = ""
+
+    @property
+    def has_decimal_commas(self) -> bool:
+        """Whether numbers have decimal commas, beyond doubt."""
+        return not self.doubt and any(each in _WITH_COMMAS for each in self.words.split(", "))
 
 
 def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas: bool) -> PlainCells:
@@ -309,7 +315,7 @@ def plain_cells(cells: Sequence[str], *, decimal: str | None, has_decimal_commas
             numbers = {cell: found[1] for cell, found in suffixed.items()}
     readings = _readings(numbers.values(), has_decimal_commas or decimal == ",")
     if decimal is not None and len(readings) > 1:
-        readings = [each for each in readings if (each[0] == "decimal commas") == (decimal == ",")] or readings
+        readings = [each for each in readings if (each[0] in _WITH_COMMAS) == (decimal == ",")] or readings
     if not readings or (unit is None and readings[0][1] == numbers):
         return PlainCells(cells)
     words, plain = readings[0]
@@ -340,7 +346,8 @@ def _readings(numbers: Collection[str], has_decimal_commas: bool) -> list[tuple[
 
 
 def _read(numbers: Collection[str], group: str, decimal: str, words: str) -> tuple[str, dict[str, str]] | None:
-    whole = rf"\d{{1,3}}(?:{re.escape(group) if len(group) == 1 else group}\d{{3}})+|\d+" if group else r"\d+"
+    groups = rf"[1-9]\d{{0,2}}(?:{re.escape(group) if len(group) == 1 else group}\d{{3}})+|"  # 0,125 is no thousand
+    whole = rf"{groups if group else ''}\d+"
     sign = decimal if decimal.startswith("[") else re.escape(decimal)
     pattern = re.compile(rf"([+-]?(?:{whole}))(?:{sign}(\d+))?([eE][+-]?\d+)?")
     plain = {}

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _AND = " x "
 #: The column of a file of means that holds the standard deviation of a measure.
 _SPREAD = ".sd"
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,15 @@ class AssumedMeasure:
     spreads: Mapping[Cell, float]
     block_sd: float = 0.0
     response_sd: float = 0.0
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether runs of one combination do not differ, but for rounding and for the block that they share."""
+        return max(*self.spreads.values(), self.response_sd) <= _ROUNDING * max(map(abs, self.means.values()))
+
+    def with_spread(self, spread: float) -> AssumedMeasure:
+        """Return the same with one standard deviation for all combinations."""
+        return replace(self, spreads=dict.fromkeys(self.spreads, spread))
 
     def draw(
         self, random: np.random.Generator, experiments: int, cells: Sequence[Cell], blocks: Sequence[str]
@@ -172,7 +182,7 @@ def assumed_scenario(
         study: what is planned.
         measures: which.
         differences: that are assumed; other effects are none.
-        spreads: the standard deviation of each measure, instead of those of `base`.
+        spreads: the standard deviation of each measure that `base` lacks.
         base: what is known of measures from elsewhere; of their means only the grand mean counts.
         title: what the effects are.
 
@@ -193,7 +203,7 @@ def assumed_scenario(
             AssumedMeasure(
                 name,
                 {cell: centre + sum(each.at(study, cell) for each in mine) for cell in study.cells},
-                dict.fromkeys(study.cells, spreads[name]) if known is None or name in spreads else known.spreads,
+                dict.fromkeys(study.cells, spreads[name]) if known is None else known.spreads,
                 known.block_sd if known is not None else 0.0,
                 known.response_sd if known is not None else 0.0,
             )

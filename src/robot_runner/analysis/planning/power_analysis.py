@@ -154,7 +154,11 @@ def scenarios_of(study: Study, assumptions: Assumptions) -> list[Scenario]:
     scenarios = list(_scenarios(study, assumptions, measures, pilot))
     blocks = numbers_of(study, "--block-sd", assumptions.blocks, measures)
     responses = numbers_of(study, "--response-sd", assumptions.responses, measures)
-    return [with_blocks(each, blocks, responses) for each in scenarios]
+    found = [with_blocks(each, blocks, responses) for each in scenarios]
+    for name in dict.fromkeys(measure.name for each in found for measure in each.measures if measure.is_constant):
+        problem = f"runs of one combination are assumed to have the same {name}, so that nothing can be tested"
+        raise AnalysisError(problem, where="power", fix=f"Say how much they vary: --sd {name}=...")
+    return found
 
 
 def _measured(study: Study, assumptions: Assumptions) -> tuple[tuple[str, ...], Pilot | None]:
@@ -201,9 +205,10 @@ def _scenarios(
             raise AnalysisError("--means and --pilot both say what the means are", where="power", fix=fix)
         base = means_file(study, assumptions.means, spreads)
         _refuse_unknown(measures, base, f"--means {assumptions.means}")
-        yield Scenario("the means of the file", tuple(base[name] for name in measures))
-    elif pilot is not None:
-        yield Scenario("the pilot's effects", tuple(base[name] for name in measures))
+    base = {name: each.with_spread(spreads[name]) if name in spreads else each for name, each in base.items()}
+    if base:
+        title = "the means of the file" if pilot is None else "the pilot's effects"
+        yield Scenario(title, tuple(base[name] for name in measures))
     if differences:
         title = "the smallest effects of interest" if base else "the assumed effects"
         yield assumed_scenario(study, measures, differences, spreads, base, title)

@@ -270,7 +270,9 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
     """Return how the run table is read."""
     path = ExperimentFolder.found_at(results.folder).run_table
     used = list(results.done[RUN_ID])
-    chosen = _chosen(cells, used)
+    batch = (results.batch if results.only_confirming else None) or ""
+    confirming = tuple(map(str, results.confirming_batches)) if batch else ()
+    chosen = _chosen(cells, used, cells.column(batch) if batch else (), confirming)
     wanted = set(used)
     stamps = [stamp for stamp, run in zip(cells.column(_STAMP), cells.column(RUN_ID), strict=True) if run in wanted]
     is_stamped = _STAMP in results.done and all(map(_STAMPS.fullmatch, stamps))
@@ -284,21 +286,25 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
         done=chosen or (),
         has_exclusions=EXCLUDED in cells,
         has_warm_ups=WARM_UP in cells,
+        batch=batch,
+        confirming=confirming,
         run_ids=() if chosen else tuple(used),
         stamp=_STAMP if is_stamped else "",
         places=() if is_ordered else tuple(places),
     )
 
 
-def _chosen(cells: Cells, used: Sequence[str]) -> tuple[str, ...] | None:
+def _chosen(
+    cells: Cells, used: Sequence[str], batches: Sequence[str], confirming: Sequence[str]
+) -> tuple[str, ...] | None:
     """Return the words for runs that are done, or None where the columns alone do not tell which runs count."""
     words = dict(zip(cells.column(RUN_ID), cells.column(STATUS), strict=True))
     done = tuple(dict.fromkeys(words.get(run, "") for run in used))
-    excluded, warm_up = cells.column(EXCLUDED), cells.column(WARM_UP)
+    columns = (words, words.values(), cells.column(EXCLUDED), cells.column(WARM_UP), batches or [""] * len(words))
     found = [
         run
-        for run, word, why, warms in zip(cells.column(RUN_ID), cells.column(STATUS), excluded, warm_up, strict=True)
-        if word in done and not why and warms != "True"
+        for run, word, why, warms, batch in zip(*columns, strict=True)
+        if word in done and not why and warms != "True" and (not batches or batch in confirming)
     ]
     return done if found == list(used) and used else None
 

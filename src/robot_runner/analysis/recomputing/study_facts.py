@@ -59,6 +59,7 @@ class TableSource:
         done: the words for runs that are done.
         has_exclusions: whether there is a column that says why a run is left out.
         has_warm_ups: whether there is a column that says which runs only warm up.
+        batch, confirming: the column of batches, and those that confirm what a search found: no others count.
         run_ids: the runs that count, where the columns do not tell.
         stamp: the column of the time stamp that tells the order of execution; empty for the order of the table.
         places: the place of each run in that order, where the column does not tell.
@@ -71,6 +72,8 @@ class TableSource:
     done: tuple[str, ...]
     has_exclusions: bool
     has_warm_ups: bool
+    batch: str
+    confirming: tuple[str, ...]
     run_ids: tuple[str, ...]
     stamp: str
     places: tuple[int, ...]

@@ -127,7 +127,7 @@ def _badges(material: Material) -> Iterator[Badge]:
     robot = str(material.manifest("robot", default=""))
     if robot.partition(":")[0] == "simulated":
         yield Badge("simulated robot", Tone.WARNING, "Nothing in this report was measured on a real robot.")
-    elif material.is_simulated:
+    elif {"simulated", "estimated"} & material.origins.keys():
         yield Badge("some values not measured", Tone.WARNING, "Some measures are simulated or estimated.")
     if len(material.doubted):
         doubt = f"{counted(len(material.doubted), 'value')} doubtful or missing"

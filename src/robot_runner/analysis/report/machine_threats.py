@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Tone
+from robot_runner.analysis.report.material import noted_number
 from robot_runner.analysis.sample_files import noted
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
@@ -73,7 +74,7 @@ def _setting(governor: str, turbo: str) -> str:
 
 
 def _frequency(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str, Tone]]:
-    means = {run: mean for run, facts in runs.items() if (mean := _figure(facts, "frequency_hz", "mean"))}
+    means = {run: mean for run, mean in _means(runs, "frequency_hz").items() if mean}
     if len(means) > 1 and max(means.values()) > (1 + _FREQUENCY) * min(means.values()):
         slowest, fastest = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
         text = (
@@ -84,9 +85,7 @@ def _frequency(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tu
 
 
 def _temperature(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str, Tone]]:
-    means = {
-        run: mean for run, facts in runs.items() if (mean := _figure(facts, "temperature_degc", "mean")) is not None
-    }
+    means = _means(runs, "temperature_degc")
     if len(means) > 1 and max(means.values()) - min(means.values()) >= _TEMPERATURE:
         coolest, hottest = min(means, key=means.__getitem__), max(means, key=means.__getitem__)
         text = (
@@ -96,7 +95,6 @@ def _temperature(whose: str, runs: Mapping[str, Mapping[str, Any]]) -> Iterator[
         yield f"The temperature of {whose} differs between runs", text, Tone.NOTE
 
 
-def _figure(facts: Mapping[str, Any], name: str, part: str) -> float | None:
-    spread = facts.get(name)
-    value = spread.get(part) if isinstance(spread, dict) else None
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+def _means(runs: Mapping[str, Mapping[str, Any]], name: str) -> dict[str, float]:
+    spreads = {run: spread for run, facts in runs.items() if isinstance(spread := facts.get(name), dict)}
+    return {run: mean for run, spread in spreads.items() if (mean := noted_number(spread.get("mean"))) is not None}

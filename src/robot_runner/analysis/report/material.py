@@ -16,14 +16,14 @@ from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.known_precision import known_precisions
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.events.measure import Quality
+from robot_runner.core.events.measure import ROBOTS_OWNER, Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     import pandas as pd
 
@@ -91,18 +91,19 @@ def _quality(run_id: str, plugin: str, facts: Mapping[str, Any]) -> RunQuality:
     samples, is_simulated = facts.get("samples"), facts.get("is_simulated")
     known = {**(samples if isinstance(samples, dict) else {}), "saturated": facts.get("saturated")}
     names = ("expected", "got", "lost", "corrupt", "duplicates", "saturated")
-    counts = {name: None if (found := _number(known.get(name))) is None else int(found) for name in names}
+    counts = {name: None if (found := noted_number(known.get(name))) is None else int(found) for name in names}
     return RunQuality(
         run_id,
         plugin,
-        coverage=_number(known.get("coverage")),
-        largest_gap=_number(known.get("largest_gap")),
+        coverage=noted_number(known.get("coverage")),
+        largest_gap=noted_number(known.get("largest_gap")),
         is_simulated=is_simulated if isinstance(is_simulated, bool) else None,
         **counts,
     )
 
 
-def _number(value: object) -> float | None:
+def noted_number(value: object) -> float | None:
+    """Return what a plugin noted as a number; None where it is none, or not finite."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if is_number else None  # type: ignore[arg-type]  # mypy does not follow the line above
 
@@ -163,9 +164,7 @@ class Material:
         """Return what is taken from each value of a measure, so that its residual is left."""
         if self.statistics.design.kind != "full_factorial":
             return "less what effects and blocks of the design add to it"
-        batch = self.results.batch
-        is_extended = batch is not None and len(self.described(measure)[batch].unique()) > 1
-        parts = [*(["batch"] if is_extended else []), *(["covariates"] if measure.adjustment is not None else [])]
+        parts = [*measure.kept_together, *(["covariates"] if measure.adjustment is not None else [])]
         return f"less the mean of its combination{f' and what {enumerated(parts)} add to it' if parts else ''}"
 
     @cached_property
@@ -256,10 +255,15 @@ class Material:
         return {status: int(found.get(status.value, 0)) for status in RunStatus}
 
     @cached_property
-    def is_simulated(self) -> bool:
-        """Whether some of its measures come from simulated sensors or estimating models."""
-        badges = origin_badges(*(column.origin for column in self.results.columns.values()))
-        return any(badge.text in {"simulated", "estimated"} for badge in badges)
+    def origins(self) -> Mapping[str, Sequence[str]]:
+        """The measures whose values were not, or not always, measured, by the word for it, as in `simulated`."""
+        found: dict[str, list[str]] = {}
+        for name in self.results.measures:
+            column = self.results.columns[name]
+            # Which robot executed a run comes from no sensor, whatever kind of robot that was.
+            for badge in origin_badges(column.origin) if column.owner != ROBOTS_OWNER else ():
+                found.setdefault(badge.text, []).append(name)
+        return found
 
     def manifest(self, *keys: str, default: Any = None) -> Any:
         """Return what the manifest says under these keys, one within the other."""

@@ -19,7 +19,7 @@ from robot_runner.analysis.report.material import JOINT, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, stills_part, trajectory_part
 from robot_runner.analysis.wording import RHO, difference_unit, shown_number, with_unit
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,10 +53,11 @@ def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlo
 
 def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -> FigureBlock:
     """Return the figure of a measure over the order of execution, or of the table where that is not known."""
+    within = f" within {enumerated(drift.within)}" if drift.within else ""
     return FigureBlock(
         f"order {measure.name}",
-        f"{measure.name} over the {material.order_of_runs}: each run {material.residual_in_words(measure)}. Dashed: "
-        f"slope of Theil and Sen, {with_unit(drift.slope, difference_unit(measure.unit), 3)} a run "
+        f"{measure.name} over the {material.order_of_runs}{within}: each run {material.residual_in_words(measure)}. "
+        f"Dashed: slope of Theil and Sen, {with_unit(drift.slope, difference_unit(measure.unit), 3)} a run "
         f"(Spearman's {RHO} = {shown_number(drift.correlation, 3)}).",
         f"Residuals of {measure.name} over the {material.order_of_runs}.",
         lambda: draw_run_order(
@@ -65,7 +66,7 @@ def drift_figure(material: Material, measure: MeasureStatistics, drift: Drift) -
             [material.labels[run_id] for run_id in drift.run_ids],
             order=material.order,
             value_label=material.results.label(measure.name),
-            place_label=f"Place in the {material.order_of_runs}",
+            place_label=f"Place in the {material.order_of_runs}{within}",
             slope=drift.slope,
         ),
     )

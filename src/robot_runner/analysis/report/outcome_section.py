@@ -25,7 +25,7 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.material import by_plugin
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
-from robot_runner.analysis.wording import MISSING, NUMBER, listed
+from robot_runner.analysis.wording import MISSING, kind_of, listed
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.words import counted, shown_duration
@@ -121,10 +121,10 @@ def _run_table(material: Material) -> Table:
 
 
 def _value_table(material: Material) -> Table:
-    """Return the values that are not good; reasons that differ in numbers alone are told once."""
+    """Return the values that are not good; reasons of one kind are told once."""
     groups: dict[tuple[str, str, str], list[tuple[str, str]]] = {}
     for run, measure, quality, reasons in material.doubted.itertuples(index=False):
-        groups.setdefault((measure, str(quality), NUMBER.sub("#", reasons)), []).append((str(run), reasons))
+        groups.setdefault((measure, str(quality), kind_of(reasons, run)), []).append((str(run), reasons))
 
     def reason(group: tuple[str, str, str]) -> str:
         told = list(dict.fromkeys(reasons for _, reasons in groups[group]))

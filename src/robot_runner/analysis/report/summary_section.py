@@ -20,6 +20,7 @@ from robot_runner.analysis.report.blocks import (
 )
 from robot_runner.analysis.report.material import JOINT
 from robot_runner.analysis.report.tables import Field, build_table, field, text
+from robot_runner.analysis.statistics.outcome import Proportion
 from robot_runner.analysis.wording import MISSING, TIMES, listed, shown_number
 from robot_runner.core.storage.cells import RunStatus
 
@@ -140,26 +141,34 @@ _MOST_GROUPS = 6
 
 def means_table(material: Material, name: str) -> Iterator[Table]:
     """Yield the means of all measures beside each other, where there are few enough treatments."""
-    groups = {
-        measure.name: {each.label: each for each in measure.by_combination or measure.by_treatment}
-        for measure in material.statistics.measures
-        if measure.overall is not None and measure.overall.n
+    described = {measure.name: measure.proportions or measure for measure in material.statistics.measures}
+    groups: dict[str, dict[str, Description | Proportion]] = {
+        name: {each.label: each for each in of.by_combination or of.by_treatment}
+        for name, of in described.items()
+        if of.overall is not None and of.overall.n
     }
-    names = [name for name in material.order if any(name in described for described in groups.values())]
+    names = [name for name in material.order if any(name in each for each in groups.values())]
     if not groups or not 1 < len(names) <= _MOST_GROUPS:
         return
 
     def means(treatment: str) -> Field:
         return field(treatment, lambda measure: _mean(groups[measure].get(treatment)), is_number=True)
 
-    caption = f"Means by {JOINT.join(material.factors)}."
+    are_answers = {isinstance(each, Proportion) for of in groups.values() for each in of.values()}
+    what = "Means and proportions" if len(are_answers) > 1 else "Proportions" if True in are_answers else "Means"
+    caption = f"{what} by {JOINT.join(material.factors)}."
     without = any(measure.left_out for measure in material.statistics.measures)
     runs = f"runs that are done{', but for values that the analysis leaves out,' if without else ','}"
-    note = f"Mean of the {runs} and their standard deviation (± SD)."
+    note = f"Mean of the {runs} and their standard deviation (± SD)." if False in are_answers else ""
+    if True in are_answers:
+        note = f"{note} Of a measure that is yes or no, how many of the {runs} say yes.".strip()
     yield build_table(name, caption, groups, (text("Measure", material.results.label), *map(means, names)), note)
 
 
-def _mean(group: Description | None) -> Cell:
+def _mean(group: Description | Proportion | None) -> Cell:
+    if isinstance(group, Proportion):
+        told = MISSING if group.percent is None else f"{shown_number(group.percent)} % ({group.count} of {group.n})"
+        return Cell(group.percent, told)
     if group is None or group.mean is None:
         return Cell(None, MISSING)
     spread = "" if group.sd is None else f" ± {shown_number(group.sd, 2)}"

@@ -255,13 +255,16 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
 
 
 def _about_brackets(post_hoc: PostHoc) -> str:
-    """Return what the intervals of pairs are, and of which effect sizes they have another level."""
-    pairs = post_hoc.comparisons
-    level = next((shown_level(pair.interval.level) for pair in pairs if pair.interval is not None), "")
-    sizes = ((size.name, size.interval) for pair in pairs for size in pair.effect_sizes if size.interval is not None)
-    others = {name: other for name, of in sizes if (other := shown_level(of.level)) != level}
-    besides = f" ({', '.join(f'{other} for {name}' for name, other in others.items())})" if others else ""
-    return f"{level} confidence intervals{besides}, in brackets, belong to p.".lstrip()
+    """Return what the intervals of pairs are."""
+    intervals = (pair.interval for pair in post_hoc.comparisons if pair.interval is not None)
+    level = next((shown_level(each.level) for each in intervals), "")
+    # Nobody inverts exact tests of differences: of proportions it is the test that decides.
+    belong = (
+        "say how large differences may be; p decides whether there is one"
+        if post_hoc.quantity == QUANTITY
+        else "belong to p"
+    )
+    return f"{level} confidence intervals, in brackets, {belong}.".lstrip()
 
 
 def _size_fields(name: str) -> tuple[Field, ...]:

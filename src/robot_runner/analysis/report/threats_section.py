@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from robot_runner.analysis.report.blocks import Block, Gallery, Paragraph, Remark, Remarks, Section, Tone
 from robot_runner.analysis.report.design_section import shown_stamp
 from robot_runner.analysis.report.machine_threats import machine_threats
-from robot_runner.analysis.report.material import by_plugin, origin_badges
+from robot_runner.analysis.report.material import by_plugin
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
 from robot_runner.analysis.statistics.analysed_design import has_known_order
 from robot_runner.analysis.statistics.disclosed import Beside
 from robot_runner.analysis.statistics.experiment_statistics import order_warnings, planned_warnings
-from robot_runner.analysis.wording import NUMBER, listed, sentence, shown_number
+from robot_runner.analysis.wording import kind_of, listed, sentence, shown_number
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.secret_names import shown_settings
@@ -257,10 +257,10 @@ def _unfinished(material: Material) -> Threats:
         text = f"{counted(left, 'run')} of {len(material.runs):,} {_are(left)} still to do."
         yield "The experiment is not complete", text, Tone.WARNING
     attempts = material.results.attempts
-    again = attempts.loc[attempts["attempt"] > 1, "run_id"].unique()
+    again = attempts.loc[(attempts["attempt"] > 1) & attempts["run_id"].isin(material.done[RUN_ID]), "run_id"].unique()
     if len(again):
         text = f"{listed(again)}: results are those of the last attempt, at another time than planned."
-        yield "Runs were executed more than once", text, Tone.NOTE
+        yield "Runs took more than one attempt", text, Tone.NOTE
     for name in material.results.measures:
         mine = material.doubted["measure"] == name
         missing = int((mine & (material.doubted["quality"] == Quality.MISSING.value)).sum())
@@ -304,11 +304,11 @@ def _circumstances(material: Material) -> Threats:
 
 
 def _odd(material: Material) -> Threats:
-    """Yield what plugins found odd; what differs in numbers alone is said once."""
+    """Yield what plugins found odd; what is of one kind is said once."""
     groups: dict[tuple[str, str], list[tuple[str, str, str]]] = {}
     frame = material.results.odd
     for run, owner, problem, fix in frame[["run_id", "owner", "problem", "fix"]].itertuples(index=False):
-        key = (str(owner), NUMBER.sub("#", str(problem)))
+        key = (str(owner), kind_of(str(problem), str(run)))
         groups.setdefault(key, []).append((str(run), str(problem), str(fix or "")))
     for (owner, _), members in groups.items():
         runs = listed(dict.fromkeys(run for run, _, _ in members))
@@ -349,11 +349,7 @@ def _unread(material: Material) -> Threats:
 
 
 def _origins(material: Material) -> Threats:
-    by_word: dict[str, list[str]] = {}
-    for name in material.results.measures:
-        for badge in origin_badges(material.results.columns[name].origin):
-            by_word.setdefault(badge.text, []).append(name)
-    for word, names in by_word.items():
+    for word, names in material.origins.items():
         come, were = ("comes", "was") if len(names) == 1 else ("come", "were")
         text = {
             "simulated": f"{come} from simulated sensors: not evidence about a real robot.",

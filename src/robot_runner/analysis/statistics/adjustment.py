@@ -6,8 +6,6 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from scipy import stats
-
 from robot_runner.analysis.statistics.analysed_design import VALUE
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.disclosed import AdjustedMean, Adjustment, Slope
@@ -86,7 +84,7 @@ def _slope(
 
 
 def _interval(found: Contrast, alpha: float) -> Interval:
-    reach = float(found.error) * float(stats.t.ppf(1 - alpha / 2, float(found.freedom)))
+    reach = found.reach(alpha)
     return Interval(float(found.estimate) - reach, float(found.estimate) + reach, 1 - alpha, "t distribution")
 
 

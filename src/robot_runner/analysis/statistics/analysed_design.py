@@ -11,7 +11,6 @@ import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.design_structure import are_complete, treatments_before, with_structure
-from robot_runner.analysis.statistics.designed_columns import designed_columns
 from robot_runner.analysis.statistics.known_design import PLAIN, KnownDesign, role_column
 from robot_runner.analysis.statistics.outcome import DesignSummary
 from robot_runner.core.design.analysis_plan import ELAPSED, ORDER
@@ -168,35 +167,6 @@ class MeasureData:
             for first, rows in zip((0, *starts), np.split(order, starts), strict=True)
             if len(rows)
         ]
-
-    def residuals(self) -> NDArray[np.float64]:
-        """Return each value less the mean of its combination, and less what its batch and covariates add, if any.
-
-        Of a design of its own it is what its effects and blocks leave.
-        """
-        if not self.known.is_plain:
-            levels = {name: self.levels(name) for name in self.factors}
-            columns = designed_columns(self.frame, levels, list(map(role_column, self.known.columns)), self.known)
-            return np.asarray(self.values - columns @ np.linalg.lstsq(columns, self.values)[0], dtype=np.float64)
-        if not (self.is_extended or self.covariates):
-            if not self.factors:
-                return np.asarray(self.values - np.mean(self.values), dtype=np.float64)
-            grouped = self.frame.groupby(list(self.factors), observed=True)[VALUE]
-            return np.asarray(self.frame[VALUE] - grouped.transform("mean"), dtype=np.float64)
-        cells = (
-            self.frame.groupby(list(self.factors), observed=True).ngroup()
-            if self.factors
-            else np.zeros(len(self.frame))
-        )
-        parts = [pd.get_dummies(pd.Series(cells)).to_numpy(dtype=np.float64)]
-        if self.is_extended:
-            parts.append(pd.get_dummies(self.frame[BATCH].astype(str)).to_numpy(dtype=np.float64))
-        for name in self.covariates:
-            values = self.covariate(name)
-            if np.isfinite(values).all() and np.ptp(values) > 0:
-                parts.append(((values - values.mean()) / np.ptp(values))[:, None])
-        told = np.column_stack(parts)
-        return np.asarray(self.values - told @ np.linalg.lstsq(told, self.values)[0], dtype=np.float64)
 
 
 def _group(treatments: dict[str, str], values: NDArray[np.float64], run_ids: NDArray[np.object_]) -> Group:

@@ -37,6 +37,7 @@ def normality(
     treatments: Mapping[str, str] | None = None,
     *,
     subject: str = "the residuals",
+    freedom: int | None = None,
 ) -> AssumptionCheck | NotComputed:
     """Check by Shapiro and Wilk's test whether values may come from a normal distribution.
 
@@ -45,6 +46,7 @@ def normality(
         alpha: below this p-value they are taken not to.
         treatments: the group; empty for residuals.
         subject: what the values are, where they are no group's.
+        freedom: how many of the values are free to differ; None for all.
 
     Example:
         >>> normality(np.array([4.1, 5.0, 5.2, 5.9, 6.3]), alpha=0.05).holds
@@ -54,6 +56,8 @@ def normality(
     what = f"{SHAPIRO_WILK} test of {' / '.join(group.values()) or subject}"
     if len(values) < _LEAST:
         return NotComputed(what, f"the test takes {_LEAST} values, and there {_are(len(values))}.")
+    if freedom is not None and freedom < _LEAST:
+        return NotComputed(what, f"with fewer than {_LEAST} degrees of freedom their design fixes what they look like.")
     if len(values) > _MOST:
         return NotComputed(what, f"the test's p-value holds for up to {_MOST} values, and there are {len(values)}.")
     if np.ptp(values) == 0:

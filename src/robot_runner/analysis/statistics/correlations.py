@@ -9,10 +9,12 @@ from itertools import combinations, permutations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 from robot_runner.analysis.statistics.analysed_design import PLACE, VALUE
 from robot_runner.analysis.statistics.descriptive import quiet
+from robot_runner.analysis.statistics.designed_columns import grouped, residuals_of
 from robot_runner.analysis.statistics.effect_sizes import correlation_magnitude
 from robot_runner.analysis.statistics.outcome import Correlation, Drift
 from robot_runner.analysis.statistics.post_hoc import adjusted
@@ -20,9 +22,10 @@ from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.statistics.theil_sen import theil_sen
 from robot_runner.analysis.wording import difference_unit, p_in_words, with_unit
 from robot_runner.core.design.columns import RUN_ID
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -102,7 +105,7 @@ def _orders(count: int) -> NDArray[np.intp]:
 
 def _within(first: MeasureData, second: MeasureData) -> float | None:
     """Return Pearson's r of what is left of both once the means of the combinations are taken away."""
-    residuals = [dict(zip(data.frame[RUN_ID], data.residuals(), strict=True)) for data in (first, second)]
+    residuals = [dict(zip(data.frame[RUN_ID], residuals_of(data)[0], strict=True)) for data in (first, second)]
     shared = [run_id for run_id in residuals[0] if run_id in residuals[1]]
     x, y = (np.array([each[run_id] for run_id in shared]) for each in residuals)
     if not first.factors or _is_flat(x, first.values) or _is_flat(y, second.values):
@@ -116,6 +119,7 @@ def _is_flat(residuals: NDArray[np.float64], values: NDArray[np.float64]) -> boo
 
 
 _DRIFT_LEAST = 6  # with fewer runs no order can be significant
+_DIGITS = 9  # of places within blocks, whose means are fractions
 _TIED = 1e-9  # residuals closer than this share of the largest have one rank
 
 
@@ -128,26 +132,37 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
         unit: the measure's unit, for the sentence.
         is_ordered: whether runs tell when they were executed; else the order of the table is that of the sentence.
     """
-    if len(data.frame) < _DRIFT_LEAST:
-        return NotComputed(
-            "drift over the order of execution", f"the test of a drift takes {_DRIFT_LEAST} runs with a value."
-        )
-    order = np.argsort(data.frame[PLACE].to_numpy())
-    places = data.frame[PLACE].to_numpy(dtype=np.float64)[order]
-    residuals = data.residuals()[order]
+    what, within = "drift over the order of execution", tuple(grouped(data))
+    places, freedom = data.frame[PLACE].to_numpy(dtype=np.float64), len(data.frame) - 1
+    if within:
+        # Residuals of blocks rise and fall with each: what the model takes out of values it takes out of the order.
+        left, freedom = residuals_of(data, places)
+        places = np.round(left - left.min(), _DIGITS) + 1
+    if freedom + 1 < _DRIFT_LEAST:
+        beside = " beside those that its model takes" if within else ""
+        return NotComputed(what, f"the test of a drift takes {_DRIFT_LEAST} runs with a value{beside}.")
+    order = np.argsort(places, kind="stable")
+    places, residuals = places[order], residuals_of(data)[0][order]
+    if np.ptp(places) == 0:
+        return NotComputed(what, "the model takes out what tells the order, such as rows and columns.")
     if _is_flat(residuals, data.values):
-        return NotComputed("drift over the order of execution", "within each combination all values are equal.")
+        return NotComputed(what, "within each combination all values are equal.")
     step = _TIED * float(np.max(np.abs(residuals)))
     tied = np.round(residuals / step) * step  # equal values that differ by what subtracting their means left behind
     with quiet():
         rho, p_value = spearman(places, tied)
+        if within:  # so many runs are left to go their own way
+            t_value = abs(rho) * np.sqrt((freedom - 1) / np.maximum(1 - rho**2, 0.0))
+            p_value = float(2 * stats.t.sf(t_value, freedom - 1))
         slope = theil_sen(places, tied, _LEVEL)
     if not np.isfinite(p_value):
-        return NotComputed("drift over the order of execution", "the values hardly vary.")
+        return NotComputed(what, "the values hardly vary.")
+    over = "order of execution" if is_ordered else "order of the table, which may be another than that of execution,"
+    over += f" within {enumerated(within)}" if within else ""
     is_significant = bool(p_value < alpha)
-    is_confounded = _are_treatments_uneven(data, alpha)
+    is_confounded = _are_treatments_uneven(data, dict(zip(order, places, strict=True)), alpha)
     return Drift(
-        places=tuple(int(place) for place in places),
+        places=tuple(map(round, places.tolist())),
         residuals=tuple(map(float, residuals)),
         run_ids=tuple(data.frame[RUN_ID].to_numpy()[order]),
         correlation=rho,
@@ -156,22 +171,21 @@ def drift_of(data: MeasureData, alpha: float, unit: str = "", *, is_ordered: boo
         slope_interval=Interval(slope.low, slope.high, _LEVEL, "Theil-Sen"),
         is_significant=is_significant,
         is_confounded=is_confounded,
-        warning=_warning(data.name, unit, (slope.slope, rho, p_value), is_confounded, is_ordered)
-        if is_significant
-        else "",
+        warning=_warning(data.name, unit, (slope.slope, rho, p_value), is_confounded, over) if is_significant else "",
+        within=within,
     )
 
 
-def _are_treatments_uneven(data: MeasureData, alpha: float) -> bool:
+def _are_treatments_uneven(data: MeasureData, places: Mapping[int, float], alpha: float) -> bool:
     """Return whether some treatments were executed rather earlier than others (Kruskal-Wallis test of the places)."""
-    by_factor = (data.frame.groupby(factor, observed=True)[PLACE] for factor in data.factors)
+    by_row = pd.Series(places).sort_index()
+    by_factor = (by_row.groupby(data.frame[factor], observed=True) for factor in data.factors)
     with quiet():
         return any(stats.kruskal(*(rows.to_numpy() for _, rows in places)).pvalue < alpha for places in by_factor)
 
 
-def _warning(measure: str, unit: str, found: tuple[float, float, float], is_confounded: bool, is_ordered: bool) -> str:
+def _warning(measure: str, unit: str, found: tuple[float, float, float], is_confounded: bool, order: str) -> str:
     slope, rho, p_value = found
-    order = "order of execution" if is_ordered else "order of the table, which may be another than that of execution,"
     # Of values most of which are alike, such as counts, most slopes of pairs are 0, and the median tells no direction.
     amount = f" by about {with_unit(abs(slope), difference_unit(unit))} a run" if slope else ""
     figures = f"rho = {rho:.2f}, {p_in_words(p_value)}"

@@ -1,4 +1,4 @@
-"""The columns of a design's model as they are, of any rank: to see what is left beside effects and blocks."""
+"""What the model of a design leaves of values, beside its effects and blocks: columns as they are, of any rank."""
 
 from __future__ import annotations
 
@@ -6,18 +6,23 @@ from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from robot_runner.analysis.statistics.effect_coding import coded_columns
+from robot_runner.analysis.statistics.known_design import before_column, role_column
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
-    import pandas as pd
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
-    from robot_runner.analysis.statistics.known_design import KnownDesign
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
 
     Floats = NDArray[np.float64]
+
+
+#: Of columns of about 1: less is what rounding leaves of those that the groups tell.
+_ROUNDING = 1e-9
 
 
 def numbers_of_levels(levels: Sequence[str]) -> list[float] | None:
@@ -34,27 +39,110 @@ def numbers_of_levels(levels: Sequence[str]) -> list[float] | None:
     return found if np.isfinite(found).all() else None
 
 
-def designed_columns(
-    frame: pd.DataFrame, factors: Mapping[str, Sequence[str]], blocks: Sequence[str], known: KnownDesign
-) -> Floats:
-    """Return the columns of a constant, of effects and of blocks, (runs, columns).
+def carried_over(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]], beside: Floats) -> Floats | None:
+    """Return the columns of the treatment before, 0 in the first period; None where others tell a part of them.
 
     Args:
-        frame: the runs; factors and blocks are texts.
+        frame: the runs.
         factors: the treatments of each factor.
-        blocks: the columns that are blocks, whole plots among them.
-        known: the design.
+        beside: the columns of the constant, of blocks and of main effects.
     """
+    parts = []
+    for name, levels in factors.items():
+        before = frame[before_column(name)].astype(str)
+        known = before.isin(levels).to_numpy()
+        codes = before.map({text: place for place, text in enumerate(levels)}).fillna(0).to_numpy(int)
+        parts.append(coded_columns({name: codes}, {name: len(levels)}, (name,)) * known[:, None])
+    columns = np.column_stack(parts)
+    told = _rank(np.column_stack([beside, columns])) - _rank(beside)
+    return columns if told == columns.shape[1] else None
+
+
+def grouped(data: MeasureData) -> dict[str, NDArray[np.str_]]:
+    """Return what the model of a design takes out of values as a whole, by name: blocks, whole plots, batches.
+
+    What is left lies within each, and so does the order of execution that it is compared with. Where a factor differs
+    between the blocks of a factorial, it is compared with how these vary: they are not taken out.
+    """
+    batches = {"batches": _texts(data.batches)} if data.is_extended else {}
+    if data.known.is_plain:
+        return batches | ({"blocks": data.blocks} if data.is_blocked and _is_within(data) else {})
+    found = {name: _texts(data.frame[role_column(name)]) for name in data.known.blocks}
+    found |= {data.known.whole_plot: _texts(data.plots)} if data.known.whole_plot else {}
+    return found | batches
+
+
+def _is_within(data: MeasureData) -> bool:
+    """Return whether all differences of combinations show within blocks."""
+    cells, number = _cells(data), len(data.frame)
+    _, freedom = _left_beside([cells, data.blocks], (), np.zeros(number))
+    return number - freedom == len(set(cells)) + len(set(data.blocks)) - 1
+
+
+def _cells(data: MeasureData) -> NDArray[np.str_]:
+    """Return the combination of each run."""
+    if not data.factors:
+        return _texts(np.zeros(len(data.frame)))
+    return _texts(data.frame.groupby(list(data.factors), observed=True).ngroup())
+
+
+def _left_beside(groups: Iterable[NDArray[np.str_]], columns: Sequence[Floats], values: Floats) -> tuple[Floats, int]:
+    """Return what is left of values, by least squares, beside groups and columns of any rank; and how freely it varies.
+
+    The means of the most groups are taken away, so that no more than the others have columns.
+    """
+    most, *others = sorted([_texts(np.zeros(len(values))), *groups], key=lambda each: -len(set(each)))
+    both = np.column_stack([*map(_dummies, others), *columns, values])
+    left = both - pd.DataFrame(both).groupby(most).transform("mean").to_numpy()
+    beside, rest = left[:, :-1], left[:, -1]
+    beside = beside[:, np.max(np.abs(beside), axis=0, initial=0.0) > _ROUNDING]
+    rank = _rank(beside) if beside.size else 0
+    freedom = len(values) - len(set(most)) - rank
+    return rest - beside @ np.linalg.lstsq(beside, rest)[0] if rank else rest, freedom
+
+
+def residuals_of(data: MeasureData, values: Floats | None = None) -> tuple[Floats, int]:
+    """Return what the model of a measure's design leaves of each run's value (or another number), and how freely.
+
+    A factorial has a mean for each combination, a design of its own its effects; blocks, batches and covariates add to
+    either what they add.
+    """
+    values = data.values if values is None else values  # noqa: PD011 - no data frame
+    told = [data.covariate(name) for name in data.covariates]
+    columns = [each - each.mean() for each in told if np.isfinite(each).all() and np.ptp(each) > 0]
+    beside = [(each / np.ptp(each))[:, None] for each in columns]
+    groups = grouped(data)
+    if data.known.is_plain:
+        return _left_beside([_cells(data), *groups.values()], beside, values)
+    every, main = _effects(data, np.column_stack([np.ones(len(values)), *map(_dummies, groups.values()), *beside]))
+    found = _left_beside(groups.values(), [*beside, *every], values)
+    return found if found[1] > 0 else _left_beside(groups.values(), [*beside, *main], values)
+
+
+def _texts(values: ArrayLike) -> NDArray[np.str_]:
+    return np.asarray(values).astype(str)
+
+
+def _rank(columns: Floats) -> int:
+    return int(np.linalg.matrix_rank(columns))
+
+
+def _dummies(texts: NDArray[np.str_]) -> Floats:
+    names, code = np.unique(texts, return_inverse=True)
+    return np.asarray(np.eye(len(names))[code])
+
+
+def _effects(data: MeasureData, beside: Floats) -> tuple[list[Floats], list[Floats]]:
+    """Return the columns of all effects that the model has, and without interactions, for which runs may be too few."""
+    frame, known = data.frame, data.known
+    factors = {name: data.levels(name) for name in data.factors}
     codes = {
         name: frame[name].astype(str).map({text: place for place, text in enumerate(levels)}).to_numpy(int)
         for name, levels in factors.items()
     }
     sizes = {name: len(levels) for name, levels in factors.items()}
     numbers = {name: numbers_of_levels(levels) for name, levels in factors.items()}
-    parts: list[Floats] = [np.ones((len(frame), 1))]
-    for name in blocks:
-        _, code = np.unique(frame[name].astype(str), return_inverse=True)
-        parts.append(np.eye(int(code.max()) + 1)[code])
+    parts: list[Floats] = []
     numeric = {name: np.array(each)[codes[name]] for name, each in numbers.items() if each is not None}
     if known.is_surface:
         scaled = {name: (each - each.mean()) / max(float(np.ptp(each)), 1e-300) for name, each in numeric.items()}
@@ -63,6 +151,8 @@ def designed_columns(
         if 1 + len(scaled) + len(pairs) < len(frame):
             parts += [(scaled[one] * scaled[other])[:, None] for one, other in pairs]
     terms = known.terms or tuple((name,) for name in factors if not (known.is_surface and name in numeric))
-    told = [coded_columns(codes, sizes, term) for term in terms if set(term) <= set(factors)]
-    main = [each for each, term in zip(told, terms, strict=False) if len(term) == 1]
-    return np.column_stack(parts + (told if sum(each.shape[1] for each in told) < len(frame) / 2 else main))
+    told = {term: coded_columns(codes, sizes, term) for term in terms if set(term) <= set(factors)}
+    main = [each for term, each in told.items() if len(term) == 1]
+    before = carried_over(frame, factors, np.column_stack([beside, *main])) if known.carry_over and factors else None
+    parts += [] if before is None else [before]
+    return [*parts, *told.values()], [*parts, *main]

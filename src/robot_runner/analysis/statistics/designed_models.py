@@ -16,9 +16,9 @@ import pandas as pd
 from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, covariate_column
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS, relative_ranks
 from robot_runner.analysis.statistics.cell_means import CellMeans
-from robot_runner.analysis.statistics.designed_columns import numbers_of_levels
+from robot_runner.analysis.statistics.designed_columns import carried_over, numbers_of_levels
 from robot_runner.analysis.statistics.effect_coding import coded_columns, mean_squares, term_size
-from robot_runner.analysis.statistics.known_design import before_column, role_column
+from robot_runner.analysis.statistics.known_design import role_column
 from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
 from robot_runner.analysis.statistics.listed_cells import listed_layout
 from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataModel, fit_strata
@@ -201,18 +201,9 @@ class _Fitting:
     # Crossover.
 
     def _carried_over(self, blocks: Floats) -> Floats | None:
-        """Return the columns of the treatment before, 0 in the first period; None where blocks tell them."""
-        parts = []
-        for name, levels in self.factors.items():
-            before = self.data.frame[before_column(name)].astype(str)
-            known = before.isin(levels).to_numpy()
-            codes = before.map({text: place for place, text in enumerate(levels)}).fillna(0).to_numpy(int)
-            parts.append(coded_columns({name: codes}, {name: len(levels)}, (name,)) * known[:, None])
-        columns = np.column_stack(parts)
+        """Return the columns of the treatment before; None where blocks tell them."""
         main = [each.columns for each in self._hypotheses(tuple((name,) for name in self.factors)).values()]
-        others = np.column_stack([np.ones(len(columns)), blocks, *main])
-        told = np.linalg.matrix_rank(np.column_stack([others, columns])) - np.linalg.matrix_rank(others)
-        return columns if told == columns.shape[1] else None
+        return carried_over(self.data.frame, self.factors, np.column_stack([np.ones(len(blocks)), blocks, *main]))
 
     def _carry_over_in_words(self, before: Floats, blocks: Floats, terms: tuple[Term, ...]) -> str:
         """Say how large the carry-over is, beside everything else; nothing is chosen by it."""

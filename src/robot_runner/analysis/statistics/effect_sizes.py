@@ -162,7 +162,7 @@ def _root(function: Callable[[float], float], start: float, step: float, least: 
     return None
 
 
-def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]]) -> EffectSize | None:
+def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]], level: float = _LEVEL) -> EffectSize | None:
     """Return Cliff's delta: how much more often the first group's value is the larger of a pair than the smaller.
 
     Its interval is the asymmetric one of Feng and Cliff (Monte Carlo Evaluation of Ordinal d with Improved Confidence
@@ -171,6 +171,7 @@ def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]]) -> EffectSize | None:
     Args:
         pairs: the values of the first and the second group, once for each combination of the other factors; delta is
             the mean over these.
+        level: the confidence.
 
     Example:
         >>> round(cliffs_delta([(np.array([10.0, 20.0]), np.array([20.0, 30.0]))]).value, 3)
@@ -180,7 +181,7 @@ def cliffs_delta(pairs: Sequence[tuple[Floats, Floats]]) -> EffectSize | None:
     if not pairs:
         return None
     value = float(np.mean([_dominances(*pair).mean() for pair in pairs]))
-    return _ROMANO.size("Cliff's delta", value, _delta_interval(pairs, value))
+    return _ROMANO.size("Cliff's delta", value, _delta_interval(pairs, value, level))
 
 
 def vargha_delaney(delta: EffectSize) -> EffectSize:
@@ -194,7 +195,7 @@ def vargha_delaney(delta: EffectSize) -> EffectSize:
     return _VARGHA.size("Vargha-Delaney A12", (delta.value + 1) / 2, interval, neutral=0.5)
 
 
-def paired_rank_biserial(differences: Floats) -> EffectSize | None:
+def paired_rank_biserial(differences: Floats, level: float = _LEVEL) -> EffectSize | None:
     """Return the matched-pairs rank-biserial correlation (Kerby, The Simple Difference Formula, 2014)."""
     nonzero = differences[differences != 0]
     if not len(nonzero):
@@ -204,7 +205,9 @@ def paired_rank_biserial(differences: Floats) -> EffectSize | None:
         ranks = stats.rankdata(np.abs(of), axis=axis)
         return np.sum(ranks * np.sign(of), axis=axis) / np.sum(ranks, axis=axis)
 
-    return _COHEN_R.size("rank-biserial correlation", float(share(nonzero)), bootstrap_interval((nonzero,), share))
+    return _COHEN_R.size(
+        "rank-biserial correlation", float(share(nonzero)), bootstrap_interval((nonzero,), share, level=level)
+    )
 
 
 def correlation_magnitude(value: float) -> Magnitude:
@@ -222,21 +225,21 @@ def _dominances(of: Floats, over: Floats) -> Floats:
     return (above - (len(others) - not_below)) / len(others)
 
 
-def _delta_interval(pairs: Sequence[tuple[Floats, Floats]], delta: float) -> Interval | None:
+def _delta_interval(pairs: Sequence[tuple[Floats, Floats]], delta: float, level: float) -> Interval | None:
     method = "Feng and Cliff 2004"
     sizes = [(len(one), len(other)) for one, other in pairs]
     if min(map(min, sizes)) < _LEAST_FOR_SPREAD:
         return None
-    z = float(stats.norm.ppf(1 - (1 - _LEVEL) / 2))
+    z = float(stats.norm.isf((1 - level) / 2))
     if abs(delta) == 1:
         smaller = min(sum(size[side] for size in sizes) for side in (0, 1))
         inner = max(0.0, (smaller - z**2) / (smaller + z**2))
-        return Interval(min(inner * delta, delta), max(inner * delta, delta), _LEVEL, method)
-    t = float(stats.t.ppf(1 - (1 - _LEVEL) / 2, sum(n + m - 2 for n, m in sizes)))
+        return Interval(min(inner * delta, delta), max(inner * delta, delta), level, method)
+    t = float(stats.t.isf((1 - level) / 2, sum(n + m - 2 for n, m in sizes)))
     variance = sum(_delta_variance(*pair) for pair in pairs) / len(pairs) ** 2
     root = t * math.sqrt(variance) * math.sqrt((1 - delta**2) ** 2 + t**2 * variance)
     scale = 1 - delta**2 + t**2 * variance
-    return Interval((delta - delta**3 - root) / scale, (delta - delta**3 + root) / scale, _LEVEL, method)
+    return Interval((delta - delta**3 - root) / scale, (delta - delta**3 + root) / scale, level, method)
 
 
 def _delta_variance(one: Floats, other: Floats) -> float:

@@ -67,8 +67,8 @@ def analyse(
             results that were made elsewhere, say.
 
     Raises:
-        AnalysisError: there is no such measure, alpha is no probability, the correction is none, or the plan has names
-            that the results lack.
+        AnalysisError: there is no such measure, alpha is not between 0 and 0.5, the correction is none, or the plan has
+            names that the results lack.
 
     Example:
         >>> from robot_runner.analysis import analyse, load_results
@@ -80,8 +80,10 @@ def analyse(
     chosen_alpha = alpha if alpha is not None else plan.alpha if plan else _ALPHA
     chosen_correction = correction or (plan.correction if plan else Correction.HOLM)
     require_choice(chosen_correction, Correction, "correction", "analyse")
-    if not 0 < chosen_alpha < 1:
-        raise AnalysisError(f"alpha is {chosen_alpha!r}", where="analyse", fix="Give a number between 0 and 1.")
+    if not 0 < chosen_alpha < 0.5:  # noqa: PLR2004 - 1 - 2 alpha is a level of confidence
+        meant = f"Give one below 0.5: {1 - chosen_alpha:.3g} for a confidence of {chosen_alpha:.3g}."
+        fix = meant if 0 < chosen_alpha < 1 else "Give a number between 0 and 1."
+        raise AnalysisError(f"alpha is {chosen_alpha!r}", where="analyse", fix=fix)
     kept = plan if plan is not None and (chosen_alpha, chosen_correction) == (plan.alpha, plan.correction) else None
     planned = (*kept.measures, *kept.secondary) if kept is not None else ()
     design = design_of(results, blocks=kept.blocks if kept is not None else None)

@@ -74,7 +74,8 @@ def doubtful_values(design: Design, measure: str, doubtful: Sequence[str]) -> tu
 
 def _values_of(design: Design, measure: str, whys: Mapping[str, str], reason: Reason) -> tuple[LeftOut, ...]:
     data = design.data(measure) or design.answers(measure)
-    every = {} if data is None else dict(zip(data.every[RUN_ID], data.every[VALUE], strict=True))
+    known = None if data is None else data.every.dropna(subset=[VALUE])
+    every = {} if known is None else dict(zip(known[RUN_ID], known[VALUE], strict=True))
     return tuple(LeftOut(run_id, float(every[run_id]), reason, why) for run_id, why in whys.items() if run_id in every)
 
 

@@ -12,6 +12,7 @@ from robot_runner.analysis.statistics.assumptions import equal_variances, normal
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.correlations import drift_of
 from robot_runner.analysis.statistics.descriptive import describe, out_of_range
+from robot_runner.analysis.statistics.designed_columns import grouped, residuals_of
 from robot_runner.analysis.statistics.detectable_effect import power_of
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.analysis.statistics.known_precision import level_of_looks
@@ -127,7 +128,7 @@ def measure_statistics(
         by_treatment=tuple(each for factor in data.factors for each in _described(gathered, data, (factor,), looks)),
         by_combination=_described(gathered, data, data.factors, looks) if len(data.factors) > 1 else (),
         assumptions=_assumptions(gathered, data, choices.alpha),
-        quantiles=quantile_pairs(data.residuals(), tuple(data.frame[RUN_ID])),
+        quantiles=quantile_pairs(residuals_of(data)[0], tuple(data.frame[RUN_ID])),
         test=test,
         post_hoc=post_hoc,
         contrasts=tuple(each for each in contrasts if each is not None),
@@ -138,6 +139,7 @@ def measure_statistics(
         rule_false_positives=_rule_false_positives(every, plan, left_out),
         adjustment=adjustment,
         surface=model.surface(choices.alpha) if isinstance(model, SurfaceModel) else None,
+        kept_together=tuple(grouped(data)),
     )
 
 
@@ -213,7 +215,11 @@ def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None
 def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[AssumptionCheck, ...]:
     """Return how residuals are distributed, whether spreads differ, then how each group is distributed."""
     groups = data.groups(data.factors) if data.factors else []
-    all_groups = [normality(data.residuals(), alpha), equal_variances(groups, alpha)] if groups else []
+    all_groups: list[AssumptionCheck | NotComputed] = []
+    if groups:
+        left, freedom = residuals_of(data)
+        of_residuals = normality(left, alpha, freedom=freedom)
+        all_groups = [of_residuals, equal_variances(groups, alpha)]
     if len(groups) > _MOST_DESCRIBED:
         groups = []
     checks = [*all_groups, *(normality(group.values, alpha, group.treatments) for group in groups)]

@@ -125,15 +125,18 @@ class Proportions:
 class Drift:
     """Whether a measure drifts over the order of execution: is the battery or the room confounding?
 
-    Residuals (value less the mean of its combination) are compared with the place in the order of execution.
+    Residuals (value less what the model of the design tells) are compared with the place in the order of execution;
+    where the model takes out blocks, within these.
 
     Attributes:
         places: the place of each run in the order of execution, from 1; `residuals` and `run_ids` belong to it.
+            Within blocks it is what the model leaves of that, rounded, and the least is 1.
         correlation: Spearman's rho.
         slope: Theil-Sen slope, in the measure's unit a run.
         is_significant: whether the drift is not explained by chance at alpha.
         is_confounded: whether treatments are also unevenly spread over the order, so that drift may pass for an effect.
         warning: one sentence for the reader; empty where nothing was found.
+        within: the columns of the blocks that places are counted within.
     """
 
     places: tuple[int, ...]
@@ -146,6 +149,7 @@ class Drift:
     is_significant: bool
     is_confounded: bool
     warning: str
+    within: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +229,7 @@ class MeasureStatistics:
         adjustment: how the tests were adjusted for covariates; descriptions are of values as measured.
         surface: how it depends on factors that are numbers, where the design is one of a response surface.
         proportions: how often it is yes, where it is yes or no; the unit of it and of differences is percent then.
+        kept_together: the blocks and batches whose effects residuals are without.
     """
 
     name: str
@@ -248,6 +253,7 @@ class MeasureStatistics:
     adjustment: Adjustment | None = None
     surface: Surface | None = None
     proportions: Proportions | None = None
+    kept_together: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

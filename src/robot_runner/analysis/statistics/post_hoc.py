@@ -251,10 +251,10 @@ def _sizes(
     data = model.adjusted_data(data) if isinstance(model, AdjustedMeans) else data
     if data.is_blocked:
         differences = None if isinstance(model, FittedModel) else _within_blocks(data, pair)
-        size = None if differences is None else paired_rank_biserial(differences)
+        size = None if differences is None else paired_rank_biserial(differences, 1 - choices.alpha)
         yield from () if size is None else (size,)
         return
-    delta = cliffs_delta(list(_strata(data, pair)))
+    delta = cliffs_delta(list(_strata(data, pair)), 1 - choices.alpha)
     if delta is not None:
         yield delta
         yield vargha_delaney(delta)

@@ -10,7 +10,7 @@ nothing varies.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 #: What is compared, as the report names it.
 PROPORTION = "proportion"
 QUANTITY = "proportions, in percentage points"
+#: What decides on a pair, as on an effect; the interval says how large the difference may be.
+_METHOD = "exact tests, beside Newcombe's score intervals"
 _LEVEL = 0.95
 _STATISTIC = "Mantel-Haenszel \N{GREEK SMALL LETTER CHI}\N{SUPERSCRIPT TWO}"
 _PAIR = 2
@@ -272,40 +274,38 @@ def compare_proportions(data: MeasureData, choices: Choices, most_pairs: int) ->
             why = f"{counted(len(data.levels(factor)), 'treatment')} make {len(pairs):,} pairs: compare chosen ones."
             yield NotComputed(f"pairwise comparisons of {factor}", why)
             continue
-        shares = {pair: Strata.of(data, factor, pair).shares() for pair in pairs}
-        every = [_comparison(pair, *known, choices.alpha) for pair, known in shares.items() if known is not None]
-        after = adjusted([p_value for _, p_value in every], choices.correction)
+        tables = {pair: Strata.of(data, factor, pair) for pair in pairs}
+        known = {pair: shares for pair, table in tables.items() if (shares := table.shares()) is not None}
+        p_values = [tables[pair].p_value() for pair in known]
+        after = adjusted(p_values, choices.correction)
         told = tuple(
-            replace(each, adjusted_p_value=value, is_significant=value < choices.alpha)
-            for (each, _), value in zip(every, after, strict=True)
+            _comparison(pair, known[pair], each, value, choices.alpha)
+            for pair, each, value in zip(known, p_values, after, strict=True)
         )
         if told:
-            yield PostHoc((factor,), "Newcombe's score method", choices.correction, QUANTITY, told)
-        if apart := [" and ".join(pair) for pair, known in shares.items() if known is None]:
+            yield PostHoc((factor,), _METHOD, choices.correction, QUANTITY, told)
+        if apart := [" and ".join(pair) for pair in pairs if pair not in known]:
             why = f"no run of one differs from a run of the other in nothing but {factor}."
             yield NotComputed(f"comparisons of {listed(apart)}", why)
 
 
-def _comparison(pair: tuple[str, str], first: Share, second: Share, alpha: float) -> tuple[Comparison, float]:
-    """Return two treatments compared, and the p-value."""
-    difference = first.value - second.value
-    low, high = difference_ends(first, second, float(stats.norm.isf(alpha / 2)))
-    z = score_of(first, second)
-    p_value = min(1.0, 2 * float(stats.norm.sf(abs(z))))
-    compared = Comparison(
+def _comparison(
+    pair: tuple[str, str], shares: tuple[Share, Share], p_value: float, adjusted_p_value: float, alpha: float
+) -> Comparison:
+    low, high = difference_ends(*shares, float(stats.norm.isf(alpha / 2)))
+    return Comparison(
         *pair,
-        difference=100 * difference,
+        difference=100 * (shares[0].value - shares[1].value),
         interval=Interval(100 * low, 100 * high, 1 - alpha, "Newcombe's score interval"),
-        statistic_name="z",
-        statistic=z,
+        statistic_name="",
+        statistic=None,
         degrees_of_freedom=None,
         p_value=p_value,
-        adjusted_p_value=None,
-        is_significant=None,
+        adjusted_p_value=adjusted_p_value,
+        is_significant=adjusted_p_value < alpha,
         check_p_value=None,
         effect_sizes=(),
     )
-    return compared, p_value
 
 
 def difference_ends(first: Share, second: Share, z: float, times: float = 1.0) -> tuple[float, float]:

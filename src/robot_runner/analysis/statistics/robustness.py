@@ -94,7 +94,7 @@ def standing_hypotheses(
             now.adjusted_p_value,
             p_value,
             stands,
-            f"{otherwise.in_words(measure)} {text}{_verdict(stands)}",
+            f"{otherwise.in_words(measure)} {text}{_verdict(stands, otherwise.beside)}",
             otherwise.beside,
         )
 
@@ -114,7 +114,7 @@ def _standing_effect(
         figures = p_values_in_words(p_value, then.adjusted_p_value)
         text = f"the {what} is {_changed(effect, then, turned=turned)} ({figures})"
     runs = tuple(otherwise.left_out.get(measure.name, ()))
-    conclusion = f"{otherwise.in_words(measure.name)} {text}{_verdict(stands)}"
+    conclusion = f"{otherwise.in_words(measure.name)} {text}{_verdict(stands, otherwise.beside)}"
     return Standing(
         measure.name, effect.factors, "", runs, effect.p_value, p_value, stands, conclusion, otherwise.beside
     )
@@ -142,7 +142,11 @@ def _turned(measure: MeasureStatistics, without: MeasureStatistics, effect: Effe
     return len(now) == len(then) == 1 and now[0] * then[0] < 0
 
 
-def _verdict(stands: bool | None) -> str:
+def _verdict(stands: bool | None, beside: Beside) -> str:
     if stands is None:
         return "; whether the conclusion stands is not known."
-    return ": the conclusion stands." if stands else ": the conclusion does not stand."
+    if stands:
+        return ": the conclusion stands."
+    # The plan chose the adjustment, and without it effects are known less precisely: that refutes nothing.
+    where = " without the adjustment" if beside is Beside.WITHOUT_COVARIATES else ""
+    return f": the conclusion does not stand{where}."

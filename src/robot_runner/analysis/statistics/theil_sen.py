@@ -34,7 +34,7 @@ def theil_sen(places: Floats, values: Floats, level: float) -> TheilSen:
     """Return the slope as `scipy.stats.theilslopes` does, in memory that grows with the values and not their pairs.
 
     Args:
-        places: ascending, no two alike.
+        places: ascending; pairs of which both are alike have no slope.
         values: as many, at least two.
         level: of the confidence interval, as in 0.95.
 
@@ -45,26 +45,30 @@ def theil_sen(places: Floats, values: Floats, level: float) -> TheilSen:
     if len(values) <= _MOST_AT_ONCE:
         found = stats.theilslopes(values, places, alpha=level)
         return TheilSen(float(found.slope), float(found.low_slope), float(found.high_slope))
-    count = len(values) * (len(values) - 1) // 2
-    low, high = _ends(values, count, level)
+    alike = _ties(places)
+    count = (len(values) * (len(values) - 1) - int(np.sum(alike * (alike - 1)))) // 2
+    low, high = _ends(places, values, count, level)
     ranks = (low, (count - 1) // 2, count // 2, high)
-    slopes = _slopes_of_ranks(places, values, ranks)
+    slopes = _slopes_of_ranks(places, values, count, ranks)
     return TheilSen((slopes[ranks[1]] + slopes[ranks[2]]) / 2, slopes[low], slopes[high])
 
 
-def _ends(values: Floats, count: int, level: float) -> tuple[int, int]:
+def _ties(values: Floats) -> Floats:
+    return np.unique(values, return_counts=True)[1].astype(np.float64)
+
+
+def _ends(places: Floats, values: Floats, count: int, level: float) -> tuple[int, int]:
     """Return the ranks of the ends of the interval (equation 2.6 of Sen 1968), rounded as scipy rounds them."""
     n = len(values)
-    ties = np.unique(values, return_counts=True)[1].astype(np.float64)
-    variance = (n * (n - 1) * (2 * n + 5) - float(np.sum(ties * (ties - 1) * (2 * ties + 5)))) / 18
+    alike = [float(np.sum(ties * (ties - 1) * (2 * ties + 5))) for ties in map(_ties, (places, values))]
+    variance = (n * (n - 1) * (2 * n + 5) - sum(alike)) / 18
     half = float(stats.norm.ppf((1 + level) / 2)) * float(np.sqrt(variance))
     return max(round((count - half) / 2) - 1, 0), min(round((count + half) / 2), count - 1)
 
 
-def _slopes_of_ranks(places: Floats, values: Floats, ranks: tuple[int, ...]) -> dict[int, float]:
-    """Return the slopes of these ranks among the slopes of all pairs, from 0."""
+def _slopes_of_ranks(places: Floats, values: Floats, count: int, ranks: tuple[int, ...]) -> dict[int, float]:
+    """Return the slopes of these ranks among the slopes of all pairs, from 0; `count` is their number."""
     drawn = _drawn_slopes(places, values)
-    count = len(values) * (len(values) - 1) // 2
     found: dict[int, float] = {}
     errors = _ERRORS
     while missing := [rank for rank in ranks if rank not in found]:
@@ -85,7 +89,8 @@ def _drawn_slopes(places: Floats, values: Floats) -> Floats:
     random = np.random.default_rng(0)
     first, gap = random.integers(0, len(values), _DRAWN), random.integers(1, len(values), _DRAWN)
     second = (first + gap) % len(values)
-    return np.sort((values[second] - values[first]) / (places[second] - places[first]))
+    apart = places[second] != places[first]
+    return np.sort((values[second] - values[first])[apart] / (places[second] - places[first])[apart])
 
 
 def _bracket(drawn: Floats, share: float, errors: float) -> tuple[float, float]:
@@ -105,7 +110,8 @@ def _counted(
     below = [0] * len(brackets)
     within: list[list[tuple[Floats, NDArray[np.int64]]]] = [[] for _ in brackets]
     for gap in range(1, len(values)):  # pairs so many values apart, all at once
-        slopes = (values[gap:] - values[:-gap]) / (places[gap:] - places[:-gap])
+        apart = places[gap:] > places[:-gap]
+        slopes = (values[gap:] - values[:-gap])[apart] / (places[gap:] - places[:-gap])[apart]
         for place, (low, high) in enumerate(brackets):
             below[place] += int(np.count_nonzero(slopes < low))
             # Many slopes may be alike, as where values are whole numbers: they are held once.
