@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 
 from robot_runner.analysis.report.blocks import Chart, Paragraph, Part, Remarks, Tone
@@ -14,9 +12,7 @@ from robot_runner.analysis.report.rendering import markdown_of
 from robot_runner.analysis.report.threats_section import threats_of
 from robot_runner.analysis.results import load_results
 from robot_runner.analysis.statistics.experiment_statistics import analyse
-from robot_runner.core.events.measure import ROBOTS_OWNER
 from robot_runner.core.storage.journal import Journal
-from robot_runner.core.storage.table_schema import read_schema, write_schema
 
 
 def material_of(folder):
@@ -102,17 +98,6 @@ def test_of_runs_that_took_several_attempts_those_with_results_are_told(two_task
     found = threats(folder)
     assert found["Runs took more than one attempt"].text.startswith("r_2: results are those of the last attempt")
     assert found["Runs failed"].text.startswith("1 run failed")
-
-
-def test_which_robot_executed_a_run_comes_from_no_sensor(make_folder):
-    rows = [("a", 1.0, "left"), ("b", 2.0, "right")]
-    measures = {"Energy": "J", "Robot": ""}
-    folder = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures=measures, origin="simulated")
-    columns = [
-        replace(each, owner=ROBOTS_OWNER) if each.name == "Robot" else each for each in read_schema(folder.files.schema)
-    ]
-    write_schema(folder.files.schema, columns)
-    assert threats(folder)["Values are simulated"].text.startswith("Energy comes from simulated sensors")
 
 
 def test_doubts_that_name_their_run_are_told_once(two_tasks):

@@ -11,6 +11,7 @@ from robot_runner import ConfigError, Robots
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,6 +55,9 @@ def test_each_combination_is_executed_equally_often_on_each_robot_however_fast_i
     manifest = read_manifest(executed.folder / "manifest.json")
     assert manifest["robots"] == {"alice": "simulated://alice", "bob": "simulated://bob"}
     assert {record["place"] for record in executed.journal("attempt_started")} == {"alice", "bob"}
+    # Which robot it was comes from no sensor, though the robots are simulated.
+    origins = {each.name: each.origin for each in read_schema(executed.folder / "run_table.schema.json")}
+    assert origins["Robot"] == "measured"
 
 
 def test_an_experiment_that_goes_on_counts_what_each_robot_has_done(execute: Callable[..., Any]) -> None:

@@ -16,7 +16,7 @@ from robot_runner.analysis.statistics.disclosed import Reason
 from robot_runner.analysis.statistics.known_precision import known_precisions
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
-from robot_runner.core.events.measure import ROBOTS_OWNER, Quality
+from robot_runner.core.events.measure import Quality
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import executed_order, moved_runs
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -260,8 +260,7 @@ class Material:
         found: dict[str, list[str]] = {}
         for name in self.results.measures:
             column = self.results.columns[name]
-            # Which robot executed a run comes from no sensor, whatever kind of robot that was.
-            for badge in origin_badges(column.origin) if column.owner != ROBOTS_OWNER else ():
+            for badge in origin_badges(column.origin):
                 found.setdefault(badge.text, []).append(name)
         return found
 

@@ -25,7 +25,6 @@ from robot_runner.core.execution.notices import (
 from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.places import Watch
 from robot_runner.core.execution.task import AttemptStatus, OutcomeBuilder
-from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
@@ -144,8 +143,8 @@ class Attempts:
 
         self._operator.hand_over(task, report_own)
         if place.experiment.parameters.robots:
-            origin = Origin.SIMULATED if is_simulated(place.experiment.parameters.robot) else Origin.MEASURED
-            robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": origin.value}
+            # Of no sensor: which robot it was is known, also where the robots are simulated.
+            robot = {"name": ROBOT, "value": place.name, "owner": ROBOTS_OWNER, "origin": Origin.MEASURED.value}
             task.measures[ROBOT] = robot
             report_own("measure", robot)
         passage.report_to(report_own, [column.name for column in columns.declared])
