@@ -230,7 +230,7 @@ def draw_run_order(
     place_label: str = "Place in the order of execution",
     slope: float | None = None,
 ) -> Figure:
-    """Draw what is left of a measure once its group's mean is taken away, over the order of execution."""
+    """Draw what the model of its design leaves of a measure, over the order of execution."""
     figure, axes = new_axes(COLUMN, 2.1)
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     x, y = np.asarray(places, dtype=float), np.asarray(residuals, dtype=float)
@@ -243,7 +243,7 @@ def draw_run_order(
         ends = np.array([x.min(), x.max()])
         axes.plot(ends, middle + slope * ends, color=INK, linestyle=DASHED, linewidth=1.0)
     label_axes(axes, place_label, grid="y")
-    axes.set_ylabel(f"{wrapped(value_label)}\nless the mean of its group")
+    axes.set_ylabel(f"{wrapped(value_label)}\nresidual")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     add_legend(figure, len(order), most=6, handlelength=1.0)
     return figure

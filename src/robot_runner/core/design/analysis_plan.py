@@ -261,8 +261,8 @@ class AnalysisPlan:
 
 
 def _choice_findings(alpha: object, choices: Mapping[str, object], blocks: object) -> Iterator[Finding]:
-    if not isinstance(alpha, int | float) or not 0 < alpha < 1:
-        yield Finding.error("analysis", f"alpha is {alpha!r}", "Give a number between 0 and 1, such as 0.05.")
+    if not isinstance(alpha, int | float) or not 0 < alpha < 0.5:  # noqa: PLR2004 - 1 - 2 alpha is a level of confidence
+        yield Finding.error("analysis", f"alpha is {alpha!r}", "Give a number between 0 and 0.5, such as 0.05.")
     for kind in (Correction, Family, Estimand, Statistic, Doubtful):
         given = choices[kind.__name__.lower()]
         if not isinstance(given, kind):
