@@ -197,6 +197,28 @@ def test_phases_come_with_treatments_and_from_the_start_of_measurement(tmp_path)
     assert phases["x_m"].isna().tolist() == [False, True]
 
 
+def test_phases_that_the_journal_alone_has_are_phases_of_the_mission(tmp_path):
+    folder = make_experiment(tmp_path / "e", repetitions=1)
+    write_phases(folder, "r_1", "number,phase,start_s,end_s\n1,sleep,10.5,12.5\n2,drive,12.5,15")
+    with Journal(folder.journal) as journal:
+        journal.append("phase", run="r_1", attempt=1, name="drive", start=12.5, end=15.0)
+        journal.append("phase", run="r_1", attempt=1, name="dock", start=16.0, end=17.0)
+    phases = load_results(folder.root).phases()
+    assert phases["phase"].tolist() == ["sleep", "drive", "dock"]
+    assert phases["number"].tolist() == [1, 2, 3]
+    assert phases["start_s"].tolist() == [0.5, 2.5, 6.0]
+    assert phases["plugin"].isna().tolist() == [False, False, True]
+
+
+def test_phases_of_attempts_that_were_repeated_are_left_out(tmp_path):
+    folder = make_experiment(tmp_path / "e", repetitions=1)
+    with Journal(folder.journal) as journal:
+        journal.append("phase", run="r_1", attempt=1, name="drive", start=12.5, end=15.0)
+        journal.append("attempt_started", run="r_1", attempt=2)
+        journal.append("phase", run="r_1", attempt=2, name="drive", start=2.5, end=5.0)
+    assert load_results(folder.root).phases()["phase"].tolist() == ["drive"]
+
+
 def test_an_experiment_without_phases_has_an_empty_table_of_them(tmp_path):
     phases = load_results(make_experiment(tmp_path / "e").root).phases()
     assert (len(phases), "phase" in phases) == (0, True)

@@ -88,6 +88,15 @@ def test_a_sample_falls_into_the_phase_that_begins_with_it(folder):
     assert samples["phase_number"].tolist() == [0, 1, 2]
 
 
+def test_a_sample_in_several_phases_at_once_is_of_the_one_that_began_last(folder):
+    with Journal(folder.journal) as journal:
+        for name, start, end in (("alice", 9.0, 20.0), ("bob", 9.8, 10.5)):
+            journal.append("phase", run="r_1", attempt=1, name=name, start=start, end=end)
+    results = load_results(folder.root)
+    assert results.samples(runs=["r_1"])["phase"].tolist() == ["alice", "bob", "alice"]
+    assert len(results.lazy_samples(runs=["r_1"], phases=["alice"]).frame()) == 3
+
+
 def test_whole_numbers_stay_whole(folder):
     assert load_results(folder.root).samples()["count"].dtype == np.int64
 

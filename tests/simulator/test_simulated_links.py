@@ -91,6 +91,20 @@ def test_a_callback_may_command_the_robot(simulation, robot, link):
     assert robot.pose.x == pytest.approx(0.52, abs=0.02)
 
 
+def test_commands_are_heard_as_on_a_graph(simulation, link):
+    heard, raw = [], []
+    subscription = link.subscribe("cmd_vel", TWIST, lambda message: heard.append(message["linear"]["x"]))
+    SimulatedRobotLink(simulation).subscribe_raw("cmd_vel", TWIST, raw.append)
+    link.publish("cmd_vel", TWIST, FORWARD)
+    assert heard == []
+    simulation.clock.sleep(0.1)
+    assert (heard, len(raw[0].data)) == ([0.2], 4 + 6 * 8)
+    subscription.close()
+    link.publish("cmd_vel", TWIST, {})
+    simulation.clock.sleep(0.1)
+    assert (heard, len(raw)) == ([0.2], 2)
+
+
 def test_an_ended_subscription_is_silent(simulation, link):
     heard = []
     subscription = link.subscribe("imu", "sensor_msgs/Imu", heard.append)
@@ -118,7 +132,7 @@ def test_a_service_answers_with_its_response(link, robot):
         (lambda link: link.publish("cmd_vel", TWIST, {"linaer": {"x": 1}}), "'linaer'", "'linear'"),
         (lambda link: link.subscribe("odometry", "nav_msgs/Odometry", print), "'/odometry'", "'/odom'"),
         (lambda link: link.subscribe("odom", "nav_msgs/Odom", print), "nav_msgs/Odom", "'nav_msgs/Odometry'"),
-        (lambda link: link.subscribe("cmd_vel", TWIST, print), "'/cmd_vel'", "Choose one of"),
+        (lambda link: link.subscribe("cmd_vell", TWIST, print), "'/cmd_vell'", "Choose one of"),
         (lambda link: link.call("task/vidio/start", TRIGGER), "'/task/vidio/start'", "'/task/video/start'"),
         (lambda link: link.call("task/stop", "std_srvs/Empty"), "std_srvs/Empty", f"'{TRIGGER}'"),
         (lambda link: link.call("task/stop", TRIGGER, {"now": True}), "'now'", "empty mapping"),

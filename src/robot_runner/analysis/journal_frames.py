@@ -89,6 +89,24 @@ def read_history(journal: Path) -> History:
     return told.history()
 
 
+def told_phases(journal: Path) -> dict[str, list[tuple[str, float, float]]]:
+    """Return the phases of the last attempt at each run: name, beginning and end, s on the run's clock.
+
+    They are read by themselves, as a long journal has many of them and few readers ask.
+
+    Raises:
+        StorageError: the journal cannot be read.
+    """
+    phases: dict[str, list[tuple[str, float, float]]] = {}
+    for record in read_journal(journal, kinds=("attempt_started", "phase")):
+        if record["kind"] == "attempt_started":
+            phases[record["run"]] = []
+        else:
+            told = record["name"], float(record["start"]), float(record["end"])
+            phases.setdefault(record["run"], []).append(told)
+    return phases
+
+
 class _Told:
     """What the journal has told so far: no more than is needed of each record, or a long journal fills the memory."""
 

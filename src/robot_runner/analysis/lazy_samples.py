@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
+    from robot_runner.analysis.sample_files import PhaseSpans
     from robot_runner.analysis.samples import SampleRequest
 
 #: Bytes of a file that are parsed at once, some 20,000 samples of six columns; Arrow reads some 30 of them ahead.
@@ -36,7 +37,7 @@ class LazySamples:
     Attributes:
         request: which file, runs and columns.
         within_window: whether samples outside the measured window are left out.
-        only_phases: the names of the phases to keep to; None for all, and what is outside of phases.
+        only_phases: the phases of each run to keep to; None for all, and what is outside of phases.
 
     Example:
         >>> samples = load_results("experiments/long").lazy_samples("Ina219", columns=["power_W"])  # doctest: +SKIP
@@ -46,7 +47,7 @@ class LazySamples:
 
     request: SampleRequest
     within_window: bool = False
-    only_phases: frozenset[str] | None = None
+    only_phases: Mapping[str, PhaseSpans] | None = None
 
     def reader(self) -> pa.RecordBatchReader:
         """Return a stream of Arrow record batches, as DuckDB, Polars, pyarrow.dataset and Parquet writers take it.
@@ -127,8 +128,7 @@ class LazySamples:
             arrays.append(_dictionary(codes.astype(np.int32), pa.array(names, pa.string())))
             arrays.append(pa.array(numbers))
             if self.only_phases is not None:
-                kept = [place for place, name in enumerate(names) if name in self.only_phases]
-                there = np.isin(codes, kept)
+                there = places_of_phases(self.only_phases, names, times, whole)[0] >= 0
                 chosen = there if chosen is None else chosen & there
         return arrays, chosen
 

@@ -18,6 +18,7 @@ from robot_runner.analysis.alignment import (
     grid_of,
     median_period,
 )
+from robot_runner.analysis.journal_frames import told_phases
 from robot_runner.analysis.lazy_samples import LazySamples
 from robot_runner.analysis.run_frame import require_choice, several
 from robot_runner.analysis.sample_files import (
@@ -56,12 +57,14 @@ class RawData:
         runs: the run table.
         factors: the columns that say which combination a run is of.
         history: what the journal tells.
+        journal: the journal itself.
     """
 
     files: Mapping[tuple[str, str], Mapping[str, Path]]
     runs: pd.DataFrame
     factors: Sequence[str]
     history: History
+    journal: Path
 
     @cached_property
     def sample_files(self) -> tuple[SampleFile, ...]:
@@ -71,7 +74,8 @@ class RawData:
     @cached_property
     def phases(self) -> pd.DataFrame:
         """The phases of missions, on the runs' clocks."""
-        return read_phases({plugin: paths for (plugin, name), paths in self.files.items() if name == PHASES})
+        files = {plugin: paths for (plugin, name), paths in self.files.items() if name == PHASES}
+        return read_phases(files, told_phases(self.journal))
 
     @cached_property
     def phase_spans(self) -> dict[str, PhaseSpans]:
@@ -153,12 +157,14 @@ class RawData:
         Raises:
             AnalysisError: there is no such phase.
         """
-        known = list(dict.fromkeys(name for spans in self.phase_spans.values() for name in spans.names))
-        chosen = None if phases is None else frozenset(several(phases))
-        for name in chosen or ():
+        if phases is None:
+            return LazySamples(request, within_window)
+        known, chosen = list(self.phases["phase"].unique()), several(phases)
+        for name in chosen:
             if name not in known:
                 raise AnalysisError(f"there is no phase {name!r}", where="samples", fix=did_you_mean(name, known))
-        return LazySamples(request, within_window, chosen)
+        # By themselves: a phase goes on while another does, and each of its samples is one of both.
+        return LazySamples(request, within_window, phase_spans(self.phases[self.phases["phase"].isin(chosen)]))
 
     def aligned(
         self, columns: Mapping[str, str | Sequence[str]], run_ids: Sequence[str], period: float, how: Resampling

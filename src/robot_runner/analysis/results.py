@@ -195,10 +195,10 @@ class Results(ExperimentFacts):
         return events[events["run_id"].isin(self._chosen(runs))].reset_index(drop=True)
 
     def phases(self, runs: str | Sequence[str] | None = None) -> pd.DataFrame:
-        """Return the phases of missions (of all runs for None), as systems wrote them to `phases.csv`.
+        """Return the phases of missions (of all runs for None), as systems wrote them to `phases.csv`, or told them.
 
-        Columns: `run_id`, the factors, `plugin`, `number`, `phase`, `start_s` and `end_s` (s since the start of the
-        mission), and whatever else the system wrote, such as `task`, `x_m`, `y_m`, `heading_rad`.
+        Columns: `run_id`, the factors, `plugin` (missing where the journal alone has it), `number`, `phase`, `start_s`
+        and `end_s` (s since the start of the mission), and what else the system wrote, such as `task` and `x_m`.
 
         Raises:
             AnalysisError: there is no such run, or a file of phases does not say when they are.
@@ -225,9 +225,9 @@ class Results(ExperimentFacts):
 
         Columns: `run_id` (categorical), the factors (ordered categoricals), `time_s` (s since the start of the
         mission; negative before it), `in_window` (whether it lies in the measured window, which is the mission),
-        `phase` (categorical) and `phase_number` (0 outside all phases), then the value columns as the plugin wrote
-        them. Where the mission is not known, times are counted from the start of measurement, or from the first
-        sample, and all samples count as within.
+        `phase` (categorical; of several at once the one that began last) and `phase_number` (0 outside all phases),
+        then the value columns as the plugin wrote them. Where the mission is not known, times are counted from the
+        start of measurement, or from the first sample, and all samples count as within.
 
         Args:
             plugin: whose samples; may be left out where only one plugin has any.
@@ -358,7 +358,8 @@ class Results(ExperimentFacts):
     @cached_property
     def _raw(self) -> RawData:
         runs = self._run_frame.frame
-        return RawData(run_files(self._files, runs[RUN_ID]), runs, self._labels, self._history)
+        files = run_files(self._files, runs[RUN_ID])
+        return RawData(files, runs, self._labels, self._history, self._files.journal)
 
     def _chosen(self, runs: str | Sequence[str] | None) -> list[str]:
         if runs is None:

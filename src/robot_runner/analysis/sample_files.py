@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -198,7 +199,7 @@ def _time_of(headings: Sequence[str]) -> str | None:
     return next((folded[name] for name in _TIME_HEADINGS if name in folded), None)
 
 
-# The phases of missions, as systems wrote them: `runs/<run id>/<plugin>/phases.csv`.
+# The phases of missions, as systems wrote them (`runs/<run id>/<plugin>/phases.csv`) or as the journal has them.
 
 _NEEDED = ("phase", "start_s", "end_s")
 _NUMBERS = frozenset({"number", "start_s", "end_s"})
@@ -206,7 +207,7 @@ _NUMBERS = frozenset({"number", "start_s", "end_s"})
 
 @dataclass(frozen=True, slots=True)
 class PhaseSpans:
-    """The phases of one run, in order.
+    """The phases of one run, in order; where several go on at once, the one that began last.
 
     Attributes:
         starts, ends: s on the run's clock.
@@ -220,8 +221,15 @@ class PhaseSpans:
     names: tuple[str, ...]
 
 
-def read_phases(files: Mapping[str, Mapping[str, Path]]) -> pd.DataFrame:
+def read_phases(
+    files: Mapping[str, Mapping[str, Path]], told: Mapping[str, Sequence[tuple[str, float, float]]]
+) -> pd.DataFrame:
     """Read the phases' files of each plugin, by plugin, then by run; times stay on the runs' clocks.
+
+    Args:
+        files: those of each run, by plugin.
+        told: the phases of each run as the journal has them: name, beginning and end. Those that a file has, too, are
+            left out; `plugin` is missing for the others, and their numbers go on from those of the files.
 
     Returns:
         One row a phase: `run_id`, `plugin`, `number`, `phase`, `start_s`, `end_s` (s on the run's clock), and whatever
@@ -238,6 +246,12 @@ def read_phases(files: Mapping[str, Mapping[str, Path]]) -> pd.DataFrame:
             rows += [
                 {"run_id": run_id, "plugin": plugin, "number": place} | row for place, row in enumerate(of_file, 1)
             ]
+    in_files = {(row["run_id"], row["phase"]) for row in rows}
+    counts = Counter(row["run_id"] for row in rows)
+    for run_id, of_run in told.items():
+        others = sorted((each for each in of_run if (run_id, each[0]) not in in_files), key=lambda each: each[1:])
+        for number, (name, start, end) in enumerate(others, counts[run_id] + 1):
+            rows.append(dict(zip(columns, (run_id, None, number, name, start, end), strict=True)))
     if not rows:
         return pd.DataFrame({name: pd.Series(dtype=_type(name)) for name in columns})
     frame = pd.DataFrame(rows)
@@ -257,17 +271,29 @@ def _typed(values: pd.Series, *, must_be_number: bool) -> pd.Series:
 
 
 def phase_spans(phases: pd.DataFrame) -> dict[str, PhaseSpans]:
-    """Return the phases of each run for looking up times; of the first plugin where several wrote phases."""
+    """Return the phases of each run for looking up times."""
     spans = {}
     for run_id, of_run in phases.groupby("run_id", sort=False):
-        of_plugin = of_run[of_run["plugin"] == of_run["plugin"].iloc[0]].sort_values("start_s")
-        spans[str(run_id)] = PhaseSpans(
-            of_plugin["start_s"].to_numpy(dtype=np.float64),
-            of_plugin["end_s"].to_numpy(dtype=np.float64),
-            of_plugin["number"].to_numpy(dtype=np.int16),
-            tuple(of_plugin["phase"]),
-        )
+        # Of those that begin together, the one that ends first is within the others.
+        ordered = of_run.sort_values(["start_s", "end_s"], ascending=[True, False])
+        starts, ends = (ordered[name].to_numpy(dtype=np.float64) for name in ("start_s", "end_s"))
+        places = np.arange(len(ordered))
+        if (starts[1:] < ends[:-1]).any():
+            starts, ends, places = _pieces(starts, ends)
+        numbers = ordered["number"].to_numpy(dtype=np.int16)[places]
+        spans[str(run_id)] = PhaseSpans(starts, ends, numbers, tuple(ordered["phase"].iloc[places]))
     return spans
+
+
+def _pieces(
+    starts: NDArray[np.float64], ends: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+    """Return where the pieces of spans that overlap begin and end, and the last span that each piece lies in."""
+    edges = np.unique([starts, ends])
+    within = [np.flatnonzero((starts <= edge) & (edge < ends)) for edge in edges[:-1]]
+    filled = np.array([len(each) > 0 for each in within])
+    last = np.array([each[-1] for each in within if len(each)], dtype=np.intp)
+    return edges[:-1][filled], edges[1:][filled], last
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -115,19 +116,29 @@ class SimulatedTransport:
         known = self._robot.command_topics
         name = self._own_name(topic, known, kind="topic that the robot subscribes")
         check_type(topic, message_type, [known[name]])
-        return self._commands.setdefault(name, _CommandPublisher(self._robot, name))
+        return self._commands.setdefault(name, _CommandPublisher(self._robot, name, self._simulation))
 
     def subscribe(
         self, topic: str, message_type: str, receive: Callable[[Reception], None], *, qos: Qos | None, is_raw: bool
     ) -> _Subscription:
-        """Have `receive` called with each message, at the rate of the real robot, while the clock is slept on."""
+        """Have `receive` called with each message, at the rate of the real robot, while the clock is slept on.
+
+        Commands are heard as on a graph, so that they can be recorded.
+        """
         del qos, is_raw
-        published, clock = self._published().get(topic), self._simulation.clock
-        if published is None:
+        published, clock, types = self._published().get(topic), self._simulation.clock, self.topics()
+        if topic not in types:
             raise self._unknown(topic, self._robot.topics, kind="topic that the robot publishes")
-        check_type(topic, message_type, [published.message_type])
-        listening = published.listen(lambda message: receive(_Reception(message_type, message, clock.now_ns)))
-        return _Subscription(listening.close)
+        check_type(topic, message_type, [types[topic]])
+
+        def listener(message: Message) -> None:
+            receive(_Reception(message_type, message, clock.now_ns))
+
+        if published is not None:
+            return _Subscription(published.listen(listener).close)
+        hearing, key = self._simulation.hearing.setdefault(topic, {}), object()
+        hearing[key] = listener
+        return _Subscription(lambda: _forget(hearing, key))
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service of the robot, or an offered one; it answers at once, so `timeout` never runs out."""
@@ -227,9 +238,10 @@ class SimulatedTransport:
 class _CommandPublisher:
     """Commands the robot, which keeps to a command until the next, or until its battery is too low."""
 
-    def __init__(self, robot: SimulatedRobot, topic: str) -> None:
+    def __init__(self, robot: SimulatedRobot, topic: str, simulation: Simulation) -> None:
         self._robot = robot
         self._topic = topic
+        self._simulation = simulation
         self._is_driving = False
 
     def publish(self, message: Message) -> None:
@@ -239,6 +251,9 @@ class _CommandPublisher:
         elif self._robot.cut_off is None:
             self._is_driving = False
         self._robot.command(self._topic, message)
+        hearing = self._simulation.hearing.get(f"{self._robot.namespace}/{self._topic}", {})
+        for key in hearing:
+            self._simulation.clock.after(0.0, partial(_tell, hearing, key, message))
 
     def reach(self, subscribers: int) -> bool:
         """Return at once: the robot is there."""
@@ -294,6 +309,15 @@ class _Reception:
     def raw(self) -> RawMessage:
         data = _standard_types().serialise(self.message_type, self.content, Encoding.CDR)
         return RawMessage(data, self.received_ns)
+
+
+def _tell(hearing: Mapping[object, Callable[[Message], None]], key: object, message: Message) -> None:
+    if key in hearing:  # else it was closed meanwhile
+        hearing[key](message)
+
+
+def _forget(hearing: dict[object, Callable[[Message], None]], key: object) -> None:
+    hearing.pop(key, None)  # the simulation may have been closed before
 
 
 def _withdraw(simulation: Simulation, service: str) -> None:

@@ -177,3 +177,18 @@ def test_a_rule_comes_back_from_the_manifest_to_the_last_digit() -> None:
         rule = Precision("Energy", half_width=half_width, at_most=30)
         assert Precision.of_mapping(rule.as_mapping()) == rule
     assert Precision("Energy", half_width=5, at_most=30).wanted_in_words == "5"
+
+
+def test_treatments_of_different_batches_have_no_difference() -> None:
+    observed = [
+        Observed(f"{task}{speed}_{number}", {"Task": task, "Speed": speed}, number, 10 + number % 2, batch)
+        for task in "ab"
+        for speed, batch in (("1", 1), ("2", 1), ("3", 2))
+        for number in range(1, 7)
+    ]
+    rule = Precision("Energy", half_width=1, at_most=30, of="differences")
+    known = {each.of: each.n for each in judge(rule, (5, 30), 6, observed).known}
+    assert known == {"a - b": 6, "1 - 2": 6}
+    later = [Observed(f"later_{each.run_id}", each.treatments, each.repetition + 6, each.value, 3) for each in observed]
+    known = {each.of: each.n for each in judge(rule, (5, 30), 12, [*observed, *later]).known}
+    assert known == {"a - b": 12, "1 - 2": 12, "1 - 3": 6, "2 - 3": 6}

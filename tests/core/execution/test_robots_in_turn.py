@@ -10,6 +10,7 @@ import pytest
 from robot_runner import ConfigError, Robots
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.table_schema import read_schema
 
@@ -73,6 +74,25 @@ def test_an_experiment_that_goes_on_counts_what_each_robot_has_done(execute: Cal
     assert [row["status"] for row in executed.table] == ["Done"] * 8
 
 
+@pytest.mark.parametrize("again", ["done runs", "excluded runs", "warm-up runs"])
+def test_runs_that_are_executed_again_take_turns_again(execute: Callable[..., Any], again: str) -> None:
+    from robot_runner.cli.excluding import exclude_runs
+    from robot_runner.core.config.preparation import prepare_or_refuse
+    from robot_runner.core.execution.notices import SilentObserver
+    from robot_runner.core.execution.orchestrator import execute_experiment
+
+    table = TABLE.replace("seed=7", "seed=7, warm_up=WarmUp(2, each_session=True)")
+    executed = execute(head=HEAD.replace("0.3 if", "0.01 if"), table=table if again == "warm-up runs" else TABLE)
+    if again == "excluded runs":
+        exclude_runs(ExperimentFolder(executed.folder), ["Speed=1"], "the floor was wet")
+    redo = ("r_1",) if again == "warm-up runs" else ("Speed=1",)
+    execute_experiment(prepare_or_refuse(executed.config), SilentObserver(), resumption=Resumption(redo=redo))
+    measured = [row for row in executed.table if row["run_id"].startswith("r_")]
+    assert set(Counter((row["Speed"], row["Robot"]) for row in measured).values()) == {2}
+    warming_up = [record["place"] for record in executed.journal("attempt_started") if record["run"].startswith("w_")]
+    assert Counter(warming_up) == ({"alice": 2, "bob": 2} if again == "warm-up runs" else {})
+
+
 def test_a_robot_that_fails_again_and_again_is_set_aside_and_its_runs_go_to_the_other(
     execute: Callable[..., Any],
 ) -> None:
@@ -103,6 +123,14 @@ def test_what_cannot_take_turns_is_refused_with_all_findings(write_config: Calla
     looked_for = HEAD.replace('"simulated://bob"', 'bob="auto"')
     findings = prepare(write_config(head=looked_for, table=TABLE)).findings
     assert any("bob would be looked for" in finding.problem for finding in findings)
+
+
+@pytest.mark.parametrize(("warm_up", "told"), [("1", 1), ("2", 0), ('WarmUp(1, per="Speed")', 1)])
+def test_fewer_warm_up_runs_than_robots_are_a_warning(
+    write_config: Callable[..., Path], warm_up: str, told: int
+) -> None:
+    found = prepare(write_config(head=HEAD, table=TABLE.replace("seed=7", f"seed=7, warm_up={warm_up}"))).findings
+    assert ["measure without having warmed up" in finding.problem for finding in found] == [True] * told
 
 
 def test_robots_may_be_the_blocks_of_the_analysis(write_config: Callable[..., Path]) -> None:

@@ -25,7 +25,7 @@ class RobotRunnerConfig(ExperimentConfig):
     plugins = [BasicTurtlebot3(sleep_s=1.0, drive_s=2.0, task_s=2.0, rotate_s=4.0), Ina219(), PsUtil()]
 
     def create_run_table(self):
-        return RunTableModel([Factor("Task", ["Computation", "Video", "Network"])], repetitions=2, seed=1)
+        return RunTableModel([Factor("Task", ["Computation", "Video", "Network"])], repetitions=2, seed=1, warm_up=1)
 """
 
 
@@ -61,6 +61,11 @@ def test_a_model_is_fitted_shown_and_written(robot_runner, experiment, tmp_path)
 
 def test_a_model_of_one_run_says_that_it_was_tried_on_no_other(robot_runner, experiment):
     assert "no run: there is one run only" in robot_runner("fit-power-model", experiment, "--runs", "r_1").out
+
+
+def test_a_run_that_only_warms_up_is_not_fitted_on(robot_runner, experiment):
+    assert "w_1" not in robot_runner("fit-power-model", experiment, "--json").json["fit"]["runs"]
+    assert robot_runner("fit-power-model", experiment, "--runs", "w_1").code == 2
 
 
 def test_terms_and_runs_can_be_chosen_and_json_is_printed(robot_runner, experiment):

@@ -179,6 +179,12 @@ def test_a_file_that_holds_no_model_is_refused_by_the_check(tmp_path, content):
     assert "fit-power-model" in finding.fix
 
 
+def test_the_file_of_its_model_is_kept_with_the_experiment(tmp_path):
+    path = tmp_path / "power_model.json"
+    assert [each.path for each in PowerModel(model=path).input_files()] == [path]
+    assert list(PowerModel(coefficients=STEADY).input_files()) == []
+
+
 def test_a_model_file_that_is_not_there_is_told(tmp_path):
     (finding,) = PowerModel(model=tmp_path / "none.json").check(Circumstances())
     assert "the file cannot be read" in finding.problem

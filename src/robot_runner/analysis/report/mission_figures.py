@@ -157,14 +157,14 @@ def _samples(
 
 
 def _phases(material: Material, run_ids: list[str]) -> tuple[PhaseSpan, ...]:
-    """Return the phases of the mission, where all runs went through the same ones; their median times."""
+    """Return the phases of the mission, where all runs went through the same ones in turn; their median times."""
     phases = material.results.phases(run_ids) if run_ids else pd.DataFrame()
-    if phases.empty or len(phases["plugin"].unique()) != 1:
+    phases = phases.sort_values(["run_id", "start_s", "end_s"])
+    by_run = phases.groupby("run_id", sort=False)
+    if len(by_run["phase"].agg(tuple).unique()) != 1 or (by_run["end_s"].shift() > phases["start_s"]).any():
         return ()
-    sequences = phases.sort_values(["run_id", "number"]).groupby("run_id")["phase"].agg(tuple)
-    if len(sequences.unique()) != 1:
-        return ()
-    spans = phases.groupby("number").agg(phase=("phase", "first"), start=("start_s", "median"), end=("end_s", "median"))
+    places = by_run.cumcount()
+    spans = phases.groupby(places).agg(phase=("phase", "first"), start=("start_s", "median"), end=("end_s", "median"))
     return tuple(PhaseSpan(str(row.phase), float(row.start), float(row.end)) for row in spans.itertuples())
 
 

@@ -260,6 +260,9 @@ def _unfinished(material: Material) -> Threats:
     again = attempts.loc[(attempts["attempt"] > 1) & attempts["run_id"].isin(material.done[RUN_ID]), "run_id"].unique()
     if len(again):
         text = f"{listed(again)}: results are those of the last attempt, at another time than planned."
+        failures = attempts[attempts["run_id"].isin(again)].groupby("failure", sort=False)["run_id"]
+        if earlier := [f"{listed(runs.unique())} ({failure})" for failure, runs in failures]:
+            text += f" Earlier ones failed: {listed(earlier, shown=8)}."
         yield "Runs took more than one attempt", text, Tone.NOTE
     for name in material.results.measures:
         mine = material.doubted["measure"] == name

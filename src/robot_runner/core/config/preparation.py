@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from robot_runner.core.design.run_table_model import RunTableModel
+    from robot_runner.core.design.warm_up import WarmUp
     from robot_runner.core.plugin import Plugin
 
 
@@ -236,12 +237,20 @@ def _robot_first(
     if parameters is not None:
         yield from check_robot(loaded, parameters, plugins)
     if parameters is not None and parameters.robots:
+        yield from _cold_robots(len(parameters.robots), None if model is None else model.warm_up)
         yield from _of_each(parameters.robots, lambda link: check_plugins(plugins, model, link))
     elif not isinstance(robot, str):
         yield from check_plugins(plugins, model, robot)
     elif (meant := meant_robot(robot)) is not None:
         found = check_plugins(plugins, model, meant)
         yield from found if parameters is None or parameters.cluster is None else map(_left_to_workers, found)
+
+
+def _cold_robots(count: int, warm_up: WarmUp | None) -> Iterator[Finding]:
+    """Yield that not each of several robots warms up, where there are fewer warm-up runs than robots."""
+    if warm_up is not None and warm_up.runs < count:
+        problem = f"{count} robots take turns, and {warm_up}: the other robots measure without having warmed up"
+        yield Finding.warning("warm_up", problem, f"Plan as many as there are robots, {count}: each robot has one.")
 
 
 def _of_each(robots: Mapping[str, str], look: Callable[[str], list[Finding]]) -> Iterator[Finding]:

@@ -43,12 +43,14 @@ class Observed:
         treatments: of the run, by factor, as text.
         repetition: of its combination, from 1.
         value: of the measure; None where the run failed or yielded none.
+        batch: in which it was planned, from 1.
     """
 
     run_id: str
     treatments: Mapping[str, str]
     repetition: int
     value: Any
+    batch: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,33 +192,38 @@ def _differences(rule: Precision, level: float, observed: Sequence[Observed]) ->
 
     Each repetition yields one difference, of the means over all combinations that differ in this factor alone. So what
     changes from one repetition to the next falls out, and spreads need not be equal (Scheffe, On solutions of the
-    Behrens-Fisher problem, Annals of Mathematical Statistics 14, 1943).
+    Behrens-Fisher problem, Annals of Mathematical Statistics 14, 1943). Runs of different batches are not compared.
     """
     factors = list(observed[0].treatments) if observed else []
-    values = {(tuple(run.treatments.items()), run.repetition): run.value for run in observed}
+    values = {(tuple(run.treatments.items()), run.repetition): (run.value, run.batch) for run in observed}
+    batches: defaultdict[Treatments, set[int]] = defaultdict(set)
+    for run in observed:
+        batches[tuple(run.treatments.items())].add(run.batch)
     for factor in factors:
         others: defaultdict[str, dict[Treatments, Treatments]] = defaultdict(dict)
         for run in observed:
             rest = tuple(item for item in run.treatments.items() if item[0] != factor)
             others[run.treatments[factor]][rest] = tuple(run.treatments.items())
         for one, other in pairs_of(others, 2):
-            same = [rest for rest in others[one] if rest in others[other]]
+            pairs = [(others[one][rest], others[other][rest]) for rest in others[one] if rest in others[other]]
+            same = [pair for pair in pairs if not batches[pair[0]].isdisjoint(batches[pair[1]])]
             if same:
-                sides = ([others[one][rest] for rest in same], [others[other][rest] for rest in same])
-                differences, all_values = _within_repetitions(values, *sides)
+                differences, all_values = _within_repetitions(values, *zip(*same, strict=True))
                 yield _known(rule, level, f"{one} - {other}", differences, all_values)
 
 
 def _within_repetitions(
-    values: Mapping[tuple[Treatments, int], Any], ones: Sequence[Treatments], others: Sequence[Treatments]
+    values: Mapping[tuple[Treatments, int], tuple[Any, int]], ones: Sequence[Treatments], others: Sequence[Treatments]
 ) -> tuple[list[float], list[float]]:
     """Return the difference in each repetition that has all values, and these values."""
     differences, all_values = [], []
     for repetition in sorted({repetition for _, repetition in values}):
-        left = [values.get((each, repetition)) for each in ones]
-        right = [values.get((each, repetition)) for each in others]
-        found = [float(value) for value in (*left, *right) if value is not None]
-        if len(found) == len(left) + len(right):
+        left = [values.get((each, repetition), (None, 0)) for each in ones]
+        right = [values.get((each, repetition), (None, 0)) for each in others]
+        found = [float(value) for value, _ in (*left, *right) if value is not None]
+        if len(found) == len(left) + len(right) and all(
+            one[1] == other[1] for one, other in zip(left, right, strict=True)
+        ):
             differences.append((math.fsum(found[: len(left)]) - math.fsum(found[len(left) :])) / len(left))
             all_values += found
     return differences, all_values
@@ -306,7 +313,7 @@ def _observed(told: Sequence[Told], measure: str) -> Iterator[Observed]:
     for each in told:
         if not each.is_excluded or each.is_doubtful:
             treatments = {name: str(treatment) for name, treatment in each.run.combination.items()}
-            yield Observed(each.run.run_id, treatments, each.run.repetition, each.values.get(measure))
+            yield Observed(each.run.run_id, treatments, each.run.repetition, each.values.get(measure), each.run.batch)
 
 
 def _facts(judgement: Judgement) -> dict[str, Any]:

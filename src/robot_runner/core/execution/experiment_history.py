@@ -239,7 +239,8 @@ class ExperimentHistory:
 
     def _take_attempt_finished(self, record: Mapping[str, Any]) -> None:
         ends = {"done": RunStatus.DONE, "failed": RunStatus.FAILED}
-        self.waiting_for = None
+        if self.waiting_for is not None and self.waiting_for["next_run"] == record["run"]:  # others end elsewhere
+            self.waiting_for = None
         self._ends[record["run"]] = self._since_table[record["run"]] = ends.get(record["status"], RunStatus.TODO)
         self.failures[record["run"]] = record["failure"] or ""
         told = {

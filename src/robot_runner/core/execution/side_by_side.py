@@ -16,7 +16,7 @@ from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.storage.cells import RunStatus
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.execution.orchestrator_events import OngoingExperiment
     from robot_runner.core.execution.patience import Steps
@@ -83,7 +83,7 @@ class SideBySide:
         self._left = self._progress.pending(self._begun)
         self._may_begin = True
         if self._ongoing.experiment.parameters.robots:
-            self._turns = _turns_of(self._progress.rows)
+            self._turns = _turns_of(self._progress.rows, {run.place for run in self._progress.pending(self._begun)})
         try:
             while True:
                 while self._may_begin and not self._ongoing.is_ending and (chosen := self._choose()) is not None:
@@ -284,11 +284,12 @@ class _Turns:
         self._all[robot] += more
 
 
-def _turns_of(rows: RunTableRows) -> _Turns:
-    """Return which robots have executed what, as the run table has it."""
-    places = [place for place in range(len(rows)) if rows.excluded(place) is None]
+def _turns_of(rows: RunTableRows, to_do: Container[int]) -> _Turns:
+    """Return which robots have executed what, as the run table has it, but for what is to be executed again."""
+    places = [place for place in range(len(rows)) if rows.excluded(place) is None or place in to_do]
     runs = {place: (rows.combination(place), rows.repetition(place)) for place in places}
-    done = [(*runs[place], str(rows.row(place)[ROBOT])) for place in places if rows.status(place) is RunStatus.DONE]
+    kept = (place for place in places if place not in to_do and rows.status(place) is RunStatus.DONE)
+    done = [(*runs[place], str(rows.row(place)[ROBOT])) for place in kept]
     return _Turns(runs.values(), done)
 
 

@@ -166,7 +166,7 @@ def restore_revisions(factors: Sequence[Factor], described: Sequence[Sequence[st
 
 if __name__ == "__main__":
     settle_streams()
-    with open(int(sys.argv[1]), encoding="utf-8") as _file:  # noqa: PTH123 - a descriptor
+    with os.fdopen(int(sys.argv[1]), encoding="utf-8") as _file:
         _description = json.load(_file)
     _report = RecordWriter(_description["records"])
     leave_after(partial(_execute_described, _description, _report), _report)

@@ -136,7 +136,7 @@ def _split(text: str | None) -> list[str]:
 
 def _done_runs(folder: ExperimentFolder) -> list[str]:
     rows = read_run_table(folder.run_table, TableLayout.of_schema(read_schema(folder.schema)))
-    places = (place for place in range(len(rows)) if rows.excluded(place) is None)
+    places = (place for place in range(len(rows)) if rows.excluded(place) is None and not rows.is_warm_up(place))
     return [rows.run_id(place) for place in places if rows.status(place) is RunStatus.DONE]
 
 
@@ -146,7 +146,7 @@ def _chosen(done: Sequence[str], wanted: str | None) -> Sequence[str]:
         if run_id not in done:
             fix = did_you_mean(run_id, done) if done else "Execute the experiment first."
             raise UsageError(
-                f"no run {run_id!r} is done, or it is excluded", where="robot-runner fit-power-model", fix=fix
+                f"no run {run_id!r} is done, or it is left out", where="robot-runner fit-power-model", fix=fix
             )
     return chosen or done
 

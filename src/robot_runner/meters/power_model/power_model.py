@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import AnalysisError, Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.plugin import Profiler
+from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
 from robot_runner.meters.power_model.components import ComponentSources
@@ -121,7 +122,8 @@ class PowerModel(Profiler):
         if len(given) != 1:
             problem = f"{len(given) or 'none'} of model, coefficients and function are given"
             raise PluginError(problem, where=self.name, fix="Give it one of them. " + _FIX)
-        self.model = None if model is None else Path(model).expanduser()
+        self._named = None if model is None else Path(model)
+        self.model = None if self._named is None else input_file(self._named)
         self.function = function
         self.utilisation = utilisation
         self.phases = phases
@@ -177,6 +179,10 @@ class PowerModel(Profiler):
         """Return what a run needs for itself: nothing, as other plugins measure what it computes with."""
         del robot
         return ()
+
+    def input_files(self) -> Iterable[InputFile]:
+        """Return the file of the model, if one is given."""
+        return [] if self._named is None else [InputFile(self._named)]
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no model that can be read, or no plugin that samples what it depends on."""

@@ -1,0 +1,21 @@
+"""What an experiment does is read from its journal, record by record."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from robot_runner.core.execution.experiment_history import ExperimentHistory
+
+
+def ended(run: str) -> dict[str, Any]:
+    at = "2026-01-31T12:00:01.000Z"
+    return {"kind": "attempt_finished", "at": at, "run": run, "status": "done", "failure": None, "measures": {}}
+
+
+def test_a_person_is_waited_for_however_many_runs_end_elsewhere_meanwhile() -> None:
+    history = ExperimentHistory()
+    history.take({"kind": "waiting", "next_run": "r_2", "step": "lay the floor", "questions": ()})
+    history.take(ended("r_1"))
+    assert history.waiting_for == {"next_run": "r_2", "step": "lay the floor", "questions": ()}
+    history.take(ended("r_2"))
+    assert history.waiting_for is None
