@@ -54,5 +54,10 @@ def test_what_is_too_large_or_lies_in_other_repositories_or_cannot_be_had_is_not
 
 
 def test_each_repository_has_a_copy_of_its_own() -> None:
-    places = ["/home/ada/planner", "/home/ada/lab/planner", "https://example.org/planner.git", "/home/ada/gr\udcf6\udcdfe"]
+    places = [
+        "/home/ada/planner",
+        "/home/ada/lab/planner",
+        "https://example.org/planner.git",
+        "/home/ada/gr\udcf6\udcdfe",
+    ]
     assert len({kept_name(place) for place in places}) == 4

@@ -63,10 +63,11 @@ def read_plan(path: Path) -> PlanFile:
 def choices_in_words(plan: AnalysisPlan, unit: Callable[[str], str]) -> Iterator[str]:
     """Yield what a plan says of outliers, doubtful values and covariates, where it says anything."""
     if plan.outliers is not None:
-        names = dict.fromkeys((*plan.measures, *plan.secondary, *plan.outliers.bounds))
         rules: dict[str, list[str]] = {}
-        for name in names:
+        for name in plan.outliers.bounds:
             rules.setdefault(plan.outliers.in_words(name, unit(name)), []).append(name)
+        # A rule of spread holds for all measures, exploratory ones as well; only bounds are of one.
+        rules.setdefault(plan.outliers.in_words(""), []).append(f"every {'other ' * bool(rules)}numeric measure")
         for rule, of in rules.items():
             if rule:
                 yield f"left out as outliers: values of {enumerated(of)} {rule}"

@@ -20,7 +20,13 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from robot_runner.analysis.figures.courses import MissionCourses, PhaseSpan, course_of_run
-from robot_runner.analysis.figures.distribution import Group, draw_distribution, draw_quantiles, draw_run_order
+from robot_runner.analysis.figures.distribution import (
+    Group,
+    draw_distribution,
+    draw_proportions,
+    draw_quantiles,
+    draw_run_order,
+)
 from robot_runner.analysis.figures.effects import (
     Estimate,
     draw_agreement,
@@ -37,6 +43,8 @@ from robot_runner.analysis.figures.missions import (
     draw_trajectories,
 )
 from robot_runner.analysis.figures.style import COLUMN, PAGE, FigureFormat, figure_bytes, file_name, looks, verbatim
+from robot_runner.analysis.statistics.outcome import Proportion
+from robot_runner.analysis.statistics.tested import Interval
 
 ROOT = Path(__file__).parents[3]
 LABEL = "Energy (J)"
@@ -220,6 +228,14 @@ def test_names_are_no_formulas_and_no_markup():
     assert "<b>" not in svg
     assert figure.axes[0].get_xticklabels()[0].get_text() == r"$\frac{1}{0}$"
     assert figure.axes[0].get_xlabel() == "a b"
+
+
+def test_a_proportion_without_an_interval_is_a_point_without_a_bar():
+    known = Proportion({"Task": "a"}, 4, 0, 3, 75.0, Interval(30.0, 95.0, 0.95, "Wilson's score interval"))
+    groups = [known, replace(known, treatments={"Task": "b"}, percent=50.0, interval=None)]
+    (axes,) = draw_proportions(groups, value_label="Reached (%)", group_label="Task").axes
+    assert [line.get_ydata()[0] for line in axes.lines if line.get_marker() == "D"] == [75.0, 50.0]
+    assert len(axes.collections) == 1, "one bar"
 
 
 def test_letters_that_no_font_has_become_boxes():

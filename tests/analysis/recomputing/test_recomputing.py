@@ -29,7 +29,9 @@ from robot_runner.analysis.recomputing.literals import _templates
 from robot_runner.analysis.recomputing.recomputations import Recomputation, r_script, write_recomputations
 from robot_runner.analysis.recomputing.recomputations import notebook as notebook_of
 from robot_runner.analysis.report.document import plain
+from robot_runner.analysis.statistics.outcome import Description
 from robot_runner.core.design.factor import Factor
+from robot_runner.designs import Crossover, SplitPlot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -90,6 +92,7 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
         {"blocks": "Repetition"},
     ),
     "incomplete blocks": ([TASKS], 8, {1, 5, 9, 13}, {"blocks": "Repetition"}),
+    "blocks, margins and gaps": ([TASKS, MAPS], 6, {3, 8, 9}, {"blocks": "Repetition"}),
     "replicated blocks": ([MAPS, Factor("Room", ["a", "b", "c", "d", "e"])], 2, set(), {"blocks": "Room"}),
     "ranks": ([TASKS], 5, set(), {"analysis": {"measures": ["Energy"], "estimand": "rank"}}),
     "trimmed means": ([TASKS], 6, set(), {"analysis": {"measures": ["Energy"], "estimand": "trimmed mean"}}),
@@ -105,6 +108,7 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "yes or no, three treatments": ([TASKS], 8, set(), {}),
     "yes or no, two factors": ([TASKS, MAPS], 7, {2, 3}, {"analysis": {"measures": ["Energy", "CPU"]}}),
     "yes or no, blocks": ([TASKS, MAPS], 9, {4}, {"blocks": "Repetition"}),
+    "yes or no, two blocks": ([TASKS, MAPS], 2, set(), {"blocks": "Repetition"}),
     "odd names": ([Factor(EVIL, EVILS), Factor("is on", [True, False])], 2, set(), {}),
 }
 
@@ -208,6 +212,50 @@ def test_the_r_script_agrees_with_the_report(name: str, written: Callable[[str],
     assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
     assert "numbers agree" in finished.stdout
     assert not list(written(name).script.parent.rglob("hacked"))
+
+
+LAYINGS = Factor("Laying", range(1, 9))
+#: Designs of their own in which runs share a unit: the factors, and the design.
+SHARED = {
+    "split plot": ([MAPS, LAYINGS, TASKS], SplitPlot(hard="Map", plot="Laying")),
+    "crossover": (
+        [TASKS, Factor("Driver", list("abcdef")), Factor("Period", [1, 2, 3])],
+        Crossover(unit="Driver", period="Period", washout_in_s=60),
+    ),
+}
+
+
+@needs_r
+@pytest.mark.parametrize("name", SHARED)
+@pytest.mark.parametrize("answers", [False, True])
+def test_intervals_of_runs_that_share_a_unit_are_computed_again(
+    name: str, answers: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    factors, chosen = SHARED[name]
+    random = np.random.default_rng(5)
+
+    def values(treatments: dict[str, Any], repetition: int) -> dict[str, Any] | None:
+        place = factors[1].texts.index(str(treatments[factors[1].name]))
+        energy = float(place % 4 + random.normal())
+        if random.random() < 0.1:
+            return None
+        # With another measure there is a correlation, of residuals that the scripts do not know.
+        return {"Energy": energy > 0.8} if answers else {"Energy": energy, "Load": energy + float(random.normal())}
+
+    measures = ["Energy"] if answers else ["Energy", "Load"]
+    folder = make_experiment(tmp_path / "made", factors, values, repetitions=2, measures=measures, chosen=chosen)
+    notebook, script = write_recomputations(folder.root)
+    measure = analyse(load_results(folder.root)).measures[0]
+    of = measure.by_treatment[0] if measure.proportions is None else measure.proportions.by_treatment[0]
+    interval = of.mean_interval if isinstance(of, Description) else of.interval
+    assert interval is not None
+    assert interval.method.endswith(f"runs of one {factors[1].name} counting together")
+    told = executed(notebook, monkeypatch)
+    assert "numbers agree" in told
+    assert ("not computed again" in told) is not answers
+    assert f"{interval.low!r}, {interval.high!r}" in notebook.read_text(encoding="utf-8")
+    finished = rscript(script)
+    assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
 
 
 @needs_r

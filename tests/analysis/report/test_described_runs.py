@@ -8,9 +8,10 @@ import pytest
 from tests.analysis.made_experiment import make_experiment
 
 from robot_runner.analysis import analyse, load_results
-from robot_runner.analysis.report.blocks import Paragraph, Remarks
+from robot_runner.analysis.report.blocks import Facts, Paragraph, Remarks
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.wording import ALPHA
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.hypothesis import Hypothesis
@@ -72,6 +73,18 @@ def test_values_that_the_plan_leaves_out_are_in_no_mean_of_a_figure(tmp_path: Pa
     means = table(document, "means")
     assert means.rows[0][1].text.startswith("11.80 ±")
     assert "but for values that the analysis leaves out" in means.note
+
+
+def test_what_was_fixed_names_each_planned_measure_and_whose_values_a_rule_leaves_out(tmp_path: Path) -> None:
+    rule = Outliers(interquartile_ranges=3, bounds={"Energy": (0, None)})
+    document = report(tmp_path / "trial", [TASK], plan=AnalysisPlan("Energy", secondary=["Reached"], outliers=rule))
+    facts = next(each for each in document.sections[1].blocks if isinstance(each, Facts))
+    spread = "more than 3 interquartile ranges beyond the quartiles of its combination"
+    assert dict(facts.rows)["Fixed beforehand"] == (
+        f"measures Energy, secondary Reached, {ALPHA} = 0.05, Holm; "
+        f"left out as outliers: values of Energy {spread}, or below 0; "
+        f"left out as outliers: values of every other numeric measure {spread}"
+    )
 
 
 @pytest.mark.parametrize("other", [Factor("Map", ["m1"]), MAP], ids=["one treatment", "one executed"])

@@ -36,7 +36,7 @@ NUMBERS = [Factor("Speed", Range(0.1, 0.3)), Factor("Load", Range(0.0, 2.0))]
 DESIGNS = {
     "fraction": (TWO, FractionalFactorial(resolution=4), 1),
     "repeated fraction": (TWO, FractionalFactorial(resolution=4), 3),
-    "covering array": ([*TWO, *THREE], CoveringArray(strength=2), 2),
+    "covering array": ([*TWO, *THREE], CoveringArray(strength=3), 2),
     "one at a time": (TWO, OneFactorAtATime(base={each.name: "low" for each in TWO}), 4),
     "D-optimal": ([*TWO, *THREE], DOptimal(runs=16), 1),
     "D-optimal, interactions": (TWO[:3], DOptimal(runs=8, model="interactions"), 2),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot_runner.analysis.report.blocks import Chart, Paragraph, Part, Remarks, Tone
+from robot_runner.analysis.report.blocks import Chart, Facts, Paragraph, Part, Remarks, Tone
 from robot_runner.analysis.report.document import report_document
 from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.mission_figures import mission_courses, mission_parts, sampled_measures
@@ -100,6 +100,43 @@ def test_of_runs_that_took_several_attempts_those_with_results_are_told(two_task
     assert found["Runs failed"].text.startswith("1 run failed")
 
 
+def test_why_earlier_attempts_failed_is_told_as_their_values_are_left_out(two_tasks):
+    folder = two_tasks()
+    with Journal(folder.files.journal) as journal:
+        for run, attempt, status, failure in (
+            ("r_2", 2, "failed", "Energy: the value, 900 J, is above 880 J"),
+            ("r_2", 3, "done", None),
+            ("r_4", 2, "failed", "Energy: the value, 900 J, is above 880 J"),
+            ("r_4", 3, "done", None),
+        ):
+            ended = {"is_last": status == "done", "status": status, "seconds": 1.0, "stamps": {}, "measures": {}}
+            journal.append("attempt_started", at="2026-01-31T13:00:00.000Z", run=run, attempt=attempt)
+            journal.append(
+                "attempt_finished", at="2026-01-31T13:00:01.000Z", run=run, attempt=attempt, **ended, failure=failure
+            )
+    assert threats(folder)["Runs took more than one attempt"].text == (
+        "r_2, r_4: results are those of the last attempt, at another time than planned. "
+        "Earlier ones failed: r_2, r_4 (Energy: the value, 900 J, is above 880 J)."
+    )
+
+
+@pytest.mark.parametrize(
+    ("manifest", "heading", "told"),
+    [
+        ({"robot": None}, "Robot", "none"),
+        ({"robot": "ros2"}, "Robot", "ros2"),
+        (
+            {"robot": "ros2://alice", "robots": {"alice": "ros2://alice", "bob": "ros2://bob"}},
+            "Robots",
+            "alice (ros2://alice), bob (ros2://bob), which took turns",
+        ),
+    ],
+)
+def test_the_design_names_each_robot_or_says_that_there_was_none(two_tasks, manifest, heading, told):
+    facts = next(block for block in document(two_tasks(manifest=manifest)).blocks() if isinstance(block, Facts))
+    assert dict(facts.rows)[heading] == told
+
+
 def test_doubts_that_name_their_run_are_told_once(two_tasks):
     folder = two_tasks()
     with Journal(folder.files.journal) as journal:
@@ -178,6 +215,15 @@ def test_phases_that_differ_between_runs_are_not_drawn_for_all(two_tasks):
     folder.write_samples(
         "Robot", "phases.csv", "number,phase,start_s,end_s", lambda place: [f"1,{'ab'[place % 2]},0,2"]
     )
+    material = material_of(folder)
+    [measure] = sampled_measures(material.results)
+    assert mission_courses(material, measure, material.order).phases == ()
+
+
+def test_phases_that_go_on_at_once_are_not_drawn_in_turn(two_tasks):
+    folder = two_tasks()
+    power(folder)
+    folder.write_samples("Robot", "phases.csv", "number,phase,start_s,end_s", lambda _: ["1,a,0,3", "2,b,2,4"])
     material = material_of(folder)
     [measure] = sampled_measures(material.results)
     assert mission_courses(material, measure, material.order).phases == ()

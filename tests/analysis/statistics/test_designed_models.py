@@ -126,6 +126,28 @@ def test_a_fraction_names_what_it_cannot_tell_apart():
     assert figures(first) == pytest.approx((-19 / 0.5**0.5, 8))
 
 
+def test_a_model_says_of_a_combination_that_it_has_a_single_run_only_where_one_has():
+    rows = [(a, b, 10 + 3 * place + 7 * run % 4) for place, (a, b) in enumerate(("xp", "yp", "xq")) for run in range(4)]
+    around = design_of(designed(rows, ["A", "B"], {"kind": "one_factor_at_a_time", "base": {"A": "x", "B": "p"}}))
+    voltage = {covariate_column("U"): np.arange(len(rows)) ** 2 % 5 / 10}
+    for count, start in ((len(rows), "Main"), (9, "Some combinations have a single run: main")):
+        known = around.data("y")
+        frame = known.frame.assign(**voltage)[:count]
+        model = designed_model_of(replace(known, frame=frame, covariates=("U",)), Estimand.MEAN, Statistic.COMBINED)
+        assert model.reason.startswith(f"{start} effects and what else")
+        assert ", adjusted for U." in model.reason
+
+
+def test_a_factor_that_cannot_be_tested_gives_its_effect_to_no_other():
+    # Only the resolution of the camera costs anything, and it goes together with the sensor and, in part, the speed.
+    cells = {("camera", "720p", "2"): 0, ("camera", "1080p", "1"): 9, ("camera", "1080p", "2"): 9}
+    cells |= {("lidar", "inactive", "1"): 0, ("lidar", "inactive", "2"): 0}
+    rows = [[*cell, cost + run] for cell, cost in cells.items() for run in (0.0, 1.0, 0.5)]
+    found = analyse(designed(rows, ["Sensor", "Resolution", "Speed"], {"kind": "d_optimal", "model": "main"}))
+    assert found.measure("y").test is None
+    assert "what Resolution does cannot be told apart" in found.measure("y").not_computed[0].why
+
+
 def test_lenth_is_as_published():
     signs = np.array([[1 if place >> bit & 1 else -1 for bit in range(4)] for place in range(16)])
     columns = [np.prod(signs[:, [bit for bit in range(4) if which >> bit & 1]], axis=1) for which in range(1, 16)]

@@ -10,11 +10,14 @@ import numpy as np
 import pytest
 from scipy import stats
 from statsmodels.stats.contingency_tables import StratifiedTable
-from statsmodels.stats.proportion import confint_proportions_2indep
+from statsmodels.stats.proportion import confint_proportions_2indep, proportion_confint
 from tests.analysis.made_experiment import make_experiment
+from tests.analysis.statistics.designed_data import designed
 
 from robot_runner.analysis import analyse, load_results
+from robot_runner.analysis.statistics.analysed_design import Group
 from robot_runner.analysis.statistics.disclosed import Reason
+from robot_runner.analysis.statistics.proportions import _proportion
 from robot_runner.core.design.factor import Factor
 
 if TYPE_CHECKING:
@@ -69,6 +72,64 @@ def test_a_proportion_has_the_score_interval_of_wilson(tmp_path: Path) -> None:
     assert (other.n, other.missing, other.count) == (9, 1, 3)
     assert found.overall is None, "nothing of it is a mean"
     assert found.unit == "%"
+
+
+def wilson(count: float, n: float, units: int) -> tuple[float, float]:
+    """Return Wilson's interval in percent, with t in the place of z, by statsmodels."""
+    alpha = 2 * stats.norm.sf(stats.t.isf(0.025, units - 1))
+    low, high = proportion_confint(count, n, alpha, method="wilson")
+    return 100 * low, 100 * high
+
+
+def test_runs_of_a_block_count_together_in_the_interval_of_a_proportion(tmp_path: Path) -> None:
+    rooms = [2, 0, 1, 3, 3, 1]  # how many of the three missions of each block reach their goal
+    yes = {("DWB", room): [count > place for count in rooms] for place, room in enumerate(ROOM.texts)}
+    yes |= {("TEB", room): [True] * 6 for room in ROOM.texts}
+    found = analysed(tmp_path, [PLANNER, ROOM], yes, blocks="Repetition").measure("Success").proportions
+    assert found is not None
+    dwb, teb = found.by_treatment[:2]
+    shares = np.array(rooms) / 3
+    variance, share = np.var(shares, ddof=1) / 6, np.mean(shares)
+    worth = share * (1 - share) / variance
+    assert 6 < worth < 18
+    assert dwb.interval is not None
+    assert (dwb.interval.low, dwb.interval.high) == pytest.approx(wilson(share * worth, worth, 6))
+    assert dwb.interval.method == "Wilson's score interval, runs of one Repetition counting together"
+    assert teb.interval is not None
+    assert (teb.interval.low, teb.interval.high) == pytest.approx(wilson(6, 6, 6)), "all alike: a block is worth a run"
+    lab = found.by_combination[0].interval
+    assert lab is not None
+    low, high = (100 * each for each in proportion_confint(5, 6, method="wilson"))
+    assert ((lab.low, lab.high), lab.method) == (pytest.approx((low, high)), "Wilson's score interval"), "one run each"
+
+
+@pytest.mark.parametrize(("plots", "worth"), [((4, 0, 4, 0), 4), ((3, 3, 3, 3), 16), ((4, 4, 4, 4), 4)])
+def test_runs_are_worth_no_less_than_their_plots_and_no_more_than_themselves(
+    plots: tuple[int, ...], worth: int
+) -> None:
+    units = np.repeat(np.arange(4), 4)
+    values = np.array([float(place < count) for count in plots for place in range(4)])
+    found = _proportion(Group({}, values, ("",) * 16, units=units, unit="Laying")).interval
+    assert found is not None
+    assert (found.low, found.high) == pytest.approx(wilson(values.mean() * worth, worth, 4))
+    assert _proportion(Group({}, values[:4], ("",) * 4, units=units[:4], unit="Laying")).interval is None
+
+
+def test_the_proportions_of_a_split_plot_and_of_a_crossover_know_their_units() -> None:
+    def of(unit: str, facts: dict[str, Any]) -> str:
+        rows = [
+            (f"u{each}", 1 + each // 2 % 2, "ab"[each % 2], run == each % 3) for each in range(8) for run in range(2)
+        ]
+        results = designed(rows, (unit, "Period", "Planner"), facts)
+        results.table["y"] = results.table["y"].astype("boolean")
+        found = analyse(results).measure("y").proportions
+        assert found is not None
+        assert found.by_treatment[-1].interval is not None
+        return found.by_treatment[-1].interval.method
+
+    told = "Wilson's score interval, runs of one {} counting together"
+    assert of("Laying", {"kind": "split_plot", "whole_plot": "Laying"}) == told.format("Laying")
+    assert of("Driver", {"kind": "crossover", "subject": "Driver", "period": "Period"}) == told.format("Driver")
 
 
 def test_two_treatments_are_compared_by_fishers_exact_test(tmp_path: Path) -> None:

@@ -99,13 +99,14 @@ def draw_distribution(
 
 @figure_style()
 def draw_proportions(groups: Sequence[Proportion], *, value_label: str, group_label: str) -> Figure:
-    """Draw a point for the percentage of each group, with its confidence interval."""
+    """Draw a point for the percentage of each group, with its confidence interval where it has one."""
     is_upright = len(groups) <= _MOST_UPRIGHT
     figure, axes = new_axes(COLUMN, 2.3 if is_upright else min(HIGHEST, 0.6 + _ROW * len(groups)))
     for place, (group, look) in enumerate(zip(groups, looks(len(groups)), strict=True)):
-        if group.percent is None or group.interval is None:
+        if group.percent is None:
             continue
-        reach = [[group.percent - group.interval.low], [group.interval.high - group.percent]]
+        ends = group.interval
+        reach = None if ends is None else [[group.percent - ends.low], [ends.high - group.percent]]
         drawn: dict[str, Any] = {"color": look.colour, "marker": "D", "markersize": 4.0, "capsize": 3.0}
         if is_upright:
             axes.errorbar([place], [group.percent], yerr=reach, **drawn)

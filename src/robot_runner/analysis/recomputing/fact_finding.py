@@ -85,13 +85,15 @@ def facts_of_study(
         numbers=tuple(dict.fromkeys(each.name for each in facts.values() if each.answered is None)),
         block=block,
         blocks_are_of_batches=bool(block) and BATCH in design.frame and block == results.repetition,
+        units=() if block else design.known.unit_columns,
         batch=(results.batch or "") if BATCH in design.frame else "",
         design=_design(statistics),
         measures=tuple(facts.values()),
         families=tuple(_families(statistics, plan, facts)),
         adjusted=_adjusted(statistics, facts),
         correlated=tuple(_correlated(shown, design)),
-        correlations=_correlations(shown),
+        correlations=_correlations(shown, is_plain=design.known.is_plain),
+        without_within=0 if design.known.is_plain else len(shown.correlations),
     )
 
 
@@ -211,7 +213,8 @@ def _correlated(statistics: ExperimentStatistics, design: Design) -> Iterator[tu
         yield tuple((name, () if data is None else data.factors) for name, data in several)
 
 
-def _correlations(statistics: ExperimentStatistics) -> Reported:
+def _correlations(statistics: ExperimentStatistics, *, is_plain: bool) -> Reported:
+    """Return the correlations; within treatments where the scripts know the model whose residuals they are of."""
     rows: list[tuple[str, dict[str, Number]]] = []
     for each in statistics.correlations:
         ends = each.pearson_interval
@@ -223,7 +226,7 @@ def _correlations(statistics: ExperimentStatistics) -> Reported:
             "Spearman's rho": each.spearman,
             "p": each.p_value,
             "adjusted p": each.adjusted_p_value,
-            "r within treatments": each.within,
+            "r within treatments": each.within if is_plain else None,
         }
         rows.append((f"{each.first} and {each.second}", row))
     return Reported.of(rows)

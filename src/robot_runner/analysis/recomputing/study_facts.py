@@ -265,6 +265,7 @@ class StudyFacts:
         numbers: the measures.
         block: the column of the blocks; empty where there are none.
         blocks_are_of_batches: whether blocks are counted anew in each batch.
+        units: where there are no blocks, the columns that tell which runs vary together; none where all stand alone.
         batch: the column of the batches; empty where there are none.
         families: the tests among which errors are controlled together.
         adjusted: p-values after adjustment.
@@ -281,6 +282,7 @@ class StudyFacts:
     numbers: tuple[str, ...]
     block: str
     blocks_are_of_batches: bool
+    units: tuple[str, ...]
     batch: str
     design: Reported
     measures: tuple[MeasureFacts, ...]
@@ -288,11 +290,17 @@ class StudyFacts:
     adjusted: Reported
     correlated: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...]
     correlations: Reported
+    without_within: int
 
     @property
     def skipped(self) -> int:
         """How many numbers of the report are not computed again."""
-        return sum(measure.skipped for measure in self.measures)
+        return sum(measure.skipped for measure in self.measures) + self.without_within
+
+    @property
+    def has_units(self) -> bool:
+        """Whether several runs may vary together."""
+        return bool(self.block or self.units)
 
     @property
     def compared(self) -> tuple[Compared, ...]:

@@ -22,11 +22,12 @@ from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_commit, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
+    from robot_runner.analysis.statistics.tested import Interval
 
 _GIBI = 2**30
 _MOST_NAMED = 12  # outliers that fit a line
@@ -66,7 +67,9 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
         yield f"Repeated for {known.measure}", f"{known.asked}; {counted(known.repetitions, 'repetition')} in the end"
     if material.results.warm_ups:
         yield "Warm-up", f"{listed(material.results.warm_ups)}: executed and kept, not analysed"
-    yield "Robot", str(material.manifest("robot", default="not recorded"))
+    robot = material.manifest("robot", default="none" if "robot" in material.results.manifest else "not recorded")
+    several = [f"{name} ({link})" for name, link in material.manifest("robots", default={}).items()]
+    yield ("Robots", f"{listed(several)}, which took turns") if several else ("Robot", str(robot))
     deviations = material.manifest("deviations", default={})
     if deviations:
         settings = (f"{name} = {value}" for name, value in shown_settings(deviations).items())
@@ -77,7 +80,8 @@ def _facts(material: Material) -> Iterator[tuple[str, str]]:
     plan = material.results.plan
     if plan is not None:
         correction = correction_in_words(plan.correction)
-        choices = f"measures {listed(plan.measures)}, {ALPHA} = {plan.alpha:g}, {correction}"
+        names = f"measures {listed(plan.measures)}{f', secondary {listed(plan.secondary)}' * bool(plan.secondary)}"
+        choices = f"{names}, {ALPHA} = {plan.alpha:g}, {correction}"
         yield "Fixed beforehand", "; ".join([choices, *choices_in_words(plan, material.results.unit)])
     if material.registered is not None:
         yield "Registration", material.registered.sentence
@@ -261,7 +265,8 @@ def _proportion_table(name: str, caption: str, heading: str, groups: Sequence[Pr
         number("Yes (%)", "percent"),
         interval("CI (%)", "interval"),
     )
-    note = about_intervals((group.interval for group in groups), ", Wilson's score interval").rstrip()
+    found = [group.interval for group in groups if group.interval is not None]
+    note = about_intervals(found, f", {_methods(found)}").rstrip()
     return build_table(name, caption, groups, fields, note).without_blank("Missing")
 
 
@@ -292,10 +297,14 @@ def _about_intervals(groups: Sequence[Description]) -> str:
     found = [(group.mean_interval, group.n) for group in groups if group.mean_interval is not None]
     if not found:
         return ""
-    methods = " or ".join(dict.fromkeys(each.method for each, _ in found))
+    methods = _methods(each for each, _ in found)
     is_narrow = any(each.method.startswith("bootstrap") and n < _ENOUGH_FOR_BOOTSTRAP for each, n in found)
     caveat = f" (rather narrow for fewer than {_ENOUGH_FOR_BOOTSTRAP} runs)" if is_narrow else ""
     return about_intervals((each for each, _ in found), f", {methods}{caveat}")
+
+
+def _methods(intervals: Iterable[Interval]) -> str:
+    return " or ".join(dict.fromkeys(each.method for each in intervals))
 
 
 def _notes(measure: MeasureStatistics) -> Iterator[str]:

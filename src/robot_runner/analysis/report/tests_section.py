@@ -314,7 +314,7 @@ def _correlation_table(material: Material) -> Table:
     about = about_intervals((each.pearson_interval for each in found), " of r")
     note = (
         f"{about}p-values are of Spearman's {RHO}, {counted(len(found), 'pair')}. Within treatments: what is left once "
-        "the effect of the treatments is taken away."
+        "the effects of the treatments, and of blocks and batches, are taken away."
     )
     caption = "How measures go together, over all runs that are done."
     return build_table("correlations", caption, found, fields, note)

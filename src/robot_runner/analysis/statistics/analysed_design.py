@@ -44,17 +44,39 @@ class Group:
     Attributes:
         treatments: which treatment of which factor, as texts.
         missing: how many of its runs have no value.
+        units: the number of the unit of each run, which varies as a whole: its block, whole plot or subject; None where
+            runs stand by themselves.
+        unit: what such a unit is called.
     """
 
     treatments: dict[str, str]
     values: NDArray[np.float64]
     run_ids: tuple[str, ...]
     missing: int = 0
+    units: NDArray[np.intp] | None = None
+    unit: str = ""
 
     @property
     def label(self) -> str:
         """The group in words."""
         return " / ".join(self.treatments.values()) or "all runs"
+
+    @property
+    def of_units(self) -> tuple[float, int] | None:
+        """The variance of the mean where runs of a unit vary together, and how many units there are.
+
+        None where no unit has several runs. It is the cluster-robust variance (Liang and Zeger, Biometrika 73, 1986)
+        with J / (J - 1) for J units: with equally many runs in each, that of the mean of the units' means.
+        """
+        if self.units is None or (count := len(np.unique(self.units))) == len(self.units):
+            return None
+        sums = np.bincount(self.units, self.values - np.mean(self.values))  # 0 where a unit has none
+        return (float(count / (count - 1) * (sums @ sums)) / len(self.units) ** 2 if count > 1 else math.nan), count
+
+    @property
+    def in_words(self) -> str:
+        """What an interval has to say where runs of a unit count together."""
+        return f", runs of one {self.unit} counting together"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +93,7 @@ class MeasureData:
         is_extended: whether the runs with a value are of several batches.
         covariates: what values are adjusted for; `frame` has a column of each, and only the runs that have all of them.
         known: the design, beyond factors and blocks.
+        block: the column of the blocks.
     """
 
     name: str
@@ -81,6 +104,7 @@ class MeasureData:
     is_extended: bool = False
     covariates: tuple[str, ...] = ()
     known: KnownDesign = PLAIN
+    block: str = ""
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -100,8 +124,7 @@ class MeasureData:
     @property
     def plots(self) -> NDArray[np.intp]:
         """The number of the whole plot of each run that has a value, of a split-plot design."""
-        names = [role_column(name) for name in (self.known.whole_plot, *self.known.plot_columns)]
-        return np.asarray(self.frame.groupby(names, observed=True).ngroup(), dtype=np.intp)
+        return _numbered(self.frame, list(map(role_column, self.known.unit_columns)))
 
     @property
     def unit_names(self) -> list[str]:
@@ -110,7 +133,7 @@ class MeasureData:
             return list(map(str, self.blocks))
         if self.known.whole_plot:
             return list(map(str, self.plots))
-        names = [self.known.subject] if self.known.subject else self.known.blocks[:1]
+        names = self.known.unit_columns
         return list(self.frame[role_column(names[0])].astype(str)) if names else [""] * len(self.frame)
 
     def with_plots_as_blocks(self) -> MeasureData:
@@ -150,8 +173,11 @@ class MeasureData:
         """Return the runs of each combination of treatments of these factors that has a run that is done."""
         values = np.asarray(self.every[VALUE], dtype=np.float64)
         run_ids = np.asarray(self.every[RUN_ID], dtype=object)
+        columns = [_BLOCK] if self.is_blocked else list(map(role_column, self.known.unit_columns))
+        units = _numbered(self.every, columns) if columns else None
+        unit = (self.block or "block") if self.is_blocked else next(iter(self.known.unit_columns), "")
         if not factors:
-            return [_group({}, values, run_ids)]
+            return [_group({}, values, run_ids, units, unit)]
         # By the codes of the treatments, so that groups come in the order of the treatments.
         codes = [np.asarray(self.every[factor].cat.codes) for factor in factors]
         categories = [self.every[factor].cat.categories for factor in factors]
@@ -163,15 +189,29 @@ class MeasureData:
                 {name: str(names[code]) for name, names, code in zip(factors, categories, keys[first], strict=True)},
                 values[rows],
                 run_ids[rows],
+                None if units is None else units[rows],
+                unit,
             )
             for first, rows in zip((0, *starts), np.split(order, starts), strict=True)
             if len(rows)
         ]
 
 
-def _group(treatments: dict[str, str], values: NDArray[np.float64], run_ids: NDArray[np.object_]) -> Group:
+def _numbered(frame: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.intp]:
+    """Return the number of what each row has in these columns."""
+    return np.asarray(frame.groupby(list(columns), observed=True, dropna=False).ngroup(), dtype=np.intp)
+
+
+def _group(
+    treatments: dict[str, str],
+    values: NDArray[np.float64],
+    run_ids: NDArray[np.object_],
+    units: NDArray[np.intp] | None,
+    unit: str,
+) -> Group:
     present = ~np.isnan(values)
-    return Group(treatments, values[present], tuple(run_ids[present]), int((~present).sum()))
+    shared = None if units is None else units[present]
+    return Group(treatments, values[present], tuple(run_ids[present]), int((~present).sum()), shared, unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +261,8 @@ class Design:
         frame = every[every[[VALUE, *known]].notna().all(axis="columns")].reset_index(drop=True)
         factors = tuple(name for name in self.factors if _distinct(frame[name]) > 1)
         is_extended = BATCH in frame and _distinct(frame[BATCH]) > 1
-        return MeasureData(measure, frame, every, factors, self.block is not None, is_extended, covariates, self.known)
+        is_blocked, block = self.block is not None, self.block or ""
+        return MeasureData(measure, frame, every, factors, is_blocked, is_extended, covariates, self.known, block)
 
     def _numbers(self, measure: str) -> NDArray[np.float64] | None:
         """Return the values of a measure, NaN where there is none; None where they are no numbers."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -50,6 +51,9 @@ _OUTER_FENCE = 3.0
 
 #: Fewer values have no spread to speak of.
 _LEAST_FOR_SPREAD = 2
+#: What means of units that are equal differ by once they were computed, of their size.
+_ROUNDING = 1e-13
+_T = "t distribution"
 _LEAST_FOR_OUTLIERS = 4
 
 
@@ -96,20 +100,38 @@ def describe(group: Group, *, level: float = 0.95, level_of_looks: float | None 
         third_quartile=third,
         minimum=float(np.min(values)),
         maximum=float(np.max(values)),
-        mean_interval=_mean_interval(values, level, level_of_looks),
+        mean_interval=_mean_interval(group, level, level_of_looks),
         outliers=_outliers(group, first, third),
     )
 
 
-def _mean_interval(values: NDArray[np.float64], level: float, level_of_looks: float | None) -> Interval | None:
-    """Return Student's interval; a bootstrap's is narrower than it claims (83 % at n = 5, normal or not)."""
+def _mean_interval(group: Group, level: float, level_of_looks: float | None) -> Interval | None:
+    """Return Student's interval; a bootstrap's is narrower than it claims (83 % at n = 5, normal or not).
+
+    Where units have several runs of the group, what varies by chance is the units.
+    """
+    values = group.values
     if len(values) < _LEAST_FOR_SPREAD or np.ptp(values) == 0:
         return None
+    if group.of_units is not None:
+        return _interval_of_units(group, *group.of_units, level, level_of_looks)
     if level_of_looks is not None:
         mean, half_width = float(np.mean(values)), half_width_of(values.tolist(), level_of_looks)
         return Interval(mean - half_width, mean + half_width, CONFIDENCE, METHOD)
     low, high = stats.t.interval(level, len(values) - 1, loc=np.mean(values), scale=stats.sem(values))
-    return Interval(float(low), float(high), level, "t distribution")
+    return Interval(float(low), float(high), level, _T)
+
+
+def _interval_of_units(
+    group: Group, variance: float, units: int, level: float, level_of_looks: float | None
+) -> Interval | None:
+    """Return the interval of a mean, of units that vary as a whole; None where nothing tells how much they do."""
+    mean, error = float(np.mean(group.values)), math.sqrt(variance)
+    if units < _LEAST_FOR_SPREAD or error <= _ROUNDING * float(np.max(np.abs(group.values))):
+        return None
+    half_width = float(stats.t.isf((1 - (level_of_looks or level)) / 2, units - 1)) * error
+    told, method = (level, _T) if level_of_looks is None else (CONFIDENCE, METHOD)
+    return Interval(mean - half_width, mean + half_width, told, f"{method}{group.in_words}")
 
 
 def bootstrap_interval(

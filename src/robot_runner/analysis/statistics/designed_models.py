@@ -97,6 +97,12 @@ class _Fitting:
         known = self.data.known
         if known.is_surface:
             return self._surface()
+        told = {*known.terms, *(term for several in known.aliases.values() for term in several)}
+        mixed = [name for name in self.factors if told and (name,) not in told]
+        if mixed:
+            # A model without them would give what they do to the factors that they change with.
+            alike = "cannot be told apart from what other factors do: in part they change together."
+            return NotComputed("the test", f"what {enumerated(mixed)} does {alike}")
         if known.whole_plot:
             return self._split_plot()
         if not known.columns and not self.data.is_extended and not self.data.covariates:
@@ -186,7 +192,7 @@ class _Fitting:
 
     @property
     def _reason(self) -> str:
-        known, of = self.data.known, "main effects and what else the combinations tell"
+        known = self.data.known
         adjusted = f", adjusted for {enumerated(self.data.covariates)}" if self.data.covariates else ""
         if known.period:
             carried = ", the treatment before" if known.carry_over else ""
@@ -196,7 +202,9 @@ class _Fitting:
             )
         if known.columns:
             return f"Means are compared beside {enumerated(known.blocks)}{adjusted}. {_ONE_VARIANCE}"
-        return f"Some combinations have a single run: {of} are compared{adjusted}. {_ONE_VARIANCE}"
+        single = self.data.frame.groupby(list(self.factors), observed=True).size().min() == 1
+        effects = "Some combinations have a single run: main effects" if single else "Main effects"
+        return f"{effects} and what else the combinations tell are compared{adjusted}. {_ONE_VARIANCE}"
 
     # Crossover.
 

@@ -104,6 +104,13 @@ class KnownDesign:
         return (*self.blocks, *filter(None, [self.whole_plot]))
 
     @property
+    def unit_columns(self) -> tuple[str, ...]:
+        """The columns that tell which runs vary together: those of one whole plot, subject or block."""
+        if self.whole_plot:
+            return (self.whole_plot, *self.plot_columns)
+        return (self.subject,) if self.subject else self.blocks[:1]
+
+    @property
     def is_plain(self) -> bool:
         """Whether the combinations and blocks tell everything, as of a full factorial."""
         return not (self.columns or self.terms or self.is_surface)

@@ -124,10 +124,11 @@ def _observed(results: Results, measure: str, left_out: Collection[str]) -> Iter
     runs = results.runs
     values = runs[measure].where(runs[STATUS] == RunStatus.DONE.value)
     treatments = zip(*(runs[name].astype("str") for name in results.factors), strict=True)
-    rows = zip(runs[RUN_ID], treatments, runs[results.repetition], values, values.isna(), strict=True)
-    for run_id, texts, repetition, value, is_missing in rows:
+    batches = [1] * len(runs) if results.batch is None else runs[results.batch]
+    rows = zip(runs[RUN_ID], treatments, runs[results.repetition], values, values.isna(), batches, strict=True)
+    for run_id, texts, repetition, value, is_missing, batch in rows:
         plain = None if is_missing or run_id in left_out else value.item() if hasattr(value, "item") else value
-        yield Observed(run_id, dict(zip(results.factors, texts, strict=True)), int(repetition), plain)
+        yield Observed(run_id, dict(zip(results.factors, texts, strict=True)), int(repetition), plain, int(batch))
 
 
 def _without(left_out: Collection[str]) -> str:

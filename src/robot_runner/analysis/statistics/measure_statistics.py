@@ -29,12 +29,12 @@ from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.words import enumerated
+from robot_runner.core.words import enumerated, listed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
+    from robot_runner.analysis.statistics.analysed_design import Design, Group, MeasureData
     from robot_runner.analysis.statistics.outcome import Description, Power
     from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest
     from robot_runner.core.design.analysis_plan import AnalysisPlan
@@ -156,6 +156,8 @@ def _of_answers(
     if plan is not None and plan.covariates:
         gathered.missing.append(NotComputed("adjustment for covariates", "it is of means, and not of proportions."))
     proportions = proportions_of(answers, _MOST_DESCRIBED)
+    described = {tuple(each.treatments): None for each in (*proportions.by_treatment, *proportions.by_combination)}
+    gathered.missing += [each for names in described for each in _of_one_unit(answers.described_groups(names))]
     if len(answers.factors) > 1 and not proportions.by_combination:
         why = f"there are more than {_MOST_DESCRIBED} groups."
         gathered.missing.append(NotComputed(f"descriptions by {' x '.join(answers.factors)}", why))
@@ -197,7 +199,15 @@ def _described(
         why = f"there are {len(groups):,} groups, more than {_MOST_DESCRIBED}."
         gathered.missing.append(NotComputed(f"descriptions by {' x '.join(factors)}", why))
         return ()
+    gathered.missing += _of_one_unit(groups)
     return tuple(describe(group, level_of_looks=looks) for group in groups)
+
+
+def _of_one_unit(groups: Sequence[Group]) -> Iterator[NotComputed]:
+    """Yield which groups have no interval, as all their runs are of one unit."""
+    if alone := [group for group in groups if group.of_units is not None and group.of_units[1] == 1]:
+        why = f"all runs of a group are of one {alone[0].unit}, so that nothing tells how much these differ."
+        yield NotComputed(f"the interval of {listed([group.label for group in alone])}", why)
 
 
 def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None:

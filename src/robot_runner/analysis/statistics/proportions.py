@@ -82,9 +82,24 @@ def _proportion(group: Group) -> Proportion:
     n, count = len(group.values), int(np.sum(group.values))
     if not n:
         return Proportion(group.treatments, 0, group.missing, 0, None, None)
-    low, high = _score_ends(count / n, n, float(stats.norm.isf((1 - _LEVEL) / 2)))
-    interval = Interval(100 * low, 100 * high, _LEVEL, "Wilson's score interval")
-    return Proportion(group.treatments, n, group.missing, count, 100 * count / n, interval)
+    return Proportion(group.treatments, n, group.missing, count, 100 * count / n, _interval(group, count / n, n))
+
+
+def _interval(group: Group, share: float, n: float) -> Interval | None:
+    """Return Wilson's interval; of units that vary as a whole, that of as many runs as these are worth.
+
+    Source of the latter: Dean and Pagano, Journal of Survey Statistics and Methodology 3, 2015.
+    """
+    reach, method = float(stats.norm.isf((1 - _LEVEL) / 2)), "Wilson's score interval"
+    if group.of_units is not None:
+        variance, units = group.of_units
+        if units == 1:
+            return None
+        of_runs = share * (1 - share) / n
+        n /= min(max(variance / of_runs, 1.0), n / units) if of_runs else n / units
+        reach, method = float(stats.t.isf((1 - _LEVEL) / 2, units - 1)), f"{method}{group.in_words}"
+    low, high = _score_ends(share, n, reach)
+    return Interval(100 * low, 100 * high, _LEVEL, method)
 
 
 def _score_ends(share: float, n: float, z: float) -> tuple[float, float]:
