@@ -159,6 +159,8 @@ def _samples(
 def _phases(material: Material, run_ids: list[str]) -> tuple[PhaseSpan, ...]:
     """Return the phases of the mission, where all runs went through the same ones in turn; their median times."""
     phases = material.results.phases(run_ids) if run_ids else pd.DataFrame()
+    if phases.empty:
+        return ()
     phases = phases.sort_values(["run_id", "start_s", "end_s"])
     by_run = phases.groupby("run_id", sort=False)
     if len(by_run["phase"].agg(tuple).unique()) != 1 or (by_run["end_s"].shift() > phases["start_s"]).any():
