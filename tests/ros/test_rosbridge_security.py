@@ -74,6 +74,8 @@ def lab(tmp_path_factory):
 
 def server_context(certificate, *, clients=None):
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    # They arrive while websockets sends its first request from another thread; once, that was never answered.
+    context.num_tickets = 0
     context.load_cert_chain(certificate)
     if clients is not None:
         context.verify_mode = ssl.CERT_REQUIRED
