@@ -8,8 +8,9 @@ import ipaddress
 import os
 import socket
 import ssl
+import threading
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 
 import pytest
 from tests.conftest import HEAD
@@ -126,6 +127,32 @@ def test_a_server_that_proves_who_it_is_is_reached_and_no_other(lab):
         assert "fingerprint=" in told
         server.offer("/lamp", "std_srvs/Trigger", lambda _: {"success": True})
         assert works(f"{server.url}?ca={own}")
+
+
+def test_a_first_request_over_tls_that_is_lost_is_sent_once_more(lab):
+    context = server_context(lab.certificate("robot", "127.0.0.1"))
+    with served() as server, socket.create_server(("127.0.0.1", 0)) as listener:
+        server.offer("/lamp", "std_srvs/Trigger", lambda _: {"success": True})
+
+        def pump(source, sink):
+            with suppress(OSError):
+                while data := source.recv(65536):
+                    sink.sendall(data)
+                sink.shutdown(socket.SHUT_WR)
+
+        def relay():
+            silent, heard = (context.wrap_socket(listener.accept()[0], server_side=True) for _ in range(2))
+            with silent, heard, socket.create_connection(("127.0.0.1", server.port)) as behind:
+                answering = threading.Thread(target=pump, args=(behind, heard))
+                answering.start()
+                pump(heard, behind)
+                answering.join()
+
+        relaying = threading.Thread(target=relay)
+        relaying.start()
+        assert works(f"wss://127.0.0.1:{listener.getsockname()[1]}?ca={lab.ca}")
+        relaying.join(20.0)
+        assert not relaying.is_alive()
 
 
 def test_a_server_without_tls_behind_an_address_of_tls_is_said(lab, monkeypatch):

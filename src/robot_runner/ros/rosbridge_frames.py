@@ -214,24 +214,34 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
     from websockets.sync.client import connect as open_connection  # noqa: PLC0415
 
     security = address.security
-    try:
+
+    def opened(patience: float) -> ClientConnection:
         # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
         secure = secure_socket(address.host, address.port, security, timeout, where=where) if security.is_tls else None
-        return closing.enter_context(
-            open_connection(
-                address.uri.replace("wss://", "ws://", 1),
-                sock=secure,
-                additional_headers=security.headers(),
-                open_timeout=timeout,
-                close_timeout=_CLOSE_TIMEOUT,
-                ping_interval=_PING_INTERVAL,
-                ping_timeout=_PING_TIMEOUT,
-                compression=None,  # it would cost more on the robot than it saves on the network
-                max_size=LARGEST_FRAME,
-                max_queue=_MOST_FRAMES,
-                proxy=None,
-            )
+        return open_connection(
+            address.uri.replace("wss://", "ws://", 1),
+            sock=secure,
+            additional_headers=security.headers(),
+            open_timeout=patience,
+            close_timeout=_CLOSE_TIMEOUT,
+            ping_interval=_PING_INTERVAL,
+            ping_timeout=_PING_TIMEOUT,
+            compression=None,  # it would cost more on the robot than it saves on the network
+            max_size=LARGEST_FRAME,
+            max_queue=_MOST_FRAMES,
+            proxy=None,
         )
+
+    try:
+        if not security.is_tls:
+            return closing.enter_context(opened(timeout))
+        try:
+            connection = opened(timeout / 2)
+        except TimeoutError:
+            # A request may be lost where the server's session tickets arrive as it is sent: websockets reads and writes
+            # in two threads, and OpenSSL has one state for both.
+            connection = opened(timeout / 2)
+        return closing.enter_context(connection)
     except socket.gaierror as error:
         fix = "Correct the robot's address, or give it as a number."
         raise LinkError(f"the host {address.host!r} is not known", where=where, fix=fix) from error
