@@ -230,7 +230,7 @@ def test_an_extension_names_a_manifest_that_is_none_of_ours(execute: Execute) ->
     manifest = json.loads(text_of(executed, "manifest.json"))
     del manifest["design"]["source"]
     (executed.folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    with pytest.raises(ExecutionError, match="manifest is none of Robot Runner's"):
+    with pytest.raises(ExecutionError, match="the manifest in this folder was not written by Robot Runner"):
         extend(executed, 3)
 
 

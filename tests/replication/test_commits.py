@@ -10,9 +10,12 @@ from tests.command_line import robot_runner
 from tests.subjects.conftest import Repository, own_cache, repository
 
 from robot_runner.core.storage.git_repository import git
+from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.replication.opening import open_package, unpack
 from robot_runner.replication.packing import pack
 from robot_runner.replication.redaction import Redactor
+from robot_runner.replication.replicating import made_for
 from robot_runner.replication.searched_files import Searched, search
 
 __all__ = ["own_cache", "repository", "robot_runner"]
@@ -133,7 +136,7 @@ def test_a_password_in_a_revision_is_found_by_pack_and_one_in_its_history_is_in_
     assert f"repository '{repository.folder}' does not exist" in answer.err
 
 
-def test_what_git_packs_as_differences_or_broke_off_is_told_as_not_searched(repository: Repository, tmp_path):
+def test_what_git_packs_as_deltas_or_broke_off_is_told_as_not_searched(repository: Repository, tmp_path):
     long = "".join(f"line {number}\n" for number in range(500))
     for word in ("old", "new"):
         (repository.folder / "map.txt").write_text(f"{long}password = {word}-very-secret\n")
@@ -143,10 +146,21 @@ def test_what_git_packs_as_differences_or_broke_off_is_told_as_not_searched(repo
     (path,) = repository.folder.glob(".git/objects/pack/*.pack")
     redactor = Redactor.knowing(set(), home=tmp_path)
     (why,) = search(path, redactor).unread
-    assert "it holds differences between files" in why
+    assert "it holds deltas between files, which cannot be looked through" in why
     repository.git("repack", "--quiet", "-a", "-d", "-F", "--window=0")
     (path,) = repository.folder.glob(".git/objects/pack/*.pack")
     assert search(path, redactor) == Searched(Counter({"password": 2}))
     (tmp_path / "half.pack").write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     (why,) = search(tmp_path / "half.pack", redactor).unread
     assert "it ends too early" in why
+
+
+def test_a_journal_in_which_a_stranger_wrote_anything_of_revisions_is_no_fault_of_ours(tmp_path):
+    files = ExperimentFolder(tmp_path)
+    wild = {"Version": "x", "Map": {"main": 3, "old": {"kept": ["a"]}, "new": {"kept": "a.git"}}}
+    with Journal(files.journal) as journal:
+        journal.append("prepared", treatments={"revisions": wild, "others": 7})
+    assert made_for(files)["revisions"]["Map"]["new"]["kept"] == str(tmp_path / "revisions/a.git")
+    with Journal(files.journal) as journal:
+        journal.append("prepared", treatments={"revisions": 7})
+    assert made_for(files)["revisions"] == 7

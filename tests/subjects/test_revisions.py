@@ -79,15 +79,22 @@ def test_each_revision_is_built_once_and_executed(
     assert "building" in (done.folder / "revisions/Version/v1.0.log").read_text()
 
 
-def test_a_branch_keeps_its_commit_while_the_experiment_goes_on(
-    execute: Callable[..., Executed], repository: Repository
-) -> None:
+@pytest.fixture
+def half_done(execute: Callable[..., Executed], repository: Repository) -> tuple[Executed, Callable[[], Executed]]:
+    """Return an experiment whose run of `main` has failed, and what goes on with it, successfully."""
     body = BODY + "\n    assert version.name == 'v1.0' or Path(__file__).with_name('go').exists()"
     first = execute(body=body, table=table(repository.folder))
     assert first.finished.failed == ("r_2",)
+    (first.config.parent / "go").touch()
+    return first, partial(execute, body=body, table=table(repository.folder))
+
+
+def test_a_branch_keeps_its_commit_while_the_experiment_goes_on(
+    half_done: tuple[Executed, Callable[[], Executed]], repository: Repository
+) -> None:
+    first, resume = half_done
     before = repository.commit_of("main")
     repository.commit("newer")
-    (first.config.parent / "go").touch()
     prepared = prepare(first.config)
     (moved,) = [finding.problem for finding in prepared.findings]
     assert moved == (
@@ -95,23 +102,21 @@ def test_a_branch_keeps_its_commit_while_the_experiment_goes_on(
         "with which it goes on"
     )
     (first.folder / "manifest.json").unlink()  # the journal knows it as well
-    resumed = execute(body=body, table=table(repository.folder))
+    resumed = resume()
     assert resumed.finished.done_count == 2
     assert resumed.log("r_2").split()[1:3] == [before, "once"]
 
 
 def test_an_experiment_goes_on_where_the_repository_is_gone(
-    execute: Callable[..., Executed], repository: Repository
+    half_done: tuple[Executed, Callable[[], Executed]], repository: Repository
 ) -> None:
-    body = BODY + "\n    assert version.name == 'v1.0' or Path(__file__).with_name('go').exists()"
-    first = execute(body=body, table=table(repository.folder))
-    assert first.finished.failed == ("r_2",)
+    _, resume = half_done
+    commit = repository.commit_of("main")
     shutil.rmtree(repository.folder)
     shutil.rmtree(cache_folder())
-    (first.config.parent / "go").touch()
-    resumed = execute(body=body, table=table(repository.folder))
+    resumed = resume()
     assert resumed.finished.done_count == 2
-    assert resumed.log("r_2").split()[1:3] == [first.log("r_2").split()[1], "once"]
+    assert resumed.log("r_2").split()[1:3] == [commit, "once"]
 
 
 def test_what_was_built_is_built_again_only_where_it_was_changed(

@@ -16,7 +16,7 @@ from robot_runner.page.picture_process import HEAD
 
 #: How long the first picture may take, with the imports, and each further one, s.
 _FIRST, _NEXT = 30.0, 5.0
-#: The least time between two pictures that are rendered, whoever looks, s: an experiment may be going on here.
+#: The shortest time between two rendered pictures, for all viewers together, s: an experiment may need the processor.
 _EVERY = 0.5
 _LARGEST = 4_000_000
 #: How MuJoCo may render without a screen, tried in this order: https://mujoco.readthedocs.io/en/stable/programming/

@@ -237,18 +237,23 @@ def _facts(files: ExperimentFolder, manifest: Mapping[str, Any], deviations: Map
         "sha256": digest,
         "seed": manifest.get("seed"),
         "deviations": hidden_settings(deviations),
-        "treatments": _made_treatments(files),  # a branch may mean another commit by now
+        "treatments": made_for(files),  # a branch may mean another commit by now
     }
 
 
-def _made_treatments(files: ExperimentFolder) -> dict[str, Any]:
+def made_for(files: ExperimentFolder) -> dict[str, Any]:
     """Return what is known of the original's treatments, with where the copies lie that they can be made from."""
     known = known_treatments(files)
-    for factor in known.get("revisions", {}).values():
-        for facts in factor.values():
-            if facts.get("kept"):
-                facts["kept"] = str(files.revisions / facts["kept"])
+    for factor in _mappings_in(known.get("revisions")):
+        for facts in _mappings_in(factor):
+            if isinstance(kept := facts.get("kept"), str):
+                facts["kept"] = str(files.revisions / kept)
     return known
+
+
+def _mappings_in(value: object) -> list[dict[str, Any]]:
+    """Return the mappings in a mapping that a stranger wrote, who may have written anything."""
+    return [each for each in value.values() if isinstance(each, dict)] if isinstance(value, dict) else []
 
 
 def _identity(files: ExperimentFolder) -> tuple[str, str]:

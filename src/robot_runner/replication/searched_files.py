@@ -60,8 +60,8 @@ _PRESSED: tuple[tuple[bytes, _Opener], ...] = (
 )
 #: A file of git's objects begins with this and one of two versions, and then tells their number (gitformat-pack).
 _GIT_PACKS, _GIT_HEADER = (b"PACK\0\0\0\2", b"PACK\0\0\0\3"), 12
-#: Objects that tell how they differ from another one.
-_GIT_DIFFERENCES = {6, 7}
+#: The kinds of objects that are deltas against another one.
+_GIT_DELTAS = {6, 7}
 #: An object is unpacked as a whole, bytes.
 _MOST_OF_OBJECT = 256 << 20
 _UNKNOWN = {b"7z\xbc\xaf": "7z", b"Rar!": "RAR", b"PAR1": "Parquet", b"\x28\xb5\x2f\xfd": "Zstandard"}
@@ -249,7 +249,7 @@ def _git_objects(file: BinaryIO) -> Iterator[BinaryIO]:
     """Yield the objects of a pack of git, one after another.
 
     Raises:
-        ValueError: one of them is too large, or a difference, which tells nothing without what it differs from.
+        ValueError: one of them is too large, or is a delta, which means nothing without the object that it changes.
     """
     count = int.from_bytes(file.read(_GIT_HEADER)[8:], "big")
     rest = b""
@@ -259,8 +259,8 @@ def _git_objects(file: BinaryIO) -> Iterator[BinaryIO]:
             rest = rest or _block(file)
             kind = rest[0] >> 4 & 7 if kind is None else kind
             is_head, rest = rest[0] >= 0x80, rest[1:]  # noqa: PLR2004 - the bit that says that another byte follows
-        if kind in _GIT_DIFFERENCES:
-            raise ValueError("it holds differences between files, which cannot be looked through")
+        if kind in _GIT_DELTAS:
+            raise ValueError("it holds deltas between files, which cannot be looked through")
         stream, content = zlib.decompressobj(), bytearray()
         while not stream.eof:
             content += stream.decompress(rest or _block(file), _MOST_OF_OBJECT + 1 - len(content))

@@ -10,6 +10,7 @@ import socket
 import ssl
 import struct
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -203,7 +204,7 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
 
     Args:
         address: of the rosbridge.
-        timeout: how long it may take, s.
+        timeout: how long it may take, s. By TLS, the request to open it is sent once more after that.
         closing: closes it.
         where: for the error.
 
@@ -214,33 +215,31 @@ def connect(address: RosbridgeAddress, timeout: float, closing: ExitStack, *, wh
     from websockets.sync.client import connect as open_connection  # noqa: PLC0415
 
     security = address.security
-
-    def opened(patience: float) -> ClientConnection:
-        # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
-        secure = secure_socket(address.host, address.port, security, timeout, where=where) if security.is_tls else None
-        return open_connection(
-            address.uri.replace("wss://", "ws://", 1),
-            sock=secure,
-            additional_headers=security.headers(),
-            open_timeout=patience,
-            close_timeout=_CLOSE_TIMEOUT,
-            ping_interval=_PING_INTERVAL,
-            ping_timeout=_PING_TIMEOUT,
-            compression=None,  # it would cost more on the robot than it saves on the network
-            max_size=LARGEST_FRAME,
-            max_queue=_MOST_FRAMES,
-            proxy=None,
-        )
-
+    opened = partial(
+        open_connection,
+        address.uri.replace("wss://", "ws://", 1),
+        additional_headers=security.headers(),
+        open_timeout=timeout,
+        close_timeout=_CLOSE_TIMEOUT,
+        ping_interval=_PING_INTERVAL,
+        ping_timeout=_PING_TIMEOUT,
+        compression=None,  # it would cost more on the robot than it saves on the network
+        max_size=LARGEST_FRAME,
+        max_queue=_MOST_FRAMES,
+        proxy=None,
+    )
     try:
         if not security.is_tls:
-            return closing.enter_context(opened(timeout))
+            return closing.enter_context(opened())
+        # Our own socket: websockets would send our credentials before a certificate's fingerprint can be seen.
+        secure = partial(secure_socket, address.host, address.port, security, timeout, where=where)
+        first = secure()
         try:
-            connection = opened(timeout / 2)
+            connection = opened(sock=first)
         except TimeoutError:
-            # A request may be lost where the server's session tickets arrive as it is sent: websockets reads and writes
-            # in two threads, and OpenSSL has one state for both.
-            connection = opened(timeout / 2)
+            # The request may be lost where the server's session tickets arrive as it is sent: websockets reads and
+            # writes in two threads, and OpenSSL has one state for both. A slow robot has all of the time once more.
+            connection = opened(sock=secure())
         return closing.enter_context(connection)
     except socket.gaierror as error:
         fix = "Correct the robot's address, or give it as a number."

@@ -136,9 +136,9 @@ class SimulatedTransport:
 
         if published is not None:
             return _Subscription(published.listen(listener).close)
-        hearing, key = self._simulation.hearing.setdefault(topic, {}), object()
-        hearing[key] = listener
-        return _Subscription(lambda: _forget(hearing, key))
+        subscribers, key = self._simulation.command_subscribers.setdefault(topic, {}), object()
+        subscribers[key] = listener
+        return _Subscription(lambda: _forget(subscribers, key))
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service of the robot, or an offered one; it answers at once, so `timeout` never runs out."""
@@ -217,7 +217,7 @@ class SimulatedTransport:
             each.check_motors()
 
     def _published(self) -> dict[str, PublishedTopic]:
-        """Return what all robots of the simulation publish, by full name: whoever is on a graph hears all of it."""
+        """Return the topics that all robots publish, by full name: as on a graph, anybody can subscribe them."""
         robots = self._simulation.robots.items()
         return {f"{namespace}/{name}": topic for namespace, robot in robots for name, topic in robot.topics.items()}
 
@@ -251,9 +251,9 @@ class _CommandPublisher:
         elif self._robot.cut_off is None:
             self._is_driving = False
         self._robot.command(self._topic, message)
-        hearing = self._simulation.hearing.get(f"{self._robot.namespace}/{self._topic}", {})
-        for key in hearing:
-            self._simulation.clock.after(0.0, partial(_tell, hearing, key, message))
+        subscribers = self._simulation.command_subscribers.get(f"{self._robot.namespace}/{self._topic}", {})
+        for key in subscribers:
+            self._simulation.clock.after(0.0, partial(_tell, subscribers, key, message))
 
     def reach(self, subscribers: int) -> bool:
         """Return at once: the robot is there."""
@@ -311,13 +311,13 @@ class _Reception:
         return RawMessage(data, self.received_ns)
 
 
-def _tell(hearing: Mapping[object, Callable[[Message], None]], key: object, message: Message) -> None:
-    if key in hearing:  # else it was closed meanwhile
-        hearing[key](message)
+def _tell(subscribers: Mapping[object, Callable[[Message], None]], key: object, message: Message) -> None:
+    if key in subscribers:  # else it was closed meanwhile
+        subscribers[key](message)
 
 
-def _forget(hearing: dict[object, Callable[[Message], None]], key: object) -> None:
-    hearing.pop(key, None)  # the simulation may have been closed before
+def _forget(subscribers: dict[object, Callable[[Message], None]], key: object) -> None:
+    subscribers.pop(key, None)  # the simulation may have been closed before
 
 
 def _withdraw(simulation: Simulation, service: str) -> None:

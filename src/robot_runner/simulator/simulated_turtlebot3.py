@@ -246,7 +246,7 @@ class Simulation:
         real_time_factor: simulated seconds a real second; None for as fast as the physics goes.
         offers: the services that others than the robots offer, by full name: their types and what answers.
         actions: the actions that are offered, by full name.
-        hearing: who hears the commands of each topic, by full name.
+        command_subscribers: the callbacks that take the commands of each topic, by the topic's full name.
 
     Example:
         >>> simulation = Simulation(seed=1)
@@ -271,7 +271,7 @@ class Simulation:
         self._seed = seed
         self.offers: dict[str, tuple[str, Callable[[Mapping[str, Any]], Mapping[str, Any]]]] = {}
         self.actions: dict[str, SimulatedAction] = {}
-        self.hearing: dict[str, dict[object, Callable[[Mapping[str, Any]], None]]] = {}
+        self.command_subscribers: dict[str, dict[object, Callable[[Mapping[str, Any]], None]]] = {}
         self._robots: dict[str, SimulatedRobot] = {}
         self._is_closed = False
 
@@ -352,4 +352,4 @@ class Simulation:
         self._is_closed = True
         self._robots.clear()
         self.offers.clear()
-        self.hearing.clear()
+        self.command_subscribers.clear()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _LARGEST = 64 << 20
 _PATIENCE = 600.0  # s, for a few seconds of work on a slow disk
 _SUBMODULE = "commit"  # what `git ls-tree` calls one
-#: Each file as a whole and none as a difference to another one, so that whoever looks for secrets can read it.
+#: Every file is stored whole and none as a delta against another one, so that the search for secrets can read it.
 _WHOLE = ("-c", "repack.writeBitmaps=false", "-c", "repack.updateServerInfo=false", "repack", "-q", "-a", "-d", "-F")
 #: What git leaves of the making: it tells paths of this machine.
 _LEFT = "FETCH_HEAD"

@@ -294,7 +294,7 @@ def test_the_same_machine_and_software_are_told_as_such(execute: Execute) -> Non
 def test_a_folder_that_holds_something_else_is_refused(write_config: Write) -> None:
     config = write_config(COUNTING)
     write(config.parent / "results" / "trial" / "manifest.json", '{"format": 1}')
-    with pytest.raises(ExecutionError, match="none of Robot Runner's"):
+    with pytest.raises(ExecutionError, match="the manifest in this folder was not written by Robot Runner"):
         resume(config)
 
 

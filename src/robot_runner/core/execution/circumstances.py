@@ -83,7 +83,7 @@ def kept_manifest(experiment: Experiment) -> dict[str, Any]:
     if manifest.keys() >= _NEEDED and manifest["design"].keys() >= _NEEDED_OF_DESIGN and manifest["executions"]:
         return manifest
     raise ExecutionError(
-        "the folder's manifest is none of Robot Runner's",
+        "the manifest in this folder was not written by Robot Runner",
         where=str(experiment.folder.manifest),
         fix="Choose another experiment_name or results_output_path.",
     )

@@ -71,7 +71,8 @@ def become_interpreter(
         "systems": None if systems is None else systems.descriptor,
     }
     # Not as an argument: what was shared may be longer than the system takes, and others see arguments.
-    with tempfile.TemporaryFile("w+", encoding="utf-8") as file:
+    # In the experiment's folder, which can be written in any case: it has no name there.
+    with tempfile.TemporaryFile("w+", encoding="utf-8", dir=experiment.folder.root) as file:
         json.dump(description, file, default=str)
         file.flush()
         os.lseek(file.fileno(), 0, os.SEEK_SET)
