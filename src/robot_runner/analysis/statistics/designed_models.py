@@ -102,7 +102,8 @@ class _Fitting:
         if mixed:
             # A model without them would give what they do to the factors that they change with.
             alike = "cannot be told apart from what other factors do: in part they change together."
-            return NotComputed("the test", f"what {enumerated(mixed)} does {alike}")
+            fix = "More combinations would tell, or one factor in place of those that change together."
+            return NotComputed("the test", f"what {enumerated(mixed)} does {alike} {fix}")
         if known.whole_plot:
             return self._split_plot()
         if not known.columns and not self.data.is_extended and not self.data.covariates:
