@@ -42,7 +42,7 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Location", "http://robot..local/")
             self.end_headers()
             return
-        is_ready = self.path == "/up" or time.monotonic() - self.began > 0.6
+        is_ready = self.path == "/up" or (self.path != "/down" and time.monotonic() - self.began > 0.6)
         self.send_response(200 if is_ready else 503)
         self.end_headers()
         self.wfile.write(b"state: ready" if is_ready else b"state: starting")
@@ -100,7 +100,7 @@ def test_a_server_is_awaited_until_it_answers_as_expected(server: str, context: 
 
 
 def test_another_status_may_be_what_is_awaited(server: str, context: RobotRunnerContext) -> None:
-    assert http_answers(server, status=503, text="starting").wait(context, timeout_s=20.0).value == 503
+    assert http_answers(f"{server}/down", status=503, text="starting").wait(context, timeout_s=20.0).value == 503
 
 
 def test_a_server_that_is_silent_or_not_there_does_not_answer(server: str, context: RobotRunnerContext) -> None:
@@ -116,7 +116,7 @@ def test_a_server_that_leads_to_an_address_that_is_none_does_not_answer(
 ) -> None:
     look = http_answers(f"{server}/elsewhere").watch(context, ExitStack())()
     assert not look.holds
-    assert "label empty or too long" in look.seen
+    assert "label empty" in look.seen  # Python 3.11 adds "or too long"
 
 
 @pytest.mark.parametrize(("text", "holds"), [("", True), ("data", True), ("ready", False)])
