@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import itertools
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.core.execution.left_over import end_left_over, left_over
+from robot_runner.core.errors import StorageError
+from robot_runner.core.execution.left_over import RunMark, end_left_over, left_over
 from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell who holds a lock")
 
@@ -60,3 +63,17 @@ def test_a_slow_machine_is_no_earlier_execution_that_stood_by(tmp_path: Path, mo
     seconds = itertools.count(step=0.5)  # between any two looks at the clock
     monkeypatch.setattr("robot_runner.core.execution.standby.time.monotonic", lambda: next(seconds))
     assert await_standby(ExperimentFolder(tmp_path)) is None
+
+
+def test_a_run_cannot_be_marked_where_the_file_system_offers_no_such_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_descriptor: int, _kind: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    opened = len(list(Path("/proc/self/fd").iterdir()))
+    with pytest.raises(StorageError, match="the folder's file system offers no locks: No locks available") as refused:
+        RunMark(ExperimentFolder(tmp_path))
+    assert "results_output_path" in refused.value.fix
+    assert len(list(Path("/proc/self/fd").iterdir())) == opened

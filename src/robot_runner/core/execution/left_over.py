@@ -43,13 +43,22 @@ class RunMark:
 
     Attributes:
         descriptor: of the file that is locked; a process that replaces itself hands it on.
+
+    Raises:
+        StorageError: the folder's file system offers no locks of this kind.
     """
 
     def __init__(self, folder: ExperimentFolder) -> None:
         self._mark = _mark(folder)
         self.descriptor = open_to_lock(folder.alive, folder.root)
         # Unlike that of the experiment, this lock is held by every process that has the descriptor, inherited or not.
-        fcntl.flock(self.descriptor, fcntl.LOCK_SH)
+        try:
+            fcntl.flock(self.descriptor, fcntl.LOCK_SH)
+        except OSError as error:  # some offer the locks of `ExperimentLock` only
+            os.close(self.descriptor)
+            problem = f"the folder's file system offers no locks: {error.strerror}"
+            fix = "Keep the results on a local disk (results_output_path)."
+            raise StorageError(problem, where=str(folder.alive), fix=fix) from error
 
     def sign(self) -> None:
         """Mark this process as the run, and the programs that it starts from now on."""

@@ -21,6 +21,7 @@ from robot_runner.core.events.measure import CONFIG_OWNER, Origin
 from robot_runner.core.events.measure_broker import MeasureBroker
 from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
+from robot_runner.core.execution.clock_jumps import ClockJumps
 from robot_runner.core.execution.interruption import InterruptGate, RunEnding
 from robot_runner.core.execution.systems_state import Care
 from robot_runner.core.links.commanded_topics import hear_commanded
@@ -111,6 +112,10 @@ def run_contexts(
     return context_for
 
 
+#: The owner of what is found of this machine's clocks.
+_CLOCKS = "clocks"
+
+
 class _Run:
     """The life of one run in its own process: what one line opens, the end of its block closes."""
 
@@ -169,6 +174,7 @@ class _Run:
         if self._systems is not None:
             hear_commanded(self._systems.add_commanded)
             self._systems.set(Care.RUN)  # from here on, whatever becomes of this process, somebody makes them safe
+        jumps = ClockJumps()
         with self._between(RobotRunnerEvents.START_RUN):
             if not self._ending.has_failed:
                 with self._between(RobotRunnerEvents.START_MEASUREMENT):
@@ -180,15 +186,31 @@ class _Run:
             self._populate()
         if self._ending.has_failed:
             self._make_safe()
+        self._look_at_stamps(jumps)
 
     def _execute_mission(self) -> None:
         times = self._context_for(CONFIG_OWNER).times
         times.begin()
+        jumps = ClockJumps()
         self._has_moved = True
         try:
             self._emit(RobotRunnerEvents.LAUNCH_MISSION)
         finally:
             times.end(has_failed=self._ending.has_failed)
+        self._look_at_window(jumps)
+
+    def _look_at_window(self, jumps: ClockJumps) -> None:
+        """Doubt the values of a mission in which this machine was suspended, while its robot was not."""
+        if (seconds := jumps.suspended) and not is_simulated(self._experiment.parameters.robot):
+            problem = f"this machine was suspended for {seconds:,.1f} s in the mission: window and samples lack that"
+            fix = "Keep it awake (systemd-inhibit), and execute the run again."
+            self._context_for(CONFIG_OWNER).broker.doubt_run(_CLOCKS, problem, fix)
+
+    def _look_at_stamps(self, jumps: ClockJumps) -> None:
+        if seconds := jumps.was_set:
+            problem = f"this machine's clock was set by {seconds:+,.1f} s: stamps before and after do not fit together"
+            fix = "Set it before the experiment, and keep it so (chrony, systemd-timesyncd)."
+            self._context_for(CONFIG_OWNER).broker.warn(_CLOCKS, problem, fix)
 
     @contextmanager
     def _between(self, opening: RobotRunnerEvents) -> Iterator[None]:
