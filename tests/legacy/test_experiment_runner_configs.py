@@ -182,6 +182,30 @@ def test_the_context_has_both_names_of_the_row(config: Callable[..., Path], exec
     assert (executed.folder / "run_3_repetition_1" / "raw.txt").read_text() == "run_3_repetition_1"
 
 
+def test_a_factor_that_no_callback_looks_at_is_found(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    before = "def before_run(self): ...\n"
+    looks = before + "def interact(self, context): self.seconds = context.execute_run['size'] / 10\n"
+    returns = "def populate_run_data(self, context): return {'seconds': self.seconds}"
+    (warning,) = execute(config(looks + returns)).warnings
+    assert "looked at language" in warning
+    assert "read context.combination['language'] in a callback" in warning
+    both = looks.replace("10", "len(context.combination['language'])")
+    assert not execute(config(both + returns), experiment_name="both").warnings
+
+
+def test_a_factor_that_counts_the_runs_need_not_be_looked_at(
+    config: Callable[..., Path], execute: Callable[..., Executed]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        self.run_table_model = RunTableModel([FactorModel("run_number", ["r1", "r2"])], data_columns=["x"])
+        return self.run_table_model
+"""
+    assert not execute(config("def populate_run_data(self, context): return {'x': 1}", table=table)).warnings
+
+
 def test_experiment_path_is_set_before_anything_is_called(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:

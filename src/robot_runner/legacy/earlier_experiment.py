@@ -19,6 +19,7 @@ from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.stand_ins.events import EarlierContext
 from robot_runner.legacy.stand_ins.machinery import RunProgress
 from robot_runner.legacy.stand_ins.models import MISSING
+from robot_runner.legacy.stand_ins.watched_row import WatchedRow, planned_of, unwatched
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -252,10 +253,10 @@ class EarlierExperiment:
         """Call the callbacks of POPULATE_RUN_DATA, and publish what they return and wrote into the row."""
         if self._session.recognised.dialect is not Dialect.ROBOT_RUNNER:
             self._returned = self._emit(RobotRunnerEvents.POPULATE_RUN_DATA, context)
-        row = dict(self._earlier_context(context).run_variation)
+        row = unwatched(self._earlier_context(context).run_variation)
         for returned in self._returned:
             row |= as_mapping(returned)
-        publish_row(context, self._made, row)
+        publish_row(context, self._made, row, self._session.estimated)
 
     def continue_experiment(self, context: RobotRunnerContext) -> bool:
         """Call the callbacks of CONTINUE: they are the wait. Returns whether there are any."""
@@ -297,8 +298,12 @@ class EarlierExperiment:
         """Return the one context of a run: what a callback writes into it, the following callbacks see."""
         if self._context is None or self._context.run_variation.get("__run_id") != context.run_id:
             row = {"__run_id": context.run_id, "__done": RunProgress.TODO}
-            design = self._made
-            row |= {column: value_of(context.combination[design.names[column]]) for column in design.factors}
+            design, planned = self._made, planned_of(context)
+            row |= {column: value_of(planned[design.names[column]]) for column in design.factors}
             row |= dict.fromkeys(design.data_columns, MISSING)
-            self._context = EarlierContext(row, context.run_number, context.run_folder)
+            names = {column: design.names[column] for column in design.factors}
+            watched = WatchedRow(row, names, context.combination)
+            self._context = EarlierContext(watched, context.run_number, context.run_folder)
+        elif isinstance(known := self._context.run_variation, WatchedRow):
+            known.combination = context.combination  # that of before_run tells another process
         return self._context

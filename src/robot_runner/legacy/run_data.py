@@ -7,10 +7,13 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import MeasureError, did_you_mean
-from robot_runner.core.events.measure import MeasureValue, as_measure_value
+from robot_runner.core.events.measure import MeasureValue, Origin, as_measure_value
 from robot_runner.legacy.run_tables import PROGRESS, value_of
+from robot_runner.legacy.stand_ins.watched_row import planned_of
 
 if TYPE_CHECKING:
+    from collections.abc import Container
+
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.legacy.run_tables import EarlierDesign
 
@@ -39,8 +42,17 @@ def as_mapping(returned: Any) -> Mapping[Any, Any]:
     )
 
 
-def publish_row(context: RobotRunnerContext, design: EarlierDesign, row: Mapping[Any, Any]) -> None:
-    """Publish the measures of a row; what is no data column is kept aside, with a warning."""
+def publish_row(
+    context: RobotRunnerContext, design: EarlierDesign, row: Mapping[Any, Any], estimated: Container[Any]
+) -> None:
+    """Publish the measures of a row; what is no data column is kept aside, with a warning.
+
+    Args:
+        context: of the run.
+        design: of the experiment, which tells factors and measures apart.
+        row: what callbacks returned or wrote, by column.
+        estimated: the columns whose values come from a model.
+    """
     for column, value in row.items():
         if column in PROGRESS:
             continue
@@ -48,16 +60,16 @@ def publish_row(context: RobotRunnerContext, design: EarlierDesign, row: Mapping
             _warn_of_changed_treatment(context, design, column, value)
             continue
         if column in design.data_columns:
-            _publish(context, column, design.names[column], value)
+            _publish(context, column, design.names[column], value, Origin.ESTIMATED if column in estimated else None)
         elif not _is_blank(value):
             _keep_aside(context, design, column, value)
 
 
-def _publish(context: RobotRunnerContext, column: Any, name: str, value: Any) -> None:
+def _publish(context: RobotRunnerContext, column: Any, name: str, value: Any, origin: Origin | None) -> None:
     if _is_blank(value):
         return
     try:
-        context.publish(name, _plain(context, column, name, value))
+        context.publish(name, _plain(context, column, name, value), origin=origin)
     except MeasureError as error:  # an infinity, a text that no file can hold: kept with the run
         context.doubt(error.problem, fix=error.fix, measures=[name])
 
@@ -88,7 +100,7 @@ def _keep_aside(context: RobotRunnerContext, design: EarlierDesign, column: Any,
 
 
 def _warn_of_changed_treatment(context: RobotRunnerContext, design: EarlierDesign, column: Any, value: Any) -> None:
-    planned = value_of(context.combination[design.names[column]])
+    planned = value_of(planned_of(context)[design.names[column]])
     if value is not planned and str(value) != str(planned):
         context.warn(
             f"populate_run_data returned {value!r} for the factor {column!r}, which is {planned!r} in this run",

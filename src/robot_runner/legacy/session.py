@@ -45,6 +45,7 @@ class Session:
         models: the run-table models that it made, in order.
         context: the context of the run that is being executed, or None.
         config_class: the class that describes the experiment, when the file has been executed.
+        estimated: the columns whose values come from a model and not from a meter.
     """
 
     recognised: Recognised
@@ -54,6 +55,7 @@ class Session:
     models: list[Any] = field(default_factory=list)
     context: RobotRunnerContext | None = None
     config_class: type = object
+    estimated: set[str] = field(default_factory=set)
 
     @property
     def path(self) -> Path:

@@ -86,6 +86,38 @@ def test_a_config_of_experiment_runner_becomes_one_of_ours(
     assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
 
 
+def test_what_no_cell_holds_becomes_the_text_that_the_tool_wrote(
+    config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
+) -> None:
+    table = """\
+    def create_run_table_model(self):
+        self.run_table_model = RunTableModel(
+            [FactorModel("size", [1, 2])], data_columns=["trace", "pair", "by_name", "squares", "own"]
+        )
+        return self.run_table_model
+"""
+    methods = """
+    def populate_run_data(self, context: RunnerContext):
+        size = context.execute_run["size"]
+        own = {"a": [size]}
+        run_data = {
+            "trace": [0, context.execute_run["size"]],
+            "pair": (size, "a, b"),
+            "by_name": {"trace": [size]},
+            "squares": [each**2 for each in range(size)],
+            "own": own["a"][0],
+        }
+        return run_data
+    """
+    old = config(methods, table=table)
+    new = converted(old)
+    assert '"trace": str([0, context.combination["size"]]),' in new.read_text()
+    columns = ["size", "trace", "pair", "by_name", "squares", "own"]
+    before = [[row[name] for name in columns] for row in execute(old).table]
+    assert measures_of(new, columns) == before
+    assert before[1][1:] == ["[0, 2]", "(2, 'a, b')", "{'trace': [2]}", "[0, 1]", "2"]
+
+
 def test_a_config_of_robot_runner_becomes_one_of_ours(
     config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
 ) -> None:

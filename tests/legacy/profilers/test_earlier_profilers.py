@@ -19,6 +19,7 @@ from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.plugin import Circumstances
+from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.legacy.profilers import pico
 from robot_runner.legacy.profilers.command_line import EnergiBridge, PowerJoular, PowerLetrics, PowerMetrics, Ps
 from robot_runner.legacy.profilers.data_source import DeviceSource, ParameterDict
@@ -398,6 +399,9 @@ def test_codecarbon_decorates_a_class(
         "run_0_repetition_0,DONE,1,1,0.25,0.5\n"
         "run_1_repetition_0,DONE,2,2,0.25,0.5\n"
     )
+    origins = {column.name: column.origin for column in read_schema(executed.folder / "run_table.schema.json")}
+    assert origins["own"] == "measured"
+    assert origins["codecarbon__emissions"] == origins["codecarbon__energy_consumed"] == "estimated"
     settings = json.loads((executed.folder / "run_0_repetition_0" / "settings.json").read_text())
     assert (settings["country_iso_code"], settings["project_name"]) == ("NLD", "sorting")
 

@@ -59,6 +59,11 @@ class WatchedCombination(Mapping[str, Any]):
         return dict, (dict(self),)
 
     @property
+    def unwatched(self) -> Mapping[str, Any]:
+        """The combination itself, of which no read is told."""
+        return self._combination
+
+    @property
     def unread(self) -> frozenset[str]:
         """The factors whose treatments were not read so far."""
         return frozenset(self._unread)

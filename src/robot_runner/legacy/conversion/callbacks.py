@@ -189,6 +189,30 @@ def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Ed
                 edits.insert(edits.start_of(first), f"{argument.arg} = context.combination\n{indent}")
 
 
+#: What no cell holds: the earlier tools wrote it as its text.
+_DISPLAYS = (ast.List, ast.Tuple, ast.Set, ast.Dict, ast.ListComp, ast.SetComp, ast.DictComp)
+
+
+def write_values_as_text(config: ast.ClassDef, session: Session, edits: Edits) -> None:
+    """Have lists and the like that are given for a measure become the texts that the earlier tools wrote."""
+    populating = RobotRunnerEvents.POPULATE_RUN_DATA
+    heard = {_name_of(each.callback) for each in session.subscriptions if each.event is populating}
+    for method in _methods(config):
+        dicts = list(nodes(method, ast.Dict)) if method.name in heard else []
+        cells = [pair for data in dicts for pair in zip(data.keys, data.values, strict=True)]
+        written = [cell for key, cell in cells if _is_column(key, session) and isinstance(cell, _DISPLAYS)]
+        inner = {id(node) for cell in written for node in ast.walk(cell) if node is not cell}
+        for cell in written:
+            if id(cell) not in inner:
+                edits.insert(edits.start_of(cell), "str(")
+                edits.insert(edits.end_of(cell), ")")
+
+
+def _is_column(key: ast.expr | None, session: Session) -> bool:
+    columns = {column for model in session.models for column in model.get_data_columns()}
+    return isinstance(key, ast.Constant) and key.value in columns
+
+
 def order_findings(session: Session) -> Iterator[Finding]:
     """Yield where the order of the events differs from the earlier tool's."""
     heard = {each.event for each in session.subscriptions}

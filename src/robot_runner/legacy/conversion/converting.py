@@ -30,6 +30,7 @@ from robot_runner.legacy.conversion.callbacks import (
     order_findings,
     remove_subscriptions,
     taken_over,
+    write_values_as_text,
 )
 from robot_runner.legacy.conversion.clashing_names import rename_clashing
 from robot_runner.legacy.conversion.contexts import convert_contexts
@@ -266,6 +267,7 @@ class _Converting:
             left = {self.imports.names.get(node.id) for node in nodes(self._tree, ast.Name) if id(node) not in gone}
             self.imports.ours -= {"EventSubscriptionController", "RobotRunnerEvents"} - left
         convert_rows_of_before_run(config, self._session, self._edits)
+        write_values_as_text(config, self._session, self._edits)
         convert_continue(config, callbacks, self._inherited, self._edits)
         leave_unheard(config, callbacks, self._inherited, self._edits)
         columns = self._experiment.columns.names

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_runner.core.errors import PluginError
-from robot_runner.legacy.session import warn_of_run
+from robot_runner.legacy.session import current_session, warn_of_run
 from robot_runner.meters.codecarbon import started_tracker, stop_tracker
 
 _PREFIX = "codecarbon__"
@@ -99,6 +99,7 @@ def populate_data_columns(method: Method) -> Method:
         for name in self.run_table_model.get_data_columns():
             if name.startswith(_PREFIX) and measured:
                 data[name] = float(measured[name.removeprefix(_PREFIX)])
+                current_session().estimated.add(name)
         return data
 
     return populated
@@ -124,6 +125,7 @@ def populate_co2_data(method: Method) -> Method:
 
     @functools.wraps(method)
     def populated(self: Any, context: Any) -> Any:
+        current_session().estimated.add(_EMISSIONS)
         return dict(method(self, context) or {}) | {_EMISSIONS: self.__emissions__}
 
     return populated

@@ -208,6 +208,11 @@ class EarlierContext:
     def execute_run(self, row: MutableMapping[str, Any]) -> None:
         self.run_variation = row
 
+    @property
+    def combination(self) -> MutableMapping[str, Any]:
+        """The same, as our own messages call it."""
+        return self.run_variation
+
     def __getattr__(self, name: str) -> Any:
         near = nearest(name, CONTEXT_ATTRIBUTES)
         hint = f"Did you mean {near!r}?" if near else f"It has {', '.join(CONTEXT_ATTRIBUTES)}."
