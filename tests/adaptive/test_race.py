@@ -81,6 +81,22 @@ def test_runs_that_failed_are_passed_over_and_who_has_no_value_goes() -> None:
     assert left_in(raced(np.full((2, 6), np.nan))[1]) == {"gait 0", "gait 1"}
 
 
+@pytest.mark.parametrize("is_doubtful", [True, False])
+def test_who_has_no_value_as_all_were_left_out_stays_and_that_is_said(is_doubtful: bool) -> None:
+    factor = Factor("Gait", ["trot", "crawl", "bound"])
+    design = Race("Energy", at_most=8)
+    model = RunTableModel([factor], repetitions=5, design=design, data_columns=["Energy"])
+    left_out = Told(model.plan()[0], {}, is_excluded=True, is_doubtful=is_doubtful)
+    told = [
+        left_out._replace(run=run) if run.combination["Gait"] == "trot" else Told(run, {"Energy": 1.0 + run.repetition})
+        for run in model.plan()
+    ]
+    decision = design.asking(model.factors, model.allowed, 5).ask(told)
+    assert left_in(decision) == {"trot", "crawl", "bound"}
+    assert "of Gait trot, no value counts" in decision.in_words
+    assert len(decision.runs) == 3
+
+
 @pytest.mark.parametrize(
     ("treatments", "how", "repetitions", "problem"),
     [

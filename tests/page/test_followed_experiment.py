@@ -114,6 +114,39 @@ def test_a_run_that_is_left_out_is_in_no_mean_from_then_on(root: Path) -> None:
         assert means_of(settled(followed)) == [[2, 871.0], [2, 835.0]]
 
 
+@pytest.mark.parametrize(("plan", "count"), [({"doubtful": "leave out"}, 1), ({}, 2)])
+def test_a_doubtful_value_is_in_a_mean_where_the_plan_of_the_analysis_has_it_in(
+    root: Path, plan: dict[str, str], count: int
+) -> None:
+    manifest = json.loads((root / "manifest.json").read_text())
+    (root / "manifest.json").write_text(json.dumps(manifest | {"analysis": plan}))
+    with (root / "journal.jsonl").open("a") as journal:
+        journal.write(begin("r_1") + end("r_1", 870.0, doubts=("the window was short",)))
+    followed = FollowedExperiment(root)
+    settled(followed)
+    assert [cell[0] for cell in means_of(followed.snapshot())] == [count, 2]
+
+
+@pytest.mark.usefixtures("held")
+def test_each_place_that_waits_at_a_gate_is_told(root: Path) -> None:
+    def gate(run: str, state: str, seen: str) -> str:
+        return line("gate", run=run, attempt=1, condition=f"{run} is cool", state=state, seen=seen, seconds=1.0)
+
+    followed = FollowedExperiment(root)
+    with (root / "journal.jsonl").open("a") as journal:
+        journal.write(gate("r_1", "waiting", "52") + gate("r_2", "waiting", "53") + gate("r_1", "waiting", "51"))
+        journal.flush()
+        told = settled(followed)["state"]["gates"]
+        assert [(each["run"], each["seen"]) for each in told] == [("r_1", "51"), ("r_2", "53")]
+        assert told[0]["condition"] == "r_1 is cool"
+        journal.write(gate("r_2", "open", "49"))
+        journal.flush()
+        assert [each["run"] for each in settled(followed)["state"]["gates"]] == ["r_1"]
+        journal.write(line("experiment_started", runs=4))
+        journal.flush()
+        assert settled(followed)["state"]["gates"] == []
+
+
 @pytest.mark.usefixtures("held")
 def test_who_comes_while_a_run_goes_on_is_told_what_is_left_by_then(root: Path) -> None:
     begun = datetime.now(UTC) - timedelta(seconds=600)

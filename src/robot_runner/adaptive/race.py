@@ -197,14 +197,15 @@ class _Racing:
         """Return those that are clearly worse than another one, by their identity, and than which.
 
         Each pair has the same share of the error, and its interval holds for all looks; only errors to one side drop
-        best one, so that each interval has twice its share. Without a value after the first look, one is dropped, too.
+        best one, so that each interval has twice its share. One whose runs failed and that has no value is dropped,
+        too; of one whose values were all left out, nobody knows.
         """
         (name, direction), *_ = self._design.directions.items()
         level = level_at_each_look(self._least, self._design.at_most, 1 - 2 * _ERROR / (raced - 1))
         found = {}
         has_values = [each for each in runners if each.values]
         for one in runners if has_values else ():
-            if not one.values:
+            if not one.values and one.has_failed:
                 found[id(one)] = "any that has a value"
             for other in runners:
                 differences = _within_repetitions(one, other, name, direction.sign)
@@ -223,6 +224,9 @@ class _Racing:
         best = best_of(left, self._design.directions)
         ahead = f"{in_direction(name, direction)} has {shown(best[0].combination)}" if best else f"none has {name}"
         gone = f"; dropped: {listed(dropped)}" if dropped else ""
+        # Where none has a value, that is said instead.
+        unknown = [shown(each.combination) for each in left if best and not each.values and not each.has_failed]
+        gone += f"; of {listed(unknown)}, no value counts" if unknown else ""
         return f"after {counted(now, 'repetition')}, {ahead}, {counted(len(left), 'combination')} left{gone}"
 
 

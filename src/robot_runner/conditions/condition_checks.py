@@ -9,13 +9,15 @@ from robot_runner.conditions.bounds import Bound, Measured
 from robot_runner.conditions.combining import leaves
 from robot_runner.conditions.person import Confirmed
 from robot_runner.core.errors import Finding
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.plugin import Plugin, System
+from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.condition import Condition
-    from robot_runner.core.plugin import Plugin
 
 
 def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
@@ -26,7 +28,6 @@ def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugi
         parameters: of the experiment.
         plugins: all of the experiment.
     """
-    del plugins
     gates = {f"{where}.gates[{number}]": gate.condition for number, gate in enumerate(parameters.gates)}
     guards = {f"{where}.guards[{number}]": guard.condition for number, guard in enumerate(parameters.guards)}
     for place, condition in {**gates, **guards}.items():
@@ -34,6 +35,10 @@ def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugi
             yield replace(finding, where=f"{place}, {finding.where}")
     for place, condition in gates.items():
         yield from _without_run(place, condition)
+    if is_simulated(parameters.robot):
+        named = set(_namespaces(plugins))
+        for place, condition in {**gates, **guards}.items():
+            yield from _of_robot_apart(place, condition, named)
 
 
 def _without_run(place: str, condition: Condition) -> Iterator[Finding]:
@@ -45,3 +50,32 @@ def _without_run(place: str, condition: Condition) -> Iterator[Finding]:
         if isinstance(leaf, Bound) and isinstance(leaf.quantity, Measured):
             problem = f"before a run nothing is published, so that never is true: {leaf}"
             yield Finding.error(place, problem, "Await it in the mission, with wait(context, timeout_s=...).")
+
+
+def _namespaces(plugins: Iterable[object], seen: tuple[object, ...] = ()) -> Iterator[object]:
+    """Yield the namespace of each robot that a system commands, also of those that another one is made of."""
+    for plugin in plugins:
+        if not isinstance(plugin, Plugin) or any(plugin is each for each in seen):
+            continue
+        if isinstance(plugin, System) and hasattr(plugin, "namespace"):
+            yield plugin.namespace
+        for value in vars(plugin).values():
+            yield from _namespaces(value if isinstance(value, tuple | list) else (value,), (*seen, plugin))
+
+
+def _of_robot_apart(place: str, condition: Condition, named: set[object]) -> Iterator[Finding]:
+    """Yield a warning for each part about a simulated robot that no system has: there is one for each namespace."""
+    if not named or not all(isinstance(each, str) for each in named):  # bound to a factor: any of its treatments
+        return
+    here = sorted({_as_named(str(each)) for each in named})
+    for leaf in leaves(condition):
+        about = leaf.quantity if isinstance(leaf, Bound) else leaf
+        namespace = getattr(about, "namespace", None)
+        if isinstance(namespace, str) and _as_named(namespace) not in here:
+            problem = f"it is about a simulated robot of its own, which no system commands: they command {listed(here)}"
+            fix = f"Say which one is meant, as in namespace={here[-1]!r}."
+            yield Finding.warning(f"{place}, condition {str(leaf)!r}", problem, fix)
+
+
+def _as_named(namespace: str) -> str:
+    return f"/{namespace.strip('/')}"

@@ -61,6 +61,8 @@ class FollowedExperiment:
         self._status: ExperimentStatus | None = None
         self._error: RobotRunnerError | None = None
         self._doing: dict[str, dict[str, Any]] = {}
+        #: What is awaited before a run: places side by side wait for themselves.
+        self._gates: dict[str, dict[str, str]] = {}
         self._slots: dict[str, int] = {}
         self._curves: dict[str, RunCurves] = {}
         self._signs: tuple[Any, ...] = ()
@@ -147,7 +149,7 @@ class FollowedExperiment:
             self.table.end(record)
         if self._has_caught_up:
             self._history.take_rows(rows)
-        self._means.begin_anew()
+        self._means.begin_anew(self._files)
         self._left_out = set()
         return {"table": self._columns()}
 
@@ -174,6 +176,12 @@ class FollowedExperiment:
         run = record.get("run")
         if kind == "experiment_started":
             self._doing.clear()
+            self._gates.clear()
+        elif kind == "gate":
+            if record["state"] == "waiting":
+                self._gates[record["run"]] = {name: record[name] for name in ("run", "condition", "seen")}
+            else:
+                self._gates.pop(record["run"], None)
         elif kind == "attempt_started":
             left = record.get("left")
             expected = left.get("run") if isinstance(left, dict) else None
@@ -261,7 +269,7 @@ class FollowedExperiment:
             "told_at": time.time(),
             "in_flight": [self._flying(each) for each in status.in_flight],
             "waiting": self._waiting(waiting) if waiting is not None and status.holder else None,
-            "gate": dict(status.gate) if status.gate else None,
+            "gates": list(self._gates.values()) if status.holder else [],
             "pause_is_requested": status.pause_is_requested,
             "host": status.holder.host if status.holder else None,
             "started_at": status.started_at,

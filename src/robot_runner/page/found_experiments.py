@@ -117,7 +117,7 @@ class FoundExperiments:
 
 def _shortened(state: dict[str, Any]) -> dict[str, Any]:
     names = ("name", "word", "counts", "left", "left_is_least", "waiting", "host", "started_at", "finished_at")
-    short = {name: state.get(name) for name in (*names, "problem", "gate")}
+    short = {name: state.get(name) for name in (*names, "problem", "gates")}
     short["in_flight"] = [{"run": each["run"], "event": each["event"]} for each in state.get("in_flight", ())]
     return short
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.repeated_intervals import CONFIDENCE, half_width_of
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.manifest import read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
+    from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.page.followed_table import FollowedTable
 
 #: More treatments than a reader compares; the repetitions of a long experiment are told by nobody.
@@ -27,7 +30,8 @@ class MeansSoFar:
     has less than 95 %, so the page says so.
 
     Args:
-        table: whose runs are counted: those that are done, not left out, and no warm-up.
+        table: whose runs are counted: those that are done, not left out, and no warm-up; of a doubtful value what the
+            plan of the analysis says.
     """
 
     def __init__(self, table: FollowedTable) -> None:
@@ -35,10 +39,13 @@ class MeansSoFar:
         self._known: dict[tuple[int, ...], dict[tuple[str, ...], list[int]]] = {}
         self._cells: dict[tuple[tuple[int, ...], tuple[str, ...]], list[list[Any]]] = {}
         self._groupings: list[tuple[str, tuple[int, ...]]] = []
+        self._leaves_out_doubtful = False
 
-    def begin_anew(self) -> None:
+    def begin_anew(self, files: ExperimentFolder) -> None:
         """Group the runs anew: the table was read again."""
         self._cells.clear()
+        plan = read_manifest(files.manifest).get("analysis") if files.manifest.exists() else None
+        self._leaves_out_doubtful = isinstance(plan, dict) and plan.get("doubtful") == Doubtful.LEAVE_OUT.value
         factors = [place for place, name in enumerate(self._table.factors) if name.casefold() != "repetition"]
         groupings: list[tuple[str, tuple[int, ...]]] = [(self._table.factors[place], (place,)) for place in factors]
         if len(factors) > 1:
@@ -84,11 +91,12 @@ class MeansSoFar:
 
     def _cell(self, runs: list[int], measure: int, excluded: Collection[int]) -> list[Any]:
         """Return how many values there are, their mean, and half the width of its interval."""
-        table = self._table
+        table, name = self._table, self._table.measures[measure]
         values = [
             value
             for run in runs
             if table.statuses[run] is RunStatus.DONE and run not in excluded and run not in table.warm_ups
+            if not (self._leaves_out_doubtful and name in table.doubtful.get(run, ()))
             for value in (table.values[run][measure],)
             if isinstance(value, int | float) and not isinstance(value, bool)
         ]

@@ -78,7 +78,7 @@ function toldOf(state) {
   const told = [];
   if (state.word === "reading" && state.read !== null) { told.push(Math.round(100 * state.read) + " % of its journal is read"); }
   if (state.pause_is_requested && ["running", "waiting"].includes(state.word)) { told.push("pauses before the next run"); }
-  if (state.gate) { told.push(state.gate.run + " waits until " + state.gate.condition + (state.gate.seen ? " (" + state.gate.seen + ")" : "")); }
+  told.push(...(state.gates || []).map((gate) => gate.run + " waits until " + gate.condition + (gate.seen ? " (" + gate.seen + ")" : "")));
   told.push(...(state.precision || []));
   if (state.damaged) { told.push(state.damaged + " lines of the journal are damaged and passed over"); }
   return told.join(" · ");

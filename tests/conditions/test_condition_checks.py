@@ -1,0 +1,49 @@
+"""What is found beforehand of the gates and guards of a config."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner import Condition, Gate, Guard, all_of, battery_above, load_below, message_on, topic_present
+from robot_runner.conditions.condition_checks import check_conditions
+from robot_runner.core.config.parameters import Parameters
+from robot_runner.plugins import treatment
+from robot_runner.plugins.systems import Together, Waypoints
+
+if TYPE_CHECKING:
+    from robot_runner.plugins import Plugin
+
+WAY = [(1.0, 0.0)]
+
+
+def pair() -> Plugin:
+    return Together(Waypoints(WAY, name="a", namespace="/alice"), Waypoints(WAY, name="b", namespace="/bob"))
+
+
+def found(condition: Condition, *plugins: Plugin, robot: str = "simulated") -> list[str]:
+    parameters = Parameters(robot=robot, gates=(Gate(condition),), guards=(Guard(condition),))
+    return [str(each) for each in check_conditions("config.py", parameters, plugins)]
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [battery_above(10), all_of(load_below(50), topic_present("odom")).held_for(2), message_on("odom", "x/Y")],
+)
+def test_a_condition_about_a_simulated_robot_that_nobody_drives_is_found(condition: Condition) -> None:
+    for finding in found(condition, pair()):
+        assert "which no system commands: they command /alice, /bob" in finding
+        assert "namespace='/bob'" in finding
+    assert len(found(condition, pair())) == 2
+    alone = found(condition, Waypoints(WAY, namespace="alice"))
+    assert "they command /alice" in alone[0]
+
+
+def test_a_condition_about_a_robot_that_is_driven_is_none_to_tell_of() -> None:
+    assert found(battery_above(10, namespace="bob"), pair()) == []
+    assert found(load_below(50), pair()) == []
+    assert found(battery_above(10)) == []
+    assert found(battery_above(10), Waypoints(WAY)) == []
+    assert found(battery_above(10), pair(), robot="ros2") == []
+    assert found(battery_above(10), Waypoints(WAY, namespace=treatment("Robot"))) == []
