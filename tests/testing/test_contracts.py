@@ -137,6 +137,10 @@ class OddCallback(Stopwatch):
     def start_measurement(self, context, extra): ...
 
 
+class Misspelt(Stopwatch):
+    def stop_runs(self, context): ...
+
+
 class Refusing(Stopwatch):
     def check(self, circumstances):
         return [Finding.error("here", "never content", "Give up.")]
@@ -241,6 +245,7 @@ class Dividing(Stopwatch):
         (Undescribed, "its_measures_have_names_of_their_own_and_a_description", "has no description"),
         (Deaf, "its_callbacks_can_be_called", "the plugin has no callback"),
         (OddCallback, "its_callbacks_can_be_called", "cannot be called with a context"),
+        (Misspelt, "its_callbacks_can_be_called", "Did you mean 'stop_run'"),
         (Refusing, "its_check_finds_nothing_wrong_where_it_works", "refuses the circumstances"),
     ],
 )

@@ -65,6 +65,29 @@ def test_plugins_are_handed_the_fakes_as_if_they_were_real(tmp_path, clock, name
     assert host.is_closed
 
 
+def test_fakes_stand_in_for_whatever_port_or_computer_a_plugin_names(tmp_path, clock):
+    serial, host = FakeSerialLine(clock), FakeHostLink(clock)
+    context = make_context(tmp_path, robot=None, links=FakeLinks(serial=serial, host=host), clock=clock)
+    assert open_serial_line(context, "/dev/no-such-port", baud=9600) is serial
+    assert connect_host(context, "pi@robot", form="sh") is host
+    context.resources.close()
+    assert serial.is_closed
+    assert host.is_closed
+
+
+def test_a_device_on_a_serial_line_answers_what_it_is_sent(clock):
+    replies = {b"P": b"12.5", b"V": b"12.0"}
+    line = FakeSerialLine(clock, [Chunk(0.0, b"hello"), Chunk(3.0, b"bye")], answer=lambda sent: replies.get(sent, b""))
+    clock.sleep(1.0)
+    line.write(b"P")
+    line.write(b"?")
+    assert line.drain() == [Chunk(0.0, b"hello"), Chunk(1.0, b"12.5")]
+    clock.sleep(4.0)
+    line.write(b"V")
+    assert line.drain() == [Chunk(3.0, b"bye"), Chunk(5.0, b"12.0")]
+    assert line.written == b"P?V"
+
+
 def test_without_fakes_a_context_has_the_simulated_robot(tmp_path):
     context = make_context(tmp_path)
     assert connect_robot(context).is_simulated

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PluginError, did_you_mean
-from robot_runner.core.plugin import Plugin, installed_plugins
+from robot_runner.core.plugin import Plugin, installed_plugins, refused_name
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -43,9 +43,8 @@ def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | N
         raise
     except Exception as error:
         raise _raised(kind.__name__, "when it was made", error) from error
-    if not hasattr(plugin, "name"):
-        fix = "Call super().__init__(name=name) in its __init__."
-        raise PluginError("the plugin has no name", where=kind.__name__, fix=fix)
+    if refused := refused_name(plugin):
+        raise refused
     return plugin, robot
 
 

@@ -79,14 +79,9 @@ class Plugin(Bindable):
     starts_nodes: bool = False
 
     def __init__(self, *, name: str | None = None) -> None:
-        chosen = type(self).__name__ if name is None else name
-        if not isinstance(chosen, str) or not _NAME.fullmatch(chosen) or chosen in _RESERVED_NAMES:
-            raise PluginError(
-                f"a plugin cannot be named {chosen!r}",
-                where=type(self).__name__,
-                fix="Use letters, digits, '_' and '-' (64 at most); 'config' and 'log' are taken.",
-            )
-        self.name = chosen
+        self.name = type(self).__name__ if name is None else name
+        if refused := refused_name(self):
+            raise refused
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way of using this plugin; nothing is changed by asking."""
@@ -156,6 +151,23 @@ class Plugin(Bindable):
     def knows_duration(self) -> bool:
         """Whether this kind of plugin has something to say of how long a run takes."""
         return type(self).duration_s is not Plugin.duration_s
+
+
+def refused_name(plugin: Plugin) -> PluginError | None:
+    """Return why a plugin cannot have the name that it has; also of one whose `__init__` did not call that of its base.
+
+    Example:
+        >>> refused_name(System(name="Lamp")) is None
+        True
+    """
+    where, name = type(plugin).__name__, getattr(plugin, "name", None)
+    if name is None:
+        fix = "Call super().__init__(name=name) in its __init__; in __post_init__ of a dataclass."
+        return PluginError("the plugin has no name", where=where, fix=fix)
+    if isinstance(name, str) and _NAME.fullmatch(name) and name not in _RESERVED_NAMES:
+        return None
+    fix = "Use letters, digits, '_' and '-' (64 at most); 'config' and 'log' are taken."
+    return PluginError(f"a plugin cannot be named {name!r}", where=where, fix=fix)
 
 
 class System(Plugin):

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from bisect import insort
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
 from robot_runner.measuring.host import UtilisationSample
+from robot_runner.measuring.serial_line import Chunk
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.measuring.serial_line import Chunk
 
 # A computer whose utilisation a test writes down.
 
@@ -109,6 +110,7 @@ class FakeSerialLine:
     Args:
         clock: the run's.
         chunks: what arrives; the times are those of the clock.
+        answer: what the device replies at once to what is sent; nothing where it returns `b""`.
         lost_at: when the line is lost, s; once what arrived before was taken it raises.
         is_simulated: whether it says that a simulated device is at its other end.
 
@@ -133,6 +135,7 @@ class FakeSerialLine:
         clock: Clock,
         chunks: Iterable[Chunk] = (),
         *,
+        answer: Callable[[bytes], bytes] = lambda _: b"",
         lost_at: float | None = None,
         is_simulated: bool = False,
     ) -> None:
@@ -140,6 +143,7 @@ class FakeSerialLine:
         self.is_closed = False
         self._clock = clock
         self._coming = sorted(chunks, key=lambda chunk: chunk.received_at)
+        self._answer = answer
         self._lost_at = lost_at
         self._is_simulated = is_simulated
 
@@ -162,13 +166,15 @@ class FakeSerialLine:
         return arrived
 
     def write(self, data: bytes) -> None:
-        """Note what is sent.
+        """Note what is sent, and have the device answer it.
 
         Raises:
             LinkError: the line was closed or lost.
         """
         self._check()
         self.written += data
+        if reply := self._answer(bytes(data)):
+            insort(self._coming, Chunk(self._clock.now(), reply), key=lambda chunk: chunk.received_at)
 
     def close(self) -> None:
         """Close the line; closing twice does nothing."""

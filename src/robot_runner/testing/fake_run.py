@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from robot_runner.core.design.watched_combination import WatchedCombination, unread
 from robot_runner.core.errors import did_you_mean
@@ -17,13 +17,13 @@ from robot_runner.core.events.early_end import MissionStopped
 from robot_runner.core.events.manager import CLOSED_BY, EventManager, OwnerKind, RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER, resolve_columns, with_phases
 from robot_runner.core.events.measure_broker import MeasureBroker
-from robot_runner.core.events.resources import Resources
+from robot_runner.core.events.resources import R, Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.run_events import made_safe, publish_returned
 from robot_runner.core.links.connect import SIMULATED, is_simulated, open_clock
 from robot_runner.core.links.declared_host import named_hosts
 from robot_runner.core.links.host_commands import DeclaredHosts
-from robot_runner.core.plugin import System, usual_origin
+from robot_runner.core.plugin import System, refused_name, usual_origin
 from robot_runner.core.treatments import bind, factors_of
 from robot_runner.ros.missions.joint_missions import sleep_with_others
 
@@ -145,8 +145,8 @@ class FakeLinks:
 
     Args:
         robot: for `connect_robot`.
-        serial: for `open_serial_line`.
-        host: for `connect_host`.
+        serial: for `open_serial_line`, whatever port is named there.
+        host: for `connect_host`, whatever computer is named there.
         namespace: the robot's.
 
     Example:
@@ -165,12 +165,32 @@ class FakeLinks:
         key = namespace.strip("/") or "/"
         named = {f"robot {key}": robot, f"serial {key}": serial, f"host {key}": host}
         self._links: dict[str, Closable] = {name: link for name, link in named.items() if link is not None}
+        self._named: dict[str, Closable | None] = {"port": serial, "computer": host}
 
     def plant(self, resources: Resources) -> None:
         """Have the run find these links opened already."""
         resources.open("simulation", _NoSimulation)
         for key, link in self._links.items():
             resources.open(key, partial(_itself, link))
+
+    def resources(self) -> Resources:
+        """Return the resources of a run in which these links stand in for whatever is opened."""
+        resources = _FakeResources(self._named)
+        self.plant(resources)
+        return resources
+
+
+class _FakeResources(Resources):
+    """Opens no port and no computer that a fake stands in for: a test is not to talk to what is plugged in."""
+
+    def __init__(self, named: Mapping[str, Closable | None]) -> None:
+        super().__init__()
+        self._named = named
+
+    def open(self, key: str, opener: Callable[[], R]) -> R:
+        """Return what was opened under `key`, or the fake that stands in for it."""
+        fake = self._named.get(key.partition(" ")[0])
+        return super().open(key, opener if fake is None else lambda: cast("R", fake))
 
 
 def _itself(link: Closable) -> Closable:
@@ -213,6 +233,7 @@ def make_context(
 
     Raises:
         LinkError: `robot` cannot be reached.
+        PluginError: a plugin has no name, or one that it cannot have.
 
     Example:
         >>> from pathlib import Path
@@ -220,12 +241,12 @@ def make_context(
         >>> context.owner, context.combination["Task"]
         ('config', 'Video')
     """
-    resources = Resources()
+    resources = Resources() if links is None else links.resources()
     for plugin in plugins:
         bind(plugin, combination or {})
-    if links is not None:
-        links.plant(resources)
-    elif clock is None and robot is not None:
+        if refused := refused_name(plugin):
+            raise refused
+    if links is None and clock is None and robot is not None:
         clock = open_clock(robot, resources, seed=run_seed)
     clock = clock or FakeClock()
     broker = RecordingBroker({plugin.name: with_phases(plugin.measures, phases) for plugin in plugins})

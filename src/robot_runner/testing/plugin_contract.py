@@ -7,6 +7,7 @@ import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from robot_runner.core.config.plugin_checks import misspelt_callbacks
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.manager import EventManager, OwnerKind, RobotRunnerEvents
@@ -110,11 +111,13 @@ class PluginContract:
             require(measure.description.strip(), f"measure {measure.name!r} has no description")
 
     def test_its_callbacks_can_be_called(self) -> None:
-        """Hold that it has a callback for an event, and that each callback takes a context or nothing."""
+        """Hold that it has a callback for an event, none is misspelt, and each takes a context or nothing."""
         manager, plugin = EventManager(), self.make_plugin()
         manager.subscribe_methods(plugin, owner=plugin.name, kind=OwnerKind.PROFILER)
         called = [event for event in RobotRunnerEvents if manager.subscribers(event)]
         require(called, "the plugin has no callback for an event: name its methods like events")
+        misspelt = [str(finding) for finding in misspelt_callbacks(plugin)]
+        require(not misspelt, f"methods are nearly called like ours, and nothing calls them: {misspelt}")
 
     def test_its_check_finds_nothing_wrong_where_it_works(self) -> None:
         """Hold that validation passes under the circumstances of these tests, and speaks in findings elsewhere."""

@@ -44,6 +44,15 @@ def test_what_an_earlier_tool_or_a_guess_calls_it_is_told_with_what_to_use(write
     assert "did you mean 'stop_measurement'?" in found["on_end_measurements"]
 
 
+def test_a_guess_with_a_unit_of_time_is_told_like_one_without(write_config: Write) -> None:
+    found = warnings(write_config("run_timeout_in_s = 60\ncooldown_ms = 500\nmax_duration_seconds: float = 3.0"))
+    assert {name: said.partition("→ ")[2] for name, said in found.items()} == {
+        "run_timeout_in_s": "Use run_deadline_in_s, or event_deadline_in_s.",
+        "cooldown_ms": "Call it time_between_runs_in_ms.",
+        "max_duration_seconds": "Use run_deadline_in_s, or event_deadline_in_s.",
+    }
+
+
 @pytest.mark.parametrize(
     "body",
     [

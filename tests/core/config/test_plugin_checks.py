@@ -317,3 +317,104 @@ def test_an_input_file_of_a_wrong_type_is_left_out(write_config: Write) -> None:
     experiment = prepare(write_config(head=head)).experiment
     assert experiment is not None
     assert experiment.inputs == ()
+
+
+NAMELESS = """\
+from dataclasses import dataclass
+
+from robot_runner import *
+from robot_runner.plugins import Profiler
+
+
+class Meter(Profiler):
+    def __init__(self, *, gain=1.0):
+        self.gain = gain  # and no super().__init__()
+
+
+@dataclass
+class Named(Profiler):
+    gain: float = 1.0
+    name: str = "../Meter"
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "x"
+    plugins = [{}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("plugin", "where", "problem"),
+    [
+        ("Meter()", "Meter", "the plugin has no name"),
+        ("Meter(gain=treatment('Gain'))", "Meter", "with Gain = 2.0: the plugin has no name"),
+        ("Named()", "Named", "a plugin cannot be named '../Meter'"),
+        ("Named(name='config')", "Named", "a plugin cannot be named 'config'"),
+    ],
+)
+def test_a_plugin_whose_init_leaves_out_that_of_its_base_is_a_finding(
+    write_config: Write, plugin: str, where: str, problem: str
+) -> None:
+    gains = table("Factor('Gain', [2.0])")
+    findings = prepare(write_config(head=NAMELESS.format(plugin), table=gains)).findings
+    (finding,) = [each for each in findings if each.is_error]
+    assert (finding.where, finding.problem) == (where, problem)
+    assert "super().__init__(name=name)" in finding.fix or "letters, digits" in finding.fix
+
+
+MISSPELT = """\
+from robot_runner import *
+from robot_runner.plugins import PolledProfiler, System
+
+
+class Arm(System):
+    def start_run(self, context): self.reset_arm()
+    {}
+
+
+class Meter(PolledProfiler):
+    def open(self, context): ...
+    {}
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "x"
+    probe = False
+    plugins = [Arm(), Arm(name="other"), Meter(rate_hz=treatment('Rate'))]
+"""
+
+
+@pytest.mark.parametrize(
+    ("of_arm", "of_meter", "where", "meant"),
+    [
+        ("def stop_runs(self, context): ...", "", "Arm.stop_runs", "stop_run"),
+        ("def make_save(self, context): ...", "", "Arm.make_save", "make_safe"),
+        ("", "def start_measurment(self, context): ...", "Meter.start_measurment", "start_measurement"),
+        ("", "def column(self, sampling): ...", "Meter.column", "columns"),
+    ],
+)
+def test_a_method_of_a_plugin_that_is_nearly_called_like_one_of_ours_is_a_warning(
+    write_config: Write, of_arm: str, of_meter: str, where: str, meant: str
+) -> None:
+    config = write_config(head=MISSPELT.format(of_arm, of_meter), table=RATES)
+    (finding,) = [each for each in prepare(config).findings if each.where == where]
+    assert not finding.is_error
+    assert finding.problem == "nothing calls this method of the plugin"
+    assert finding.fix == f"Did you mean {meant!r}? Otherwise begin the name with '_'."
+
+
+@pytest.mark.parametrize(
+    "of_arm",
+    [
+        "def reset_arm(self): ...",
+        "def stop_runs(self): ...\n    def stop_run(self, context): ...",
+        "def stop_runs(self): ...\n    def launch_mission(self, context): (lambda: self.stop_runs())()",
+        "def _stop_runs(self): ...",
+        "stop_runs = 3",
+    ],
+)
+def test_a_method_of_a_plugin_that_is_called_or_not_like_one_of_ours_is_none_to_warn_of(
+    write_config: Write, of_arm: str
+) -> None:
+    config = write_config(head=MISSPELT.format(of_arm, "gain = 1.0"), table=RATES)
+    assert not [each for each in prepare(config).findings if each.where.startswith(("Arm.", "Meter."))]

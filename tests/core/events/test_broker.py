@@ -41,7 +41,9 @@ def test_a_missing_value_is_none(broker: MeasureBroker) -> None:
     assert broker.measures["Energy"].value is None
 
 
-@pytest.mark.parametrize(("name", "value"), [("Enery", 1.0), ("Energy", float("nan")), ("Energy", [1])])
+@pytest.mark.parametrize(
+    ("name", "value"), [("Enery", 1.0), ("Energy", float("nan")), ("Energy", [1]), ("Energy", "7.5")]
+)
 def test_what_is_refused_is_reported_so_that_it_is_kept(
     broker: MeasureBroker, reported: list[tuple[str, dict[str, Any]]], name: str, value: object
 ) -> None:
@@ -58,6 +60,21 @@ def test_what_is_refused_is_kept_without_what_the_environment_keeps_secret(
     with pytest.raises(MeasureError):
         broker.publish("Ina219", "Energy", ["open-sesame"], Origin.MEASURED)
     assert reported == [("refused", {"owner": "Ina219", "name": "Energy", "value": "['REDACTED']"})]
+
+
+def test_a_text_is_refused_where_the_measure_has_a_unit_and_taken_where_it_has_none(
+    reported: list[tuple[str, dict[str, Any]]],
+) -> None:
+    columns, _ = resolve_columns(None, {"Plug": [Measure("Power", "W"), Measure("Firmware")]})
+    broker = MeasureBroker("r_1", columns, lambda kind, fields: reported.append((kind, fields)))
+    with pytest.raises(MeasureError, match=r"measure 'Power' got the text '12\.5', and its unit is W") as refused:
+        broker.publish("Plug", "Power", "12.5", Origin.MEASURED)  # as many an API writes its numbers
+    assert refused.value.fix == "Give a number, or None where there is no value; a measure that is a text has no unit."
+    with pytest.raises(MeasureError, match="the text 'OL', and its unit is W"):
+        broker.publish("config", "Power", "OL", Origin.MEASURED)
+    broker.publish("Plug", "Power", "", Origin.MEASURED)
+    broker.publish("Plug", "Firmware", "1.2", Origin.MEASURED)
+    assert {name: each.value for name, each in broker.measures.items()} == {"Power": None, "Firmware": "1.2"}
 
 
 def test_key_value_pairs_are_gathered_by_plugin(broker: MeasureBroker) -> None:

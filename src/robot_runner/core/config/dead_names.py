@@ -86,6 +86,8 @@ _FILLING = frozenset(["on", "each", "every", "all", "the", "handle", "do"])
 #: where a name is refused.
 _ALIKE = 0.75
 _HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+#: In what a time is, as ours say it and as others do: `run_timeout_in_s` is the guess `run_timeout`.
+_UNIT_OF_TIME = re.compile(r"_(?:in_)?(?:m?s|secs?|min|(?:milli)?seconds?|minutes?)$")
 
 
 def check_dead_names(loaded: LoadedConfig) -> list[Finding]:
@@ -180,7 +182,8 @@ def _fix_of_method(name: str) -> str:
 
 def _fix_of_attribute(name: str) -> str:
     plain = _HUMP.sub("_", name).casefold()
-    if plain in _FIX_OF_ATTRIBUTE:
-        return _FIX_OF_ATTRIBUTE[plain]
+    guessed = _FIX_OF_ATTRIBUTE.get(plain) or _FIX_OF_ATTRIBUTE.get(_UNIT_OF_TIME.sub("", plain))
+    if guessed:
+        return guessed
     near = difflib.get_close_matches(plain, PARAMETERS, n=1, cutoff=_ALIKE)
     return f"No static parameter is called so: did you mean {near[0]!r}?" if near else ""

@@ -1,4 +1,4 @@
-"""Which files an experiment reads beside its code: those that its plugins and robots name, with any treatment."""
+"""Which files an experiment reads beside its code: those that plugins, robots and config name, for any treatment."""
 
 from __future__ import annotations
 
@@ -21,15 +21,20 @@ _log = logging.getLogger(__name__)
 
 
 def named_inputs(
-    parameters: Parameters, plugins: Sequence[Plugin], model: RunTableModel | None
+    parameters: Parameters, plugins: Sequence[Plugin], model: RunTableModel | None, config: object = None
 ) -> tuple[InputFile, ...]:
-    """Return the files that are named, each once; who cannot tell them is logged and left out."""
+    """Return the files that are named, each once; who cannot tell them is logged and left out.
+
+    A config may have a method `input_files`, too, for what its callbacks read.
+    """
     found: dict[InputFile, None] = {}
     robots = parameters.robots.values() if parameters.robots else filter(None, [parameters.robot])
     asked: list[tuple[str, Callable[[], Iterable[InputFile]]]] = [
         *((robot, partial(robot_input_files, robot)) for robot in robots),
         *((f"plugin {plugin.name}", partial(_of_plugin, plugin, model)) for plugin in plugins),
     ]
+    if callable(own := getattr(config, "input_files", None)):
+        asked.append(("the config", own))
     for where, ask in asked:
         try:
             found |= dict.fromkeys(instances_of(InputFile, ask()))

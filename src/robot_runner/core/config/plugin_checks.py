@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
+import inspect
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from math import prod
+from types import CodeType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from robot_runner.core.config.loader import place_in
@@ -13,8 +16,9 @@ from robot_runner.core.design.factor import treatment_text
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
+from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.plugin import Circumstances, Plugin
+from robot_runner.core.plugin import Circumstances, Plugin, refused_name
 from robot_runner.core.treatments import Treatment, bind, built_with, factors_of
 
 if TYPE_CHECKING:
@@ -40,7 +44,8 @@ def gather_plugins(loaded: LoadedConfig, model: RunTableModel | None) -> tuple[t
         if not any(isinstance(plugin, activated) for plugin in plugins):
             plugins += _instantiated(loaded, activated, findings)
     built = [plugin for plugin in plugins if _is_built(plugin, model, findings)]
-    return tuple(built), [*findings, *_equal_names(loaded, built)]
+    misspelt = dict.fromkeys(each for plugin in built for each in misspelt_callbacks(plugin))
+    return tuple(built), [*findings, *misspelt, *_equal_names(loaded, built)]
 
 
 def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple[Plugin, ...], list[Finding]]:
@@ -115,6 +120,48 @@ def failed_check(where: str, error: Exception, what: str = "the check") -> Findi
         return Finding.error(error.where or where, error.problem, error.fix)
     problem = f"{what} raised {type(error).__name__}: {error}"
     return Finding.error(where, problem, "Tell the plugin's author; update or leave out the plugin.")
+
+
+# Methods that are nearly called like one of ours, and that nobody calls: a robot would not be made safe.
+
+#: How alike two names are before one is taken for a slip of the other (1.0: equal).
+_ALIKE = 0.85
+
+
+def misspelt_callbacks(plugin: Plugin) -> list[Finding]:
+    """Return a warning for each method that its author meant to be called, by its name, and that nothing calls.
+
+    It is no error, as in a config: a plugin may be somebody else's, and be called from outside.
+    """
+    kinds = type(plugin).__mro__[:-1]
+    own = [each for each in kinds if each.__module__.partition(".")[0] != "robot_runner"]
+    written = {name for kind in own for name in _methods_of(kind)}
+    ours = {*EVENTS_BY_CALLBACK, *(name for kind in kinds if kind not in own for name in _methods_of(kind))}
+    called = {name for kind in own for each in vars(kind).values() for name in _names_in(_code_of(each))}
+    found = []
+    for name in sorted(written - ours - called):
+        for meant in difflib.get_close_matches(name.casefold(), ours - written, n=1, cutoff=_ALIKE):
+            fix = f"Did you mean {meant!r}? Otherwise begin the name with '_'."
+            where = f"{type(plugin).__name__}.{name}"
+            found.append(Finding.warning(where, "nothing calls this method of the plugin", fix))
+    return found
+
+
+def _methods_of(kind: type) -> Iterator[str]:
+    yield from (name for name, each in vars(kind).items() if not name.startswith("_") and _code_of(each) is not None)
+
+
+def _code_of(attribute: object) -> CodeType | None:
+    bare = attribute.__func__ if isinstance(attribute, classmethod | staticmethod) else attribute
+    return getattr(inspect.unwrap(bare) if callable(bare) else None, "__code__", None)
+
+
+def _names_in(code: CodeType | None) -> Iterator[str]:
+    """Yield the names that a function reads, and those that functions in it read."""
+    if code is not None:
+        yield from code.co_names
+        for each in code.co_consts:
+            yield from _names_in(each if isinstance(each, CodeType) else None)
 
 
 def _asked(plugin: Plugin, circumstances: Circumstances) -> list[Finding]:
@@ -287,6 +334,8 @@ def _unbuilt(plugin: Plugin, combination: Mapping[str, Any], built: list[Plugin]
 def _malformed(plugin: Plugin) -> list[Finding]:
     """Return what a plugin says of itself in a way that nobody could read."""
     where = type(plugin).__name__
+    if refused := refused_name(plugin):
+        return [Finding.error(where, refused.problem, refused.fix)]
     try:
         measures = instances_of(Measure, plugin.measures)
     except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others

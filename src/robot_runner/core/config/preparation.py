@@ -360,5 +360,5 @@ def _experiment(
         spelling=loaded.spelling,
         kept=loaded.kept,
         registration=registered(loaded),
-        inputs=named_inputs(parameters, plugins, model),
+        inputs=named_inputs(parameters, plugins, model, loaded.config),
     )

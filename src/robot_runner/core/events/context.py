@@ -276,7 +276,8 @@ class RobotRunnerContext(ExperimentContext):
                 it on a simulated robot.
 
         Raises:
-            MeasureError: the name was not declared, the type is wrong, or the number is not finite.
+            MeasureError: the name was not declared, the type is wrong, the number is not finite, or it is a text
+                and the measure has a unit.
         """
         self.broker.publish(self.owner, name, value, self.usual_origin if origin is None else origin)
 

@@ -13,11 +13,14 @@ from robot_runner.core.secret_names import without_environment_secrets
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from robot_runner.core.events.measure import MeasureColumns
+    from robot_runner.core.events.measure import MeasureColumn, MeasureColumns, MeasureValue
 
 
 #: Takes what happens in a run as it happens: a kind and its plain fields.
 ReportRecord = Callable[[str, dict[str, Any]], None]
+
+#: So much of a text that is refused is told.
+_LONGEST_TOLD = 40
 
 
 class MeasureBroker:
@@ -66,8 +69,9 @@ class MeasureBroker:
         """Take one measure; a later value of the same measure replaces the earlier.
 
         Raises:
-            MeasureError: the name was not declared, the type is wrong, or the number is not finite. The value
-                that was refused is reported all the same, so that it is kept with the run.
+            MeasureError: the name was not declared, the type is wrong, the number is not finite, or a text is to be
+                the value of a measure with a unit. What was refused is reported all the same, so that it is kept with
+                the run.
         """
         if not isinstance(origin, Origin):
             fix = did_you_mean(str(origin), map(str, Origin))
@@ -75,6 +79,7 @@ class MeasureBroker:
         try:
             column = self._columns.column_for(owner, name)
             plain = as_measure_value(column.name, value, where=f"{owner}, run {self._run_id}")
+            _refuse_text_with_unit(column, plain, where=f"{owner}, run {self._run_id}")
         except MeasureError:
             refused = without_environment_secrets(shown(value))
             self._report("refused", {"owner": owner, "name": str(name), "value": refused})
@@ -121,3 +126,16 @@ class MeasureBroker:
         """Report something else that happened in this run, as a record of this kind."""
         with self._lock:
             self._report(kind, {"owner": owner, **facts})
+
+
+def _refuse_text_with_unit(column: MeasureColumn, value: MeasureValue, *, where: str) -> None:
+    """Refuse a text for what has a unit: statistics and plausible limits would pass over it without a word.
+
+    Raises:
+        MeasureError: it is one, such as the "12.5" of an API that writes its numbers as texts.
+    """
+    if isinstance(value, str) and column.measure.unit:
+        said = value if len(value) <= _LONGEST_TOLD else value[:_LONGEST_TOLD] + "…"
+        problem = f"measure {column.name!r} got the text {said!r}, and its unit is {column.measure.unit}"
+        fix = "Give a number, or None where there is no value; a measure that is a text has no unit."
+        raise MeasureError(problem, where=where, fix=fix)
