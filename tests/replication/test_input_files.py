@@ -14,8 +14,18 @@ from tests.simulator.test_modelled_robot import ROVER
 from robot_runner.core.errors import StorageError
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.core.storage import input_files
-from robot_runner.core.storage.input_files import INDEX, input_file, kept_copies, read_index
+from robot_runner.core.storage.input_files import (
+    INDEX,
+    InputFile,
+    copy_kept,
+    input_file,
+    kept_contents,
+    kept_copies,
+    read_index,
+)
 from robot_runner.plugins.systems import PlayBag
+from robot_runner.replication.differences import missing_modules
+from robot_runner.replication.imported_packages import imported_names
 from robot_runner.ros.graph_links import GRAPH_LINKS
 
 if TYPE_CHECKING:
@@ -142,7 +152,7 @@ def test_what_is_too_large_is_left_out_with_its_size_and_checksum(
     )
     assert answer.code == 2
     shown = "".join((answer.out + answer.err).split())
-    assert "thepackageleavesitout,anditisnothere:" in shown
+    assert "thereisnocopyofit,anditisnothere:" in shown
     # Others than before are no silent part of the same experiment.
     (tmp_path / "lab/room.toml").write_text("[[cylinder]]\nat = [-1.2, 0.0]\nradius = 0.1\n")
     (study / "models").mkdir()
@@ -150,6 +160,80 @@ def test_what_is_too_large_is_left_out_with_its_size_and_checksum(
     answer = robot_runner("run", "study.py")
     assert answer.code == 2
     assert "the file is another one than the runs before have read" in answer.err
+
+
+_SUBJECT = """\
+from pathlib import Path
+
+from robot_runner import ExperimentConfig, Factor, RunTableModel, treatment
+from robot_runner.plugins import InputFile
+from robot_runner.plugins.systems import Program
+
+GOALS = Path(__file__).parent / "goals.csv"
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = "results"
+    licence = "CC0-1.0"
+    plugins = [Program(["./plan.sh", treatment("Map")], folder="nav", reads=["maps"], exit_codes=[0], name="Planner")]
+
+    def launch_mission(self, context):
+        self.plugins[0].wait(context, timeout_s=20)
+
+    def input_files(self):
+        yield InputFile(GOALS)
+
+    def populate_run_data(self, context):
+        return {"Places": int(GOALS.read_text()) + int((context.run_folder / "Planner/stdout.txt").read_text())}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Map", ["maps/hall.csv", "maps/lab.csv"])], data_columns=["Places"])
+"""
+
+
+def test_a_program_of_the_users_own_is_repeated_with_what_it_reads_and_may_write_beside_it(
+    robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, elsewhere = tmp_path / "Studie über Pläne", tmp_path / "elsewhere"
+    for folder in (study / "nav/maps", elsewhere):
+        folder.mkdir(parents=True)
+    (study / "nav/plan.sh").write_text('#!/bin/sh\nwc -l <"$1"; echo planned >>log.txt\n')
+    (study / "nav/plan.sh").chmod(0o755)
+    (study / "nav/maps/hall.csv").write_text("a\nb\n")
+    (study / "nav/maps/lab.csv").write_text("a\nb\nc\n")
+    (study / "goals.csv").write_text("3")
+    (study / "study.py").write_text(_SUBJECT)
+    monkeypatch.chdir(study)
+    answer = robot_runner("run", "study.py")
+    assert answer.code == 0, answer.out + answer.err
+    answer = robot_runner("pack", "--no-wheels", "--no-hashes", "--to", elsewhere / "trial.zip")
+    assert answer.code == 0, answer.out + answer.err
+    assert robot_runner("run", "study.py").code == 0  # what it has written is no change of what it reads
+    monkeypatch.chdir(elsewhere)
+    shutil.rmtree(study)
+    for _ in range(2):  # the second one verifies once more what was unpacked
+        answer = robot_runner("replicate", "trial.zip", "--yes", "--environment", "here")
+        assert answer.code == 0, answer.out + answer.err
+        assert "The results are identical" in answer.out
+    assert [path.read_text() for path in elsewhere.rglob("log.txt") if path.parent.name == "nav"] == ["planned\n" * 2]
+
+
+def test_what_a_script_under_test_imports_is_not_asked_of_the_python_that_executes_the_experiment(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "study").mkdir()
+    (tmp_path / "study/drive.py").write_text("import rclpy_of_another_python\n")
+    config = tmp_path / "package/config"
+    for place, content in kept_contents([InputFile(tmp_path / "study/drive.py")], tmp_path / "study", config).items():
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+    (config / "study.py").write_text("import numpy_of_ours\n")
+    assert imported_names(config) == {"numpy_of_ours"}
+    copy_kept(config, tmp_path / "working")
+    with kept_copies(config, tmp_path / "working"):
+        (finding,) = missing_modules(tmp_path / "package", {})
+    assert "the config imports numpy_of_ours" in finding.problem
 
 
 def test_bags_and_definitions_are_named_and_a_damaged_index_is_refused(tmp_path: Path) -> None:

@@ -142,9 +142,13 @@ def test_keys_links_and_what_is_half_written_stay_behind(copied, tmp_path):
     (copied / "robot.pem").write_text("-----BEGIN PRIVATE KEY-----", encoding="utf-8")
     (copied / "passwords").symlink_to("/etc/passwd")
     (copied / "elsewhere").symlink_to("/etc", target_is_directory=True)
+    # The copy of a repository that was being made when the execution was killed.
+    (copied / "revisions/.planner-1a2b3c4d.git.tmp").mkdir(parents=True)
+    (copied / "revisions/.planner-1a2b3c4d.git.tmp/HEAD").touch()
     packed = _pack(copied, tmp_path / "small.zip")
     assert {each.name for each in packed.left_out} == {"known_hosts", "robot.pem", "passwords", "elsewhere"}
     assert not {"known_hosts", "robot.pem", "passwords"} & _names(packed.path)
+    assert not any("revisions" in name for name in _names(packed.path))
     assert "`robot.pem`" in _text(packed.path, "README.md")
 
 

@@ -271,3 +271,10 @@ def test_what_more_runs_cannot_decide_is_said():
     )
     untested = {**base, "first_sd": 0.0, "second_sd": 0.0, "difference": 2.0, "not_computed": "All values are equal."}
     assert needed_runs([untested], 0.05) == "all values are equal"
+
+
+def test_of_blocks_it_is_said_how_many_blocks_are_needed():
+    base = {"verdict": "undecided", "first_n": 8, "second_n": 8, "first_sd": 1.0, "second_sd": 1.0, "difference": 0.0}
+    days = {"unit": "Day", "first_units": 4, "second_units": 4, "first_error": 0.5, "second_error": 0.5}
+    told = needed_runs([{**base, **days, "bound": 1.0}], 0.05)
+    assert told.startswith("there are 8 runs a combination, of 4 units of Day, and about 18 units of each experiment")

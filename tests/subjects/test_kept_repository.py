@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from typing import TYPE_CHECKING
 
+import pytest
+
+from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.storage.git_repository import git
 from robot_runner.subjects import kept_repository
 from robot_runner.subjects.kept_repository import is_kept, kept_name
+from robot_runner.subjects.work_tree import WorkTree
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    import pytest
     from tests.subjects.conftest import Repository
 
 
@@ -51,6 +55,24 @@ def test_what_is_too_large_or_lies_in_other_repositories_or_cannot_be_had_is_not
     monkeypatch.setattr(kept_repository, "_LARGEST", 10)
     assert not is_kept(tmp_path / "large", {first: repository.folder})
     assert not [path for path in tmp_path.iterdir() if path.name.lstrip(".").startswith(("submodule", "gone", "large"))]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files to another user")
+def test_a_copy_in_another_users_folder_is_built_from_and_its_configuration_is_not(
+    repository: Repository, tmp_path: Path
+) -> None:
+    copy, wanted = tmp_path / "copy.git", repository.commit_of("main")
+    assert is_kept(copy, {wanted: repository.folder})
+    (copy / "config").write_text("[core]\n\tbare = maybe\n")  # git refuses such a one
+    (copy / "objects/info").mkdir(exist_ok=True)
+    (copy / "objects/info/alternates").write_text("/nowhere\n")
+    for path in (copy, *copy.rglob("*")):
+        os.chown(path, 65534, 65534)
+    tree = WorkTree(str(tmp_path / "gone"), wanted, "", copy)
+    tree.made("main", tmp_path / "build.log", Workshop(tmp_path, lambda: False, print))
+    assert (tree.folder / "planner.sh").read_text().startswith("#!/bin/sh\necho new")
+    assert said(tree.folder, "remote", "get-url", "origin") == str(tmp_path / "gone")
+    assert {each.name for each in tree.folder.parent.iterdir()} == {"tree", "built.json"}
 
 
 def test_each_repository_has_a_copy_of_its_own() -> None:

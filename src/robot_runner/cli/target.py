@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,10 @@ def folder_of_target(target: str, assignments: Sequence[str], *, takes_older: bo
         names = _names_in(path.parent) if os.path.isdir(path.parent) else []  # noqa: PTH112 - as above
         fix = did_you_mean(path.name, names) if len(names) < _MOST_NAMES else "Name a folder that is there."
         raise StorageError("there is no such file or folder", where=target, fix=fix)
+    if path.suffix.casefold() == ".zip":
+        words = shlex.join(["unzip", "-q", target, "-d", path.stem])
+        fix = f"Unpack it, and name the folder: {words}"
+        raise StorageError("this is a package, and an experiment's folder is needed", where=target, fix=fix)
     return _of_config(path, assignments, takes_older=takes_older)
 
 

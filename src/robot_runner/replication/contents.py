@@ -181,6 +181,8 @@ _TRANSIENT = re.compile(
 #: What file managers leave in folders that somebody has looked at.
 DESKTOP_FILES = frozenset({".DS_Store", "Thumbs.db"})
 _BYTE_CODE = "__pycache__"
+#: The copy of a repository that was being made when the execution was killed.
+_HALF_MADE = re.compile(r"\..*\.git\.tmp")
 _WORKING_FOLDERS = frozenset({".git", ".ipynb_checkpoints", ".venv"})
 
 
@@ -274,7 +276,7 @@ def _walk(root: Path) -> Iterator[tuple[str, Path, os.stat_result]]:
         raise storage_error(root, "read", error) from error
 
     for folder, folders, names in os.walk(root, onerror=fail):
-        wanted = sorted(set(folders) - {_BYTE_CODE})
+        wanted = sorted(each for each in folders if each != _BYTE_CODE and not _HALF_MADE.fullmatch(each))
         closed = [name for name in wanted if name in _WORKING_FOLDERS or Path(folder, name).is_symlink()]
         folders[:] = [name for name in wanted if name not in closed and Path(folder, name) != root / WHEELS]
         for path in sorted(Path(folder, name) for name in (*names, *closed)):

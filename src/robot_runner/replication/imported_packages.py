@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.storage.guarded_files import read_bytes
+from robot_runner.core.storage.input_files import copies_in
 from robot_runner.replication.distributions import canonical
 
 if TYPE_CHECKING:
@@ -59,13 +60,17 @@ def owners_of(module: str) -> list[str]:
 
 
 def imported_names(folder: Path) -> set[str]:
-    """Return the top-level modules that the Python files in a folder import, found without executing them.
+    """Return the top-level modules that the Python files in a folder of configs import, found without executing them.
+
+    What lies there as the experiment reads it, such as a script under test, may be for another Python.
 
     Raises:
         OSError: a file cannot be read.
+        StorageError: the index of the files that the experiment reads cannot be read.
     """
     found: set[str] = set()
-    for path in sorted(folder.rglob("*.py")):
+    read = copies_in(folder)
+    for path in sorted(each for each in folder.rglob("*.py") if each.absolute() not in read):
         found.update(name.partition(".")[0] for name in _imports(read_bytes(path), ""))
     return found
 

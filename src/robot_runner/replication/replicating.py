@@ -16,7 +16,7 @@ from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
 from robot_runner.core.storage.declared_shapes import shape_findings
 from robot_runner.core.storage.guarded_files import make_experiment_folder, open_to_read
-from robot_runner.core.storage.input_files import missing_inputs
+from robot_runner.core.storage.input_files import copy_kept, missing_inputs, read_index
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from robot_runner.replication.sealing import Progress
 
 _UNPACKED = "package"
+#: Beside it, what of it may be written into.
+_WORKING = "files"
 #: Where the results go is the one setting that a replication never takes from the original.
 _PATH, _REGISTRATION = "results_output_path", "registration"
 
@@ -64,6 +66,11 @@ class Source:
     description: Mapping[str, Any]
     environment: Mapping[str, Any]
     findings: tuple[Finding, ...]
+
+    @property
+    def kind(self) -> str:
+        """What it is called: a package, or an experiment that nobody sealed."""
+        return "package" if self.is_sealed else "experiment"
 
     def refuse_target(self, target: Path) -> None:
         """Let only a folder pass that is not part of what is replicated.
@@ -172,7 +179,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
         StorageError: something cannot be read or written.
     """
     if given := deviations.keys() & {_PATH, _REGISTRATION}:
-        fix = "Leave it out: results go below the folder of --to, and a registration is that of the package."
+        fix = "Leave it out: results go below the folder of --to, and a registration is that of the original."
         raise PackageError("a replication takes no such setting", where=f"--set {min(given)}", fix=fix)
     files = ExperimentFolder.found_at(root)
     manifest = read_manifest(files.manifest)
@@ -291,11 +298,11 @@ def _settle_table(
     if same_ids and not any(table_differences(files.run_table, plan, rows)):
         return []
     if has_deviations:
-        problem = "with what is set, the config plans other runs than those of the package"
+        problem = "with what is set, the config plans other runs than those of the original"
         fix = "Leave --set out for the same runs."
     else:
         _put_table(experiment, rows)
-        problem = "the config plans other runs here, or in another order: those of the package are executed"
+        problem = "the config plans other runs here, or in another order: those of the original are executed"
         fix = "Look for what its create_run_table takes from chance or from the machine."
     return [Finding.warning(str(files.run_table), problem, fix)]
 
@@ -330,6 +337,23 @@ def _has_exclusions(files: ExperimentFolder) -> bool:
     return files.schema.exists() and TableLayout.of_schema(read_schema(files.schema)).has_exclusions
 
 
+def working_files(root: Path, target: Path) -> Path | None:
+    """Return a folder with copies of the files that the original reads, made where it is missing; None without files.
+
+    Software under test may write where it reads, and the original is to stay as it is.
+
+    Raises:
+        StorageError: something cannot be read or written.
+    """
+    files = ExperimentFolder.found_at(root)
+    if not read_index(files.config):
+        return None
+    folder = target / f"{_WORKING}_{_identity(files)[1][:8]}"
+    if not folder.exists():
+        copy_kept(files.config, folder)
+    return folder
+
+
 def replicated_folder(target: Path, root: Path, deviations: Mapping[str, str]) -> Path:
     """Return the folder in which a package was executed again; of several, the one that was executed last.
 
@@ -352,7 +376,7 @@ def replicated_folder(target: Path, root: Path, deviations: Mapping[str, str]) -
             found.append((str((manifest.get("executions") or [{}])[-1].get("started_at")), folder))
     if not found:
         fix = "Repeat the command: what was executed before is kept."
-        raise PackageError("the package was not executed again here", where=str(target), fix=fix)
+        raise PackageError("the original was not executed again here", where=str(target), fix=fix)
     return max(found)[1]
 
 

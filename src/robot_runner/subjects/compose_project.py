@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.words import one_line
+from robot_runner.subjects.read_files import compose_input
 from robot_runner.subjects.subject import Subject
-from robot_runner.subjects.surroundings import word
+from robot_runner.subjects.surroundings import holds_revision, word
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Iterable, Sequence
+
+    from robot_runner.core.storage.input_files import InputFile
 
 #: How long containers may take to stop, s: Docker gives each 10 s, and Compose stops one after another's dependants.
 _GRACE = 30.0
@@ -68,6 +71,7 @@ class ComposeProject(Subject):
             fix = "Use lower-case letters, digits, '_' and '-'."
             raise PluginError(f"a project of Compose cannot be named {self.project!r}", where=self.name, fix=fix)
         self.file = word(self.name, file)
+        self._is_own = not holds_revision(file)
         self.services = tuple(services)
         self.is_built = is_built
         self.has_volumes_removed = has_volumes_removed
@@ -82,6 +86,11 @@ class ComposeProject(Subject):
         """Return the command that takes it down."""
         volumes = ("--volumes",) if self.has_volumes_removed else ()
         return (*self._compose, "down", "--remove-orphans", *volumes)
+
+    def files_read(self) -> Iterable[InputFile]:
+        """Yield the Compose file, with the files that it names beside it and those that its images are built from."""
+        path = self.surroundings.own_path(self.file) if self._is_own else None
+        return [] if path is None else [compose_input(path)]
 
     def program_findings(self, where: str) -> Iterable[Finding]:
         """Yield what Docker itself finds wrong with the Compose file, or that its daemon does not answer."""

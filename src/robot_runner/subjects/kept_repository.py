@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.git_repository import git
+from robot_runner.core.storage.guarded_files import read_bytes, replace
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 #: What is larger is no part of an experiment's folder, which people send to each other, bytes.
 _LARGEST = 64 << 20
+_SHA1 = 40  # digits of its hashes
 _PATIENCE = 600.0  # s, for a few seconds of work on a slow disk
 _SUBMODULE = "commit"  # what `git ls-tree` calls one
 #: Every file is stored whole and none as a delta against another one, so that the search for secrets can read it.
@@ -60,6 +62,39 @@ def is_kept(target: Path, clones: Mapping[str, Path]) -> bool:
     except (OSError, subprocess.TimeoutExpired):
         return False
     return is_made
+
+
+def take_over(kept: Path, target: Path, *, digits: int) -> None:
+    """Make a repository of the user's own with the commits of a copy, such as one in a package.
+
+    Git refuses to clone a repository in a folder of another user, and rightly so: its configuration may name programs.
+    So nothing is taken of it but commits, and the branches that lead to them.
+
+    Args:
+        kept: the copy.
+        target: the folder of the new one.
+        digits: of the hashes of its commits.
+
+    Raises:
+        OSError: git is not installed, or it cannot be written.
+        StorageError: something in the copy is no regular file.
+    """
+    target.mkdir(parents=True)
+    git(
+        "init",
+        "-q",
+        "--bare",
+        "--template=",
+        f"--object-format={'sha1' if digits == _SHA1 else 'sha256'}",
+        folder=target,
+    )
+    places = [kept / name for name in ("HEAD", "packed-refs", "shallow")]
+    places += [path for name in ("objects", "refs") for path in sorted((kept / name).rglob("*"))]
+    for path in places:
+        below = path.relative_to(kept)
+        if path.is_file() and below.parts[1:2] != ("info",):  # which may name other folders with objects
+            (target / below).parent.mkdir(parents=True, exist_ok=True)
+            replace(target / below, read_bytes(path, kept, limit=2 * _LARGEST), target, is_lasting=False)
 
 
 def _steps(clones: Mapping[str, Path]) -> list[tuple[str, ...]]:

@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.subjects.read_files import script_input, scripts_in
 from robot_runner.subjects.subject import Subject
-from robot_runner.subjects.surroundings import is_known, word
+from robot_runner.subjects.surroundings import holds_revision, is_known, word
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.storage.input_files import InputFile
     from robot_runner.subjects.supervised_program import Ended
 
 _LOOK = 0.02
@@ -70,13 +72,19 @@ class Program(Subject):
         program = self.words()[0]
         if is_known(self.command[0]) and self.surroundings.lacks(program):
             on = f" on {self.surroundings.host}" if self.surroundings.host else ""
-            file = Path(self.surroundings.path or ".") / program
+            file = Path(self.surroundings.path or ".") / self.surroundings.found(program)
             if not on and "/" in program and file.is_file():
                 fix = f"Make it so: {shlex.join(['chmod', '+x', str(file)])}"
                 yield Finding.error(where, f"the program {program!r} is not executable", fix)
                 return
             fix = "Install it, or give its full path."
             yield Finding.error(where, f"the program {program!r} is not there{on}", fix)
+
+    def files_read(self) -> Iterable[InputFile]:
+        """Yield the program where it is one of the user's own, and a script that an interpreter executes."""
+        if not holds_revision(self.command):
+            paths = map(self.surroundings.own_path, scripts_in(self.words()))
+            yield from (script_input(path) for path in paths if path is not None)
 
     def may_end(self, ended: Ended) -> bool:
         """Whether it may end with this exit code by itself."""

@@ -7,12 +7,16 @@ import re
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, did_you_mean
+from robot_runner.core.storage.input_files import kept_copy
+from robot_runner.subjects.read_files import is_installed, with_what_it_names
 from robot_runner.subjects.ros_subject import RosSubject
-from robot_runner.subjects.surroundings import is_known, word
+from robot_runner.subjects.surroundings import holds_revision, is_known, word
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
+
+    from robot_runner.core.storage.input_files import InputFile
 
 #: How both tell of an argument that a launch file takes: `  speed: ...` (ROS 1), and `    'speed':` (ROS 2).
 _ARGUMENTS = {1: re.compile(r"^  (\w+)(?: \(.*\))?:", re.MULTILINE), 2: re.compile(r"^\s+'([^']+)':", re.MULTILINE)}
@@ -52,12 +56,22 @@ class RosLaunch(RosSubject):
         words = [word(self.name, each) for each in given]
         self.launch_file = (os.path.join(*words),) if isinstance(package, os.PathLike) else tuple(words)  # noqa: PTH118
         self.arguments = {name: word(self.name, value) for name, value in (arguments or {}).items()}
+        named = [] if holds_revision(given) or len(self.launch_file) > 1 else [*self.launch_file]
+        named += [self.arguments[name] for name, value in (arguments or {}).items() if not holds_revision(value)]
+        self._named = tuple(named)
         self._is_known = all(map(is_known, (*given, *(arguments or {}).values())))
 
     def words(self) -> tuple[str, ...]:
         """Return the command."""
         launch = ("roslaunch",) if self.ros == 1 else ("ros2", "launch")
         return (*launch, *self.launch_file, *(f"{name}:={value}" for name, value in self.arguments.items()))
+
+    def files_read(self) -> Iterable[InputFile]:
+        """Yield the launch file that is named by its path, files that its arguments name, and what those name."""
+        paths = [path for each in self._named if each and (path := self.surroundings.own_path(each)) is not None]
+        return [
+            with_what_it_names(path) for path in paths if (kept_copy(path) or path).is_file() and not is_installed(path)
+        ]
 
     def program_findings(self, where: str) -> Iterable[Finding]:
         """Yield what keeps it from being launched; a revision that is not built yet is not looked at."""

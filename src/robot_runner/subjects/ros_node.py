@@ -13,11 +13,14 @@ from xml.sax.saxutils import escape, quoteattr
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.links.graph_names import namespace_prefix
+from robot_runner.subjects.read_files import with_what_it_names
 from robot_runner.subjects.ros_subject import RosSubject
-from robot_runner.subjects.surroundings import is_known, word
+from robot_runner.subjects.surroundings import holds_revision, is_known, word
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+
+    from robot_runner.core.storage.input_files import InputFile
 
 _GRAPH_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _PARAMETER = re.compile(r"[A-Za-z0-9_./~-]+")
@@ -86,11 +89,17 @@ class RosNode(RosSubject):
         self.parameters_files = tuple(word(self.name, each) for each in files)
         self.remappings = {word(self.name, old): word(self.name, new) for old, new in (remappings or {}).items()}
         self.node_name = node_name
+        self._own_files = tuple(word(self.name, each) for each in files if not holds_revision(each))
         self._is_known = all(map(is_known, (package, executable, *files)))
 
     def words(self) -> tuple[str, ...]:
         """Return the command."""
         return ("sh", "-c", _FROM_INPUT, self._launch_file()) if self.ros == 1 else self._run()
+
+    def files_read(self) -> Iterable[InputFile]:
+        """Yield the files of parameters."""
+        paths = map(self.surroundings.own_path, self._own_files)
+        return [with_what_it_names(path) for path in paths if path is not None]
 
     def program_findings(self, where: str) -> Iterable[Finding]:
         """Yield what keeps it from being started; a revision that is not built yet is not looked at."""
@@ -147,7 +156,8 @@ class RosNode(RosSubject):
             "required": "true",
         }
         lines = [f"<remap from={quoteattr(old)} to={quoteattr(new)}/>" for old, new in self.remappings.items()]
-        lines += [f'<rosparam command="load" file={quoteattr(file)}/>' for file in self.parameters_files]
+        files = map(self.surroundings.found, self.parameters_files)
+        lines += [f'<rosparam command="load" file={quoteattr(file)}/>' for file in files]
         lines += [
             f"<rosparam param={quoteattr(name.replace('.', '/'))}>{escape(_yaml(value))}</rosparam>"
             for name, value in self.parameters.items()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import signal
 import threading
 import time
 from abc import abstractmethod
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
@@ -16,17 +18,18 @@ from robot_runner.core.events.condition import Condition
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import System
+from robot_runner.core.storage.input_files import InputFile
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
+from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, TextInOutput
 from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task, user_cache
-from robot_runner.subjects.surroundings import Surroundings
+from robot_runner.subjects.surroundings import Surroundings, word
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
@@ -44,6 +47,8 @@ class Subject(System):
         name: tells several instances apart; the class's name if left out.
         per: `run` to start it in each run, `experiment` to start it once, before the first run.
         folder: where it is executed; a treatment of `Factor.revisions` stands for its work tree.
+        reads: files and folders that it reads, beside those that are known, so that a package has them; as seen from
+            its folder.
         environment: variables beside those of Robot Runner (or of the user on another computer); None takes one away.
         setup: a file to source first, such as the setup file of a ROS workspace.
         host: another computer, as ssh takes it (`pi@robot`); None for this machine.
@@ -69,6 +74,7 @@ class Subject(System):
         name: str | None = None,
         per: str = "run",
         folder: Any = None,
+        reads: Sequence[str | Path] = (),
         environment: Mapping[str, Any] | None = None,
         setup: str | Path | None = None,
         host: str | None = None,
@@ -93,6 +99,9 @@ class Subject(System):
         self.surroundings = Surroundings.of(
             self.name, folder=folder, environment=environment or {}, setup=setup, host=host, ssh_config=ssh_config
         )
+        if isinstance(reads, str | os.PathLike):
+            raise PluginError(f"reads is {reads!r}", where=self.name, fix=f"Give a list: [{str(reads)!r}].")
+        self.reads = tuple(word(self.name, each) for each in reads)
         self.ready = ready
         self.ready_timeout_s = ready_timeout_s
         self.stop_signal = _signal(self.name, stop_signal)
@@ -123,12 +132,24 @@ class Subject(System):
     def program_findings(self, where: str) -> Iterable[Finding]:
         """Yield what keeps the command from being executed; asked where its surroundings are as they should be."""
 
+    def files_read(self) -> Iterable[InputFile]:
+        """Yield files that it is known to read, as seen from here (`surroundings.own_path`)."""
+        return ()
+
     def may_end(self, ended: Ended) -> bool:
         """Whether this is an end that it may have by itself, before it is stopped."""
         del ended
         return False
 
     # Its life.
+
+    def input_files(self) -> Iterable[InputFile]:
+        """Yield the files that it reads: those that are known, and those that `reads` names."""
+        around = self.surroundings
+        setup = around.setup if around.setup is not None and is_own_setup(Path(around.setup)) else None
+        named = [around.own_path(each) for each in (*self.reads, *([setup] if setup is not None else ()))]
+        inputs = [*self.files_read(), *(InputFile(path) for path in named if path is not None)]
+        return inputs_in(around.own_folder, inputs)
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Yield what stands in the way: the program is not there, or the host cannot be reached."""
@@ -224,7 +245,7 @@ class Subject(System):
         around = self.surroundings
         task = Task(
             command=around.wrapped(self.words()),
-            environment={**self.variables(start), **around.environment, SUBJECT_VARIABLE: self.name},
+            environment={**self.variables(start), **around.variables, SUBJECT_VARIABLE: self.name},
             folder=around.path,
             stop_signal=self.stop_signal,
             grace_s=self.grace_s,

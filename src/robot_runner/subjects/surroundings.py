@@ -17,6 +17,7 @@ from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import checked_destination, execute, ssh_command, ssh_findings
 from robot_runner.core.storage.git_repository import repository_state
+from robot_runner.core.storage.input_files import kept_copy
 from robot_runner.subjects.supervised_program import shell_words
 
 if TYPE_CHECKING:
@@ -102,7 +103,38 @@ class Surroundings:
         if self.folder is None:
             return None
         path = os.fspath(self.folder)
-        return path if self.host is not None else str(Path(path).expanduser())
+        if self.host is not None:
+            return str(path)
+        own = Path(str(path)).expanduser()
+        return str(kept_copy(own) or own)
+
+    @property
+    def own_folder(self) -> Path | None:
+        """The folder as it is named; None where none is, or it is another computer's or a revision's."""
+        is_own = self.folder is not None and self.host is None and not isinstance(self.folder, Revision)
+        return Path(os.fspath(self.folder)).expanduser() if is_own else None
+
+    def own_path(self, name: str) -> Path | None:
+        """Return a path that is named from the folder, as it is named from here.
+
+        None where it is one of another computer, or in the work tree of a revision: what is there is kept as such.
+        """
+        path = Path(name)
+        if self.host is not None or (isinstance(self.folder, Revision) and not path.is_absolute()):
+            return None
+        return (self.own_folder or Path()) / path
+
+    def found(self, word: str) -> str:
+        """Return a word of a command or of the environment: of a file that a package has a copy of, where that is.
+
+        Such a file may be named after `=`, as in `map:=hall.yaml`.
+        """
+        before, equals, name = word.rpartition("=")
+        for start, each in (("", word), (before + equals, name)):
+            path = self.own_path(each) if {".", "/"} & {*each} else None  # else it is the name of something
+            if path is not None and (copy := kept_copy(path)) is not None:
+                return f"{start}{copy}"
+        return word
 
     @property
     def is_there(self) -> bool:
@@ -111,7 +143,10 @@ class Surroundings:
 
     def wrapped(self, words: Sequence[str]) -> tuple[str, ...]:
         """Return a command with the sourcing of the setup file."""
-        return shell_words(words, self.setup)
+        setup = self.setup
+        if setup is not None and (copy := self.found(own := str(Path(setup).expanduser()))) != own:
+            setup = copy
+        return shell_words([self.found(each) for each in words], setup)
 
     def findings(self, where: str) -> Iterator[Finding]:
         """Yield what is not as it should be, whatever is executed there."""
@@ -124,7 +159,7 @@ class Surroundings:
             folder = Path(self.path or ".")
             if not folder.is_dir():
                 yield Finding.error(where, f"there is no folder {str(folder)!r}", "Make it, or name another.")
-            elif self.setup is not None and not (folder / Path(self.setup).expanduser()).is_file():
+            elif self.setup is not None and not (folder / self.found(str(Path(self.setup).expanduser()))).is_file():
                 yield Finding.error(where, f"there is no file {self.setup!r} to source", "Build the workspace first.")
 
     def _host_findings(self, where: str) -> Iterator[Finding]:
@@ -171,12 +206,18 @@ class Surroundings:
     @property
     def local_environment(self) -> dict[str, str]:
         """The environment of a program on this machine."""
-        return {name: value for name, value in {**os.environ, **self.environment}.items() if value is not None}
+        return {name: value for name, value in {**os.environ, **self.variables}.items() if value is not None}
+
+    @property
+    def variables(self) -> dict[str, str | None]:
+        """The variables of a program, beside those that are there anyway."""
+        return {name: None if value is None else self.found(value) for name, value in self.environment.items()}
 
     def lacks(self, program: str) -> bool:
         """Whether a program is not there, as far as that can be known without executing it."""
         if self.host is not None or self.setup is not None:
             return self.ask(["sh", "-c", 'command -v "$0"', program]).code != 0
+        program = self.found(program)
         if "/" in program:
             return shutil.which(str(Path(self.path or ".") / program)) is None
         return shutil.which(program, path=self.local_environment.get("PATH")) is None
@@ -205,6 +246,11 @@ class Surroundings:
 def is_known(value: Any) -> bool:
     """Whether a path can be looked at now: that of a revision is known once the experiment has begun."""
     return not isinstance(value, Revision) or value.is_prepared
+
+
+def holds_revision(value: Any) -> bool:
+    """Whether a value names something in the work tree of a revision."""
+    return isinstance(value, Revision) or (isinstance(value, list | tuple) and any(map(holds_revision, value)))
 
 
 def word(plugin: str, value: Any) -> str:

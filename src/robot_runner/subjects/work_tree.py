@@ -14,10 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.storage.git_repository import git, repository_state, uncommitted_changes, without_login
 from robot_runner.core.storage.journal import utc_now
 from robot_runner.core.words import one_line
+from robot_runner.subjects.kept_repository import take_over
 from robot_runner.subjects.supervised_program import locked, tail, user_cache
 
 if TYPE_CHECKING:
@@ -106,10 +107,15 @@ class WorkTree:
             if self._copy is None or not self._copy.is_dir():
                 raise
             shutil.rmtree(self.folder, ignore_errors=True)
+            own = self._entry / "copy.git"
             try:
-                self._clone(name, str(self._copy))
-            except ExecutionError:  # a package leaves out what holds secrets
+                take_over(self._copy, own, digits=len(self.commit))
+                self._clone(name, str(own))
+                self._git(name, "remote", "set-url", "origin", self.repository)
+            except (ExecutionError, StorageError, OSError):  # a package leaves out what holds secrets
                 raise refused from None
+            finally:
+                shutil.rmtree(own, ignore_errors=True)
         self._git(name, "checkout", "--quiet", "--detach", self.commit)
         if (self.folder / ".gitmodules").exists():
             self._git(name, "submodule", "--quiet", "update", "--init", "--recursive")

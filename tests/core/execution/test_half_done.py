@@ -9,17 +9,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import pytest
 from tests.conftest import HEAD
 
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.notices import AttemptFinished, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
-
-if TYPE_CHECKING:
-    import pytest
 
 Execute = Callable[..., Any]
 Write = Callable[..., Path]
@@ -140,3 +139,31 @@ def test_nothing_but_results_stays_behind(execute: Execute) -> None:
         "run_table.schema.json",
         "runs",
     ]
+
+
+def test_a_lock_that_is_removed_while_a_run_lasts_is_put_back_and_told(execute: Execute) -> None:
+    executed = execute(
+        "def populate_run_data(self, context):\n"
+        "    lock = context.experiment_folder / '.lock'\n"
+        "    if context.run_number == 1: lock.unlink()\n"
+        "    return {'Energy': 1.0}",
+    )
+    assert executed.finished.done_count == 4
+    (finding,) = [each for each in executed.finished.findings if ".lock was removed" in each.problem]
+    assert "locked anew" in finding.problem
+
+
+def test_an_experiment_that_somebody_else_has_gone_on_with_executes_no_further_run(write_config: Write) -> None:
+    config = write_config(
+        "def populate_run_data(self, context):\n"
+        "    folder = context.experiment_folder\n"
+        "    if context.run_number == 1:\n"
+        "        (folder / '.lock').unlink()\n"
+        "        with (folder / 'journal.jsonl').open('a') as journal:\n"
+        '            journal.write(\'{"kind":"resumed","at":"2026-01-01T00:00:00.000Z"}\\n\')\n'
+        "    return {'Energy': 1.0}"
+    )
+    with pytest.raises(ExecutionError, match="another process has executed it since") as refused:
+        resume(config)
+    assert "start the experiment again: it resumes" in refused.value.fix
+    assert resume(config).done_count == 4

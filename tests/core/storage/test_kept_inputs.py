@@ -81,7 +81,7 @@ def test_what_the_package_leaves_out_by_its_name_is_read_where_it_was(study: Pat
         assert input_file(secret) == secret
     secret.unlink()
     (missing,) = missing_inputs(kept)
-    assert "the package leaves it out, and it is not here" in missing.problem
+    assert "there is no copy of it, and it is not here" in missing.problem
 
 
 def test_of_too_many_files_the_index_tells_the_size(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,11 +4,14 @@ import errno
 import fcntl
 import os
 import resource
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
 from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.lock import (
     Command,
     ExperimentLock,
@@ -34,6 +37,19 @@ def in_another_process(ask: object) -> str:
     os.close(reader)
     os.waitpid(pid, 0)
     return said
+
+
+def hold(path: Path) -> subprocess.Popen[bytes]:
+    """Have another process hold a lock until it is told something."""
+    program = (
+        "import sys; from pathlib import Path; from robot_runner.core.storage.lock import ExperimentLock\n"
+        "with ExperimentLock(Path(sys.argv[1])): print(flush=True); sys.stdin.read()"
+    )
+    words = [sys.executable, "-P", "-c", program, str(path)]
+    holder = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert holder.stdout is not None
+    holder.stdout.readline()
+    return holder
 
 
 def refusal(path: Path) -> str:
@@ -67,6 +83,44 @@ def test_the_holder_may_ask_who_holds_a_lock_and_take_it_again_and_still_keeps_o
             assert f"executed by process {os.getpid()}" in in_another_process(lambda: refusal(moved))
     assert holder_of(moved) is None
     assert refusal(moved) == "taken"
+
+
+def test_a_lock_that_was_removed_is_taken_anew_unless_somebody_else_has_been_there(tmp_path: Path) -> None:
+    path = tmp_path / ".lock"
+    with ExperimentLock(path) as lock, Journal(tmp_path / "journal.jsonl") as journal:
+        journal.append("experiment_started", flush=True)
+        assert lock.look_after(journal) == []
+        path.unlink()
+        (finding,) = lock.look_after(journal)
+        assert ".lock was removed while the experiment was executed: it is locked anew" in finding.problem
+        assert f"process {os.getpid()}" in in_another_process(lambda: refusal(path))
+        assert lock.look_after(journal) == []
+        path.unlink()
+        journal._path.unlink()  # as `git clean` does
+        journal.append("paused", flush=True)
+        assert len(lock.look_after(journal)) == 1
+
+        def execute() -> str:
+            with ExperimentLock(path), Journal(journal._path) as other:
+                other.append("experiment_started", flush=True)
+            return "executed"
+
+        path.unlink()
+        assert in_another_process(execute) == "executed"
+        with pytest.raises(ExecutionError, match="and another process has executed it since"):
+            lock.look_after(journal)
+    assert refusal(path) == "taken"
+
+
+def test_who_executes_an_experiment_whose_lock_was_removed_is_told(tmp_path: Path) -> None:
+    path = tmp_path / ".lock"
+    with ExperimentLock(path) as lock, Journal(tmp_path / "journal.jsonl") as journal:
+        path.unlink()
+        holder = hold(path)
+        with pytest.raises(ExecutionError, match=f"and now the experiment is being executed by process {holder.pid}"):
+            lock.look_after(journal)
+        holder.communicate(b"go")
+        assert lock.look_after(journal)
 
 
 def test_a_lock_that_cannot_be_signed_is_refused_and_free(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from typing import TextIO
 import pytest
 
 from robot_runner.core.errors import StorageError
+from robot_runner.core.storage.guarded_files import replace
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 
@@ -48,6 +49,9 @@ def test_the_file_and_then_its_folder_are_flushed(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(os, "fsync", watch)
     write_beside_and_rename(tmp_path / "table.csv", lambda file: file.write("x"))
     assert flushed == ["file", "folder"]
+    replace(tmp_path / "figure.svg", "x", is_lasting=False)  # one of many that can be made again
+    assert flushed == ["file", "folder"]
+    assert (tmp_path / "figure.svg").read_text() == "x"
 
 
 def test_a_new_file_has_the_permissions_that_the_user_asks_for(tmp_path: Path) -> None:

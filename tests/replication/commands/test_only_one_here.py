@@ -44,3 +44,24 @@ def test_the_only_experiment_here_is_told_of_reported_and_exported(robot_runner,
     assert (folder / "export" / "datapackage.json").is_file()
     answer = robot_runner("pause")
     assert (answer.code, "study/small" in answer.err) == (2, True)
+
+
+def test_runs_of_the_only_experiment_here_are_excluded_and_included_again(robot_runner, experiment, tmp_path):
+    shutil.copytree(experiment, tmp_path / "study" / "small")
+    answer = robot_runner("exclude", "r_1", "r_2", "--reason", "the door was open")
+    assert (answer.code, answer.out.partition(".")[0]) == (0, "2 runs are excluded: r_1, r_2"), answer.err
+    assert robot_runner("exclude", "study", "r_3", "--reason", "the door was open").code == 0
+    assert robot_runner("include", "r_2").out == "1 run counts again: r_2.\n"
+    assert "the run table has no such run" in robot_runner("include", "smalls", "r_2").err
+    assert "there is no such file or folder" in robot_runner("include", "./smalls", "r_2").err
+    shutil.copytree(experiment, tmp_path / "other")
+    answer = robot_runner("include", "r_1", "r_3")
+    assert "robot-runner include other r_1 r_3" in answer.err
+
+
+def test_a_package_is_no_experiment_and_how_to_make_one_of_it_is_said(robot_runner, packed, tmp_path):
+    shutil.copy(packed.path, tmp_path / "my study.zip")
+    for words in (("compare", "my study.zip", "my study.zip"), ("report", "my study.zip"), ("status", "my study.zip")):
+        answer = robot_runner(*words)
+        assert (answer.code, "this is a package, and an experiment's folder is needed" in answer.err) == (2, True)
+        assert "unzip -q 'my study.zip' -d 'my study'" in " ".join(answer.err.split())

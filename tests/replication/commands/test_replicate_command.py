@@ -83,6 +83,12 @@ class TestReplicate:
         assert "This machine differs from the package's:" in answer.out
         assert "rich" in answer.out.partition("differs")[2]
 
+    def test_an_experiment_that_nobody_sealed_is_called_no_package(self, robot_runner, experiment, tmp_path):
+        answer = robot_runner("replicate", experiment, "--to", tmp_path / "again")
+        assert "nobody can be asked whether the experiment's code may be executed" in answer.err
+        said = answer.out + answer.err
+        assert said.count("package") == said.count("and no package")
+
     def test_an_experiment_that_nobody_sealed_says_so_and_a_deviation_gets_its_verdict(
         self, robot_runner, experiment, tmp_path
     ):

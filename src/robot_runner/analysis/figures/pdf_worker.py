@@ -92,7 +92,7 @@ def main() -> int:
         # What comes in was pickled by the process that started this one.
         figure, path, root = pickle.loads(sys.stdin.buffer.read(int.from_bytes(head, "big")))  # noqa: S301
         try:
-            replace(path, figure_bytes(figure, FigureFormat.PDF), root)
+            replace(path, figure_bytes(figure, FigureFormat.PDF), root, is_lasting=False)
         except StorageError as error:
             sys.stdout.write(json.dumps({"problem": error.problem, "where": error.where, "fix": error.fix}))
             return _COULD_NOT_WRITE

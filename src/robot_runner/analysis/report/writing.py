@@ -108,15 +108,19 @@ def report_folder(experiment: Path, output: Path | None) -> tuple[Path, Path]:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where the files of a document are written: below `folder`, and over no link below `root`."""
+    """Where the files of a document are written: below `folder`, and over no link below `root`.
+
+    The document comes last, and it alone is waited for until it is on the disk: its figures and tables are many, and
+    can be made again.
+    """
 
     root: Path
     folder: Path
 
-    def write(self, name: str, content: bytes) -> Path:
+    def write(self, name: str, content: bytes, *, is_part: bool = False) -> Path:
         path = self.folder / name
         make_folder(path.parent, self.root)
-        replace(path, content, self.root)
+        replace(path, content, self.root, is_lasting=not is_part)
         return path
 
 
@@ -187,14 +191,15 @@ def _write_figures(
                 files.append(place.folder / name)
             else:
                 is_drawn = kind is FigureFormat.SVG
-                files.append(place.write(name, drawings[block.name] if is_drawn else figure_bytes(figure, kind)))
+                content = drawings[block.name] if is_drawn else figure_bytes(figure, kind)
+                files.append(place.write(name, content, is_part=True))
     return tuple(files), drawings
 
 
 def _write_tables(document: Document, place: _Place) -> tuple[Path, ...]:
     names, labels = SafeNames(), SafeNames(latex_label)
     return tuple(
-        place.write(f"tables/{names(table.name)}.{ending}", text.encode("utf-8"))
+        place.write(f"tables/{names(table.name)}.{ending}", text.encode("utf-8"), is_part=True)
         for table in document.tables
         for ending, text in (("csv", csv_of(table)), ("tex", latex_of(table, labels)))
     )

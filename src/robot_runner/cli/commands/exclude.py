@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.excluding import exclude_runs
+from robot_runner.cli.only_one_here import target_and_runs
 from robot_runner.cli.parser import add_runs, add_set, add_target
-from robot_runner.cli.target import folder_of_target
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     add_runs(parser)
     parser.add_argument(
         "--reason", metavar="TEXT", required=True, help="why: kept with the time, and shown wherever runs are counted"
@@ -31,8 +31,8 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Exclude the runs, and say which they are."""
-    folder = folder_of_target(arguments.target, arguments.set)
-    excluded = exclude_runs(folder, arguments.runs, arguments.reason)
+    folder, runs = target_and_runs("exclude", arguments.target, arguments.runs, arguments.set)
+    excluded = exclude_runs(folder, runs, arguments.reason)
     if not excluded:
         print("These runs are excluded already, for this reason.")
         return 0

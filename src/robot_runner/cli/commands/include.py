@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.excluding import include_runs
+from robot_runner.cli.only_one_here import target_and_runs
 from robot_runner.cli.parser import add_runs, add_set, add_target
-from robot_runner.cli.target import folder_of_target
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    add_target(parser)
+    add_target(parser, is_the_only_one=True)
     add_runs(parser)
     parser.add_argument("--reason", metavar="TEXT", default="", help="why they count after all: kept with the time")
     add_set(parser)
@@ -28,7 +28,7 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Include the runs, and say which they are."""
-    folder = folder_of_target(arguments.target, arguments.set)
-    included = include_runs(folder, arguments.runs, arguments.reason)
+    folder, runs = target_and_runs("include", arguments.target, arguments.runs, arguments.set)
+    included = include_runs(folder, runs, arguments.reason)
     print(f"{counted(len(included), 'run')} {'counts' if len(included) == 1 else 'count'} again: {listed(included)}.")
     return 0

@@ -82,7 +82,7 @@ class ProgressManager:
     def __enter__(self) -> Self:
         with ExitStack() as opened:
             self._left_behind = made_folder(self._folder)
-            opened.enter_context(ExperimentLock(self._folder.lock))
+            self._lock = opened.enter_context(ExperimentLock(self._folder.lock))
             opened.callback(forget_requests, self._folder.pause, self._folder.stop)  # of no use to the next session
             forget_requests(self._folder.pause, self._folder.stop)  # of one that was killed
             left_over = await_left_over(self._folder, self._experiment.parameters.grace_in_s)
@@ -266,6 +266,7 @@ class ProgressManager:
 
     def begin(self, run: PendingRun, place: str = "", slot: int = 1) -> RunTask:
         """Begin another attempt at a run at a place; what an earlier attempt left is kept elsewhere."""
+        self._findings += self._lock.look_after(self._journal)
         earlier = self._attempts[run.run_id]
         self._attempts[run.run_id] += 1
         if run.run_id in self._left_behind:

@@ -270,7 +270,9 @@ def open_descriptor(path: Path, root: Path | None = None, flags: int = os.O_RDWR
 
 
 @contextmanager
-def open_to_write(path: Path, root: Path | None = None, *, mode: int = 0) -> Iterator[BinaryIO]:
+def open_to_write(
+    path: Path, root: Path | None = None, *, mode: int = 0, is_lasting: bool = True
+) -> Iterator[BinaryIO]:
     """Write a file beside `path`, flush it to the disk, and rename it over `path` when the block ends.
 
     Where anything fails, what stood at `path` is intact and nothing is left beside it. A link that stands there is
@@ -280,18 +282,23 @@ def open_to_write(path: Path, root: Path | None = None, *, mode: int = 0) -> Ite
         path: the file.
         root: the experiment's folder.
         mode: the file's permissions, of which the umask takes its part; 0 for those of the experiment's folder.
+        is_lasting: whether it survives a power failure from then on; one of many files that can be made again need not.
 
     Raises:
         StorageError: there stands no regular file, or it cannot be written.
     """
     with refusals(path, root, "written") as (top, (*folders, name)):
-        with folder_inside(top, folders) as folder, _beside(path, folder, name, mode or rights_of(top) & 0o666) as file:
+        with (
+            folder_inside(top, folders) as folder,
+            _beside(path, folder, name, mode or rights_of(top) & 0o666, is_lasting) as file,
+        ):
             yield file
-        fsync_folder(path.parent)
+        if is_lasting:
+            fsync_folder(path.parent)
 
 
 @contextmanager
-def _beside(path: Path, folder: int, name: str, mode: int) -> Iterator[BinaryIO]:
+def _beside(path: Path, folder: int, name: str, mode: int, is_lasting: bool) -> Iterator[BinaryIO]:
     _look_at(path, folder, name)
     # In the same folder: renaming across file systems is neither possible nor atomic.
     beside = f".{name}.{threading.get_native_id()}.tmp"  # no two threads of the machine have one number
@@ -302,20 +309,21 @@ def _beside(path: Path, folder: int, name: str, mode: int) -> Iterator[BinaryIO]
         with open(path.with_name(beside), "wb", opener=lambda *_: opener(beside, flags)) as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())
+            if is_lasting:
+                os.fsync(file.fileno())
         os.replace(beside, name, src_dir_fd=folder, dst_dir_fd=folder)
     except BaseException:
         _unlink(beside, folder)
         raise
 
 
-def replace(path: Path, content: str | bytes, root: Path | None = None) -> None:
-    """Give a file new content (text as UTF-8), whole or not at all.
+def replace(path: Path, content: str | bytes, root: Path | None = None, *, is_lasting: bool = True) -> None:
+    """Give a file new content (text as UTF-8), whole or not at all; see `open_to_write`.
 
     Raises:
         StorageError: as `open_to_write` says.
     """
-    with open_to_write(path, root) as file:
+    with open_to_write(path, root, is_lasting=is_lasting) as file:
         file.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 

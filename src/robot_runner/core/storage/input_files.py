@@ -8,22 +8,26 @@ executed again, plugins find the copy by the name that the config gives the orig
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+import shutil
+import stat
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypedDict
+from typing import NotRequired, TypedDict
 
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.storage.declared_shapes import faults_of
-from robot_runner.core.storage.guarded_files import TEXT_LIMIT, read_json
+from robot_runner.core.storage.guarded_files import TEXT_LIMIT, read_bytes, read_json, replace
 from robot_runner.core.storage.system_refusals import storage_error
 
 #: The name of the index, beside the config.
 INDEX = "input_files.json"
 #: Names the index in use to this process and to those that it starts, such as a fresh interpreter for a run.
 _VARIABLE = "ROBOT_RUNNER_INPUT_FILES"
+#: Names the folder of the copies that are read, where it is another one.
+_WORKING = "ROBOT_RUNNER_WORKING_FILES"
 #: What is larger is no part of an experiment's folder, which people send to each other, bytes. A copy is compared with
 #: its original whenever the experiment goes on, and no more than this is read of one file.
 _LARGEST = TEXT_LIMIT
@@ -57,7 +61,8 @@ class KeptInput(TypedDict):
     """What the index says of one input: where it was, its copy, and how to know it again where there is none.
 
     `below` is its place in the folder of the config, by which paths that the config makes of its own name it; `others`
-    are the files that it needs, relative to the folder that it is in.
+    are the files that it needs, relative to the folder that it is in; `programs` the copies that can be executed, which
+    neither a folder of ours nor a package tells of its files.
     """
 
     named: str
@@ -67,6 +72,7 @@ class KeptInput(TypedDict):
     kept: str | None
     size: int
     sha256: str | None
+    programs: NotRequired[list[str]]
 
 
 class _Index(TypedDict):
@@ -85,7 +91,8 @@ def read_index(folder: Path) -> list[KeptInput]:
     index: _Index = read_json(path)
     faults = faults_of(index, _Index)
     if not faults:
-        places = [Path(each["kept"]) for each in index["inputs"] if each["kept"] is not None]
+        named = (place for each in index["inputs"] for place in (each["kept"], *each.get("programs", ())))
+        places = [Path(place) for place in named if place is not None]
         faults = [f"{str(each)!r} is no place below it" for each in places if each.is_absolute() or ".." in each.parts]
     if faults:
         raise StorageError(f"the index of input files is damaged: {faults[0]}", where=str(path), fix="Get it again.")
@@ -99,16 +106,62 @@ def shown_input(each: KeptInput) -> str:
 
 
 @contextmanager
-def kept_copies(folder: Path) -> Iterator[None]:
-    """While it lasts, have `input_file` find the copies that a folder of configs keeps, in this process and its own."""
-    before = os.environ.get(_VARIABLE)
-    os.environ[_VARIABLE] = str(folder.resolve())
+def kept_copies(folder: Path, working: Path | None = None) -> Iterator[None]:
+    """While it lasts, have `input_file` find the copies that a folder of configs keeps, in this process and its own.
+
+    Args:
+        folder: of configs.
+        working: what `copy_kept` has made of it: then these copies are found.
+    """
+    own = {_VARIABLE: str(folder.resolve()), _WORKING: str((working or folder).resolve())}
+    before = {name: os.environ.get(name) for name in own}
+    os.environ.update(own)
     try:
         yield
     finally:
-        os.environ.pop(_VARIABLE)
-        if before is not None:
-            os.environ[_VARIABLE] = before
+        for name, text in before.items():
+            os.environ.pop(name)
+            if text is not None:
+                os.environ[name] = text
+
+
+def copy_kept(folder: Path, target: Path) -> None:
+    """Copy what a folder of configs keeps, so that programs may write beside it and into it: a package stays as it is.
+
+    Raises:
+        StorageError: something cannot be read or written.
+    """
+    part = target.with_name(f".{target.name}.tmp")
+    try:
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        for each in read_index(folder):
+            for member in _copies_of(each, folder):
+                place = part / member.relative_to(_absolute(folder))
+                place.parent.mkdir(parents=True, exist_ok=True)
+                replace(place, read_bytes(member, folder), part, is_lasting=False)
+                if place.relative_to(part).as_posix() in each.get("programs", ()):
+                    place.chmod(place.stat().st_mode | 0o100 | (place.stat().st_mode & 0o044) >> 2)
+        part.replace(target)
+    except OSError as error:
+        raise storage_error(target, "written", error) from error
+
+
+def copies_in(folder: Path) -> set[Path]:
+    """Return the files in a folder of configs that are there since the experiment reads them: no part of its code.
+
+    Raises:
+        StorageError: the index cannot be read.
+    """
+    return {copy for each in read_index(folder) for copy in _copies_of(each, folder)}
+
+
+def _copies_of(each: KeptInput, folder: Path) -> list[Path]:
+    copy = _copy_of(each, folder)
+    if copy is None:
+        return []
+    members = _members_of(_absolute(copy), [copy.parent / other for other in each["others"]])
+    return [member for member in members if member.is_relative_to(_absolute(folder))]
 
 
 def input_file(path: Path) -> Path:
@@ -120,17 +173,25 @@ def input_file(path: Path) -> Path:
         >>> input_file(Path("lab.toml")).as_posix()
         'lab.toml'
     """
+    return kept_copy(path) or _expanded(path)
+
+
+def kept_copy(path: Path) -> Path | None:
+    """Return the copy of a file, or of what is in a folder, where a package is executed again that has one."""
     folder = os.environ.get(_VARIABLE)
-    copies = _copies(Path(folder)) if folder else {}
-    found = copies.get(str(path)) or copies.get(str(_absolute(path)))
-    return found or _expanded(path)
+    copies = _copies(Path(folder), Path(os.environ.get(_WORKING) or folder)) if folder else {}
+    for base in (path, *path.parents) if copies else ():
+        copy, below = copies.get(str(base)) or copies.get(str(_absolute(base))), path.relative_to(base)
+        if copy is not None and ".." not in below.parts and os.path.exists(copy / below):  # noqa: PTH110 - any word
+            return copy / below
+    return None
 
 
 @cache
-def _copies(folder: Path) -> Mapping[str, Path]:
+def _copies(folder: Path, working: Path) -> Mapping[str, Path]:
     found: dict[str, Path] = {}
     for each in read_index(folder):
-        copy = _copy_of(each, folder)
+        copy = _copy_of(each, working)
         if copy is not None:
             # In a package, the home folder of its authors is called `~`.
             found |= {each["named"]: copy, str(_expanded(Path(each["at"]))): copy}
@@ -177,11 +238,18 @@ def _kept_of(entry: KeptInput, path: Path, members: Sequence[Path], beside: Path
     """Return the files of an input of which copies are kept, by their places, and note in its entry where it is."""
     at = Path(entry["at"])
     entry["below"] = at.relative_to(beside).as_posix() if at.is_relative_to(beside) else None
-    if entry["size"] > _LARGEST or len(members) > _MOST_FILES:
+    if not fits(members):
         return {}
     base, place = _places(path, members, beside)
     entry["kept"] = (place / path.relative_to(base)).as_posix()
-    return {place / member.relative_to(base): member for member in members}
+    copies = {place / member.relative_to(base): member for member in members}
+    entry["programs"] = [copy.as_posix() for copy, member in copies.items() if member.stat().st_mode & stat.S_IXUSR]
+    return copies
+
+
+def fits(members: Collection[Path]) -> bool:
+    """Return whether copies of so many files, as large as they are, are kept of one input."""
+    return len(members) <= _MOST_FILES and sum(member.stat().st_size for member in members) <= _LARGEST
 
 
 def input_changes(inputs: Sequence[InputFile], kept: Path) -> Iterator[Finding]:
@@ -216,9 +284,13 @@ def _refusals_told(each: InputFile) -> Iterator[None]:
 def _files_of(each: InputFile) -> tuple[Path, list[Path]]:
     """Return where an input is, and all files of it: none where it is missing, of which its own reader tells."""
     path = _absolute(input_file(each.path))
-    inside = path.rglob("*") if path.is_dir() and not each.others else ()
-    members = {*map(_absolute, each.others), *inside, *([] if path.is_dir() else [path])}
-    return path, sorted(member for member in members if member.is_file())
+    return path, _members_of(path, each.others)
+
+
+def _members_of(path: Path, others: Sequence[Path]) -> list[Path]:
+    inside = path.rglob("*") if path.is_dir() and not others else ()
+    members = {*map(_absolute, others), *inside, *([] if path.is_dir() else [path])}
+    return sorted(member for member in members if member.is_file())
 
 
 def _described(each: InputFile, path: Path, members: Sequence[Path]) -> KeptInput:
@@ -254,7 +326,8 @@ def _places(path: Path, members: Sequence[Path], beside: Path) -> tuple[Path, Pa
     What lies below the folder of the config has the same place below the kept config, where paths that the config
     makes of its own find it.
     """
-    base = Path(os.path.commonpath([path.parent, *(member.parent for member in members)]))
+    own = path if path == beside else path.parent  # the folder of the config may be the input itself
+    base = Path(os.path.commonpath([own, *(member.parent for member in members)]))
     if base.is_relative_to(beside) and beside / INDEX not in members:
         return beside, Path()
     name = hashlib.sha256(str(base).encode()).hexdigest()[:8]
@@ -284,7 +357,7 @@ def missing_inputs(folder: Path) -> Iterator[Finding]:
             fault = _fault_of(each)
             if fault:
                 fix = "Ask its authors for it, and put it there; or name another place with --set."
-                yield Finding.warning(each["at"], f"the package leaves it out, and {fault}: {shown_input(each)}", fix)
+                yield Finding.warning(each["at"], f"there is no copy of it, and {fault}: {shown_input(each)}", fix)
 
 
 def _fault_of(each: KeptInput) -> str:

@@ -23,6 +23,7 @@ from robot_runner.core.storage.guarded_files import (
     open_to_write,
     read_blocks,
 )
+from robot_runner.core.storage.lock_files import is_at
 from robot_runner.core.storage.record_shapes import RECORDS, Record
 from robot_runner.core.storage.system_refusals import storage_error
 
@@ -72,6 +73,7 @@ class Journal:
         self._descriptor = open_descriptor(path, flags=_FLAGS)
         try:
             self._cut_torn_line()
+            self._end = os.fstat(self._descriptor).st_size
         except OSError as error:
             os.close(self._descriptor)
             raise storage_error(path, "written", error) from error
@@ -104,6 +106,12 @@ class Journal:
         except OSError as error:
             raise storage_error(self._path, "written", error) from error
 
+    @property
+    def is_ours_alone(self) -> bool:
+        """Whether nobody else has appended a record, or begun another journal, since this one was opened."""
+        is_there = is_at(self._descriptor, self._path) or not self._path.exists()
+        return is_there and os.fstat(self._descriptor).st_size == self._end
+
     def close(self) -> None:
         """Flush to disk and close; closing twice does nothing.
 
@@ -132,6 +140,7 @@ class Journal:
             removed.seek(0)
             shutil.copyfileobj(removed, file)
         old, self._descriptor = self._descriptor, open_descriptor(self._path, flags=_FLAGS)
+        self._end = os.fstat(self._descriptor).st_size
         os.close(old)
 
     def _write(self, line: bytes) -> None:
@@ -143,6 +152,7 @@ class Journal:
             if written:  # take the torn line back, so that the next one is whole
                 os.ftruncate(self._descriptor, os.fstat(self._descriptor).st_size - written)
             raise
+        self._end += written
 
     def _cut_torn_line(self) -> None:
         size = os.fstat(self._descriptor).st_size

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import os
 import socket
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import TYPE_CHECKING, Self
 
-from robot_runner.core.errors import ExecutionError, StorageError
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.declared_shapes import faults_of, parsed_json
 from robot_runner.core.storage.file_shapes import HolderFile, RequestFile
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_bytes, remove, replace
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
     from types import TracebackType
+
+    from robot_runner.core.storage.journal import Journal
 
 
 # Who executes an experiment: one process at a time, known to the others.
@@ -47,12 +50,15 @@ class ExperimentLock:
         self._descriptor = -1
 
     def __enter__(self) -> Self:
+        self._take()
+        return self
+
+    def _take(self) -> None:
         if own := _own_holder(self._path):
             raise _refusal(self._path, own)
         descriptor = lock_exclusively(self._path)
         if descriptor is None:
             raise _refusal(self._path, holder_of(self._path) or _UNKNOWN)
-        self._descriptor = descriptor
         holder = Holder(os.getpid(), socket.gethostname(), utc_now())
         try:
             sign(descriptor, holder)
@@ -60,14 +66,49 @@ class ExperimentLock:
             os.close(descriptor)
             raise storage_error(self._path, "written", error) from error
         _HELD[descriptor] = holder
-        return self
+        self._let_go()
+        self._descriptor = descriptor
+
+    def look_after(self, journal: Journal) -> list[Finding]:
+        """See that the file that is locked is still the one that others look at; take the lock anew where it is not.
+
+        Somebody may have removed it, by hand or by `git clean`, and so let a second orchestrator in. Asked before each
+        run, it finds that out at the latest when the run is over that was executed meanwhile.
+
+        Returns:
+            what there is to tell.
+
+        Raises:
+            ExecutionError: another process executes the experiment, or has since the file was removed.
+            StorageError: it cannot be locked.
+        """
+        if is_at(self._descriptor, self._path):
+            return []
+        where, problem = str(self._path.parent), f"{self._path.name} was removed while the experiment was executed"
+        again = "start the experiment again: it resumes"
+        try:
+            self._take()
+        except ExecutionError as error:
+            fix = f"Leave that file alone. Once the other process has ended, {again}."
+            raise ExecutionError(f"{problem}, and now {error.problem}", where=where, fix=fix) from error
+        if not journal.is_ours_alone:
+            problem += ", and another process has executed it since"
+            raise ExecutionError(problem, where=where, fix=f"Leave that file alone, and {again}.")
+        return [Finding.warning(where, f"{problem}: it is locked anew", "Leave that file alone: it keeps others out.")]
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._let_go()
+
+    def _let_go(self) -> None:
+        if self._descriptor < 0:
+            return
         del _HELD[self._descriptor]
-        os.ftruncate(self._descriptor, 0)
+        with suppress(OSError):  # another machine has removed it
+            os.ftruncate(self._descriptor, 0)
         os.close(self._descriptor)  # the file stays: removing it would race with the next holder
+        self._descriptor = -1
 
 
 _UNKNOWN = Holder(0, "unknown", "")

@@ -169,8 +169,10 @@ def is_at(descriptor: int, path: Path) -> bool:
     """Return whether an open file is the one that stands at `path`."""
     try:
         return os.path.samestat(os.fstat(descriptor), path.lstat())
-    except FileNotFoundError:
-        return False
+    except OSError as error:
+        if error.errno in {errno.ENOENT, errno.ESTALE}:  # the latter where another machine has removed it
+            return False
+        raise
 
 
 def _wanted(root: Path) -> int:

@@ -45,7 +45,13 @@ from robot_runner.replication.commands.replication_plan import (
 )
 from robot_runner.replication.commands.replication_verdict import Comparing, Ending, facts_of
 from robot_runner.replication.differences import differing_environment
-from robot_runner.replication.replicating import find_source, original_settings, prepare_replication, replicated_folder
+from robot_runner.replication.replicating import (
+    find_source,
+    original_settings,
+    prepare_replication,
+    replicated_folder,
+    working_files,
+)
 from robot_runner.replication.run_by_run import is_executed
 from robot_runner.replication.virtual_environments import execute_with, make_environment, program_in
 
@@ -133,7 +139,7 @@ def _replicate(arguments: Namespace) -> Ending:
     if arguments.environment == _CONTAINER:
         print_container(output(), source, _unpacked(source, target))
         return Ending(0, facts)
-    make_sure(is_agreed=arguments.yes)
+    make_sure(source.kind, is_agreed=arguments.yes)
     own = arguments.environment or _offered(arguments, source, differing)
     root = _unpacked(source, target)
     comparing = Comparing(root, target, arguments.bound, is_agreed=arguments.yes)
@@ -166,7 +172,7 @@ def _unpacked(source: Source, target: Path) -> Path:
 
 def _execute_here(arguments: Namespace, root: Path, target: Path) -> int:
     """Execute the experiment of the package in this very environment; return the exit code of its execution."""
-    with _no_traces(), kept_copies(ExperimentFolder.found_at(root).config):
+    with _no_traces(), kept_copies(ExperimentFolder.found_at(root).config, working_files(root, target)):
         replication = prepare_replication(root, target, parse_assignments(arguments.set))
         execution = execute_on_screen(replication.experiment, replication.findings, plain=arguments.plain)
     if execution.finished is not None:

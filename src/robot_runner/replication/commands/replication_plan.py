@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 _FEW = 5
 
 
-def make_sure(*, is_agreed: bool) -> None:
-    """Ask at a terminal whether the code of the package may be executed.
+def make_sure(kind: str, *, is_agreed: bool) -> None:
+    """Ask at a terminal whether the code of the original, a package or an experiment, may be executed.
 
     Raises:
         UsageError: it may not, or nobody can be asked.
@@ -50,8 +50,8 @@ def make_sure(*, is_agreed: bool) -> None:
     where = "robot-runner replicate"
     if terminal_input() is None:
         fix = "Look at its config, then add --yes."
-        raise UsageError("nobody can be asked whether the package's code may be executed", where=where, fix=fix)
-    if not agrees("Execute the code of this package? [y/N]", otherwise=False):
+        raise UsageError(f"nobody can be asked whether the {kind}'s code may be executed", where=where, fix=fix)
+    if not agrees(f"Execute the code of this {kind}? [y/N]", otherwise=False):
         raise UsageError("nothing was executed", where=where, fix="Look at its config first: robot-runner verify")
 
 
@@ -115,7 +115,7 @@ def print_plan(
     print_facts(console, [(what, one_line(text)) for what, text in facts])  # a stranger's text may hold escapes
     if source.findings:
         show_findings(source.findings)
-    _print_differences(console, differing, "This machine differs from the package's:", "here", has_all=has_all)
+    _print_differences(console, differing, f"This machine differs from the {source.kind}'s:", "here", has_all=has_all)
 
 
 def print_made_environment(console: UserConsole, folder: Path, environment: Mapping[str, Any]) -> None:
@@ -162,7 +162,7 @@ def _print_differences(
         [one_line(text) for text in (each.what, each.original, each.here, listed(each.imported_by, shown=2))]
         for each in shown
     ]
-    headings = ["", "package", second, "imported by" if any(each.imported_by for each in shown) else ""]
+    headings = ["", "original", second, "imported by" if any(each.imported_by for each in shown) else ""]
     columns = [Column(name, width_of([name, *(row[place] for row in rows)])) for place, name in enumerate(headings)]
     if rows:
         console.print(f"  {aligned(columns, headings)}", style="dim", soft_wrap=True)

@@ -1,0 +1,230 @@
+"""Which files software under test reads, as far as that can be known: what it is started with, and what that names.
+
+A launch file or a Compose file names others by texts. What exists beside it under such a name is taken for one of them:
+a file too many does no harm, and one too few keeps others from starting the software.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.storage.input_files import InputFile, fits, kept_copy
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+#: Texts that YAML needs no quotes for, and those that everything else has in quotes.
+_PLAIN = re.compile(r"""[^\s"',\[\]{}|<>]+""")
+_QUOTED = re.compile(r"""["']([^"'\n]{1,255})["']""")
+_YAML = frozenset({".yaml", ".yml"})
+#: What is looked into for further names.
+_NAMING = _YAML | {".launch", ".xml", ".py", ".urdf", ".xacro"}
+#: How a launch file of ROS says where it is itself.
+_HERE = re.compile(r"\$\((?:dirname|var __file__)\)/")
+_MOST_NAMING, _LARGEST_NAMING = 200, 1_000_000
+#: What is not read by software under test, or is written while it is executed.
+_NOT_READ = frozenset({"__pycache__", "node_modules"})
+_MOST_FILES = 5001  # more than is kept of any input
+#: Where the system and what is installed are: whoever replicates has it of their own.
+_INSTALLED = ("/bin", "/sbin", "/lib", "/usr", "/opt", "/dev", "/proc", "/sys", "/etc", "/snap", "/nix")
+_INTERPRETER = re.compile(r"(?:python|node|perl|ruby|julia|lua|octave|php)[\d.]*|(?:ba|da|z|k|fi)?sh|Rscript")
+#: Options of interpreters after which a program stands, and no file.
+_INLINE = re.compile(r"-[a-zA-Z]*[ceEm]")
+
+_IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import|import[ \t]+([\w., \t]+))", re.MULTILINE)
+_BUILD = re.compile(r"(?:^|[\s{,])(build|context|dockerfile)[ \t]*:[ \t]*[\"']?([^\s\"'#{},]+)", re.MULTILINE)
+_COPY = re.compile(r"^\s*(?:COPY|ADD)\s+(.+)$", re.IGNORECASE | re.MULTILINE)
+
+
+def is_own_setup(path: Path) -> bool:
+    """Return whether a file to source is a script by itself; that of a workspace is worthless without the workspace."""
+    return not is_installed(path) and not re.fullmatch(r"(?:local_)?setup\.\w+", path.name)
+
+
+def is_installed(path: Path) -> bool:
+    """Return whether a path lies where the system and its packages are."""
+    return str(path).startswith(tuple(f"{each}/" for each in _INSTALLED))
+
+
+def scripts_in(words: Sequence[str]) -> Iterator[str]:
+    """Yield the files of a command that are executed: a program of the user's own, and a script for an interpreter.
+
+    Example:
+        >>> list(scripts_in(["python3", "-u", "planner.py", "--map", "hall.yaml"])), list(scripts_in(["planner"]))
+        (['planner.py'], [])
+    """
+    program, *rest = words
+    if "/" in program and not is_installed(Path(program)):
+        yield program
+    if not _INTERPRETER.fullmatch(Path(program).name):
+        return
+    for each in rest:
+        if _INLINE.fullmatch(each):
+            return
+        if not each.startswith("-"):
+            yield each
+            return
+
+
+def script_input(path: Path) -> InputFile:
+    """Return a program or a script as an input, with the modules beside it that it imports."""
+    return _with(path, _modules_beside)
+
+
+def with_what_it_names(path: Path) -> InputFile:
+    """Return a file as an input, with the files that it names by relative paths, and those that they name."""
+    return _with(path, lambda each: chain(_named_beside(each), _modules_beside(each)))
+
+
+def _with(path: Path, look: Callable[[Path], Iterable[Path]]) -> InputFile:
+    start = kept_copy(path) or path
+    found = {start: None}
+    for each in _looked_into(found):
+        found |= dict.fromkeys(look(each))
+    return InputFile(path, tuple(found)[1:])
+
+
+def compose_input(path: Path) -> InputFile:
+    """Return a Compose file as an input, with all that it names beside it; see `_of_compose`."""
+    start = kept_copy(path) or path
+    beside = [each for each in (start.with_name(".env"),) if each.is_file()]  # Compose reads it unasked
+    return InputFile(path, tuple(dict.fromkeys([*beside, *_named_beside(start), *_of_compose(start)])))
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """Yield the files in a folder and below it, without hidden folders and results of experiments."""
+    count = 0
+    for place, folders, names in os.walk(folder):
+        if {"manifest.json", "run_table.csv"} <= set(names):
+            folders.clear()
+            continue
+        folders[:] = sorted(each for each in folders if not each.startswith(".") and each not in _NOT_READ)
+        for name in sorted(names):
+            if count == _MOST_FILES:
+                return
+            count += 1
+            yield Path(place, name)
+
+
+def _looked_into(found: dict[Path, None]) -> Iterator[Path]:
+    """Yield each of the files that may name further ones, also those that are found meanwhile."""
+    done = 0
+    while done < min(len(found), _MOST_NAMING):
+        each = list(found)[done]
+        done += 1
+        if each.suffix in _NAMING:
+            yield each
+
+
+def _text_of(path: Path) -> str:
+    try:
+        if path.is_file() and path.stat().st_size <= _LARGEST_NAMING:
+            return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:  # who reads it says so
+        pass
+    return ""
+
+
+def _named_beside(path: Path) -> Iterator[Path]:
+    """Yield the files that a file names by paths relative to its own folder."""
+    text = _text_of(path)
+    folder, into = path.parent, Path()
+    if path.suffix in _YAML:
+        text = re.sub(r"(?m)(?:^|\s)#.*$", "", text)
+        names = [
+            part for each in _PLAIN.findall(text) for part in (each, each.partition(":")[0]) if set("./") & {*part}
+        ]
+    else:
+        names = _QUOTED.findall(text)
+    for name in names:
+        plain = Path(_HERE.sub("", name))
+        # `here / "config" / "nav.yaml"` has a path in several texts.
+        beside = [folder / into / plain, folder / plain] if name and not plain.is_absolute() else []
+        file = next(filter(_is_file, beside), None)
+        if file is not None and os.path.normpath(file) != os.path.normpath(path):
+            yield Path(os.path.normpath(file))
+        into = into / plain if beside and _is_folder(beside[0]) else Path()
+
+
+def _modules_beside(path: Path) -> Iterator[Path]:
+    """Yield the modules that a Python file imports from its own folder."""
+    for names in _IMPORT.findall(_text_of(path)) if path.suffix == ".py" else ():
+        for name in {each.split()[0].partition(".")[0] for part in names for each in part.split(",") if each.strip()}:
+            package = path.parent / name
+            yield from filter(_is_file, [package.with_name(f"{name}.py")] if name else ())
+            if name and _is_file(package / "__init__.py"):
+                yield from files_below(package)
+
+
+def _of_compose(path: Path) -> Iterator[Path]:
+    """Yield what images are built from, and what is in folders that containers see and cannot write to.
+
+    A folder that they may write to changes with each run, so that it is none of what they were given.
+    """
+    folder, text = path.parent, _text_of(path)
+    built: list[list[str]] = []  # each context, and its recipe
+    for key, name in _BUILD.findall(text):
+        if key == "dockerfile" and built:
+            built[-1][1] = name
+        elif key != "dockerfile" and _is_folder(folder / name):
+            built.append([name, "Dockerfile"])
+    for context, recipe in built:
+        yield from _built_from(folder / context, recipe)
+    for token in _PLAIN.findall(text):
+        source, _, rest = token.partition(":")
+        if rest.endswith(":ro") and not Path(source).is_absolute() and _is_folder(folder / source):
+            yield from files_below(folder / source)
+
+
+def _built_from(context: Path, recipe: str) -> Iterator[Path]:
+    """Yield the recipe of an image, and what it copies from the folder that it is built in."""
+    yield from filter(_is_file, [context / recipe, context / ".dockerignore"])
+    joined = _text_of(context / recipe).replace("\\\n", " ")
+    for words in (_PLAIN.findall(each) for each in _COPY.findall(joined)):
+        if any(each.startswith("--from") for each in words):
+            continue
+        for source in [each for each in words if not each.startswith("--")][:-1]:
+            yield from _copied(context, source.lstrip("/"))
+
+
+def _copied(context: Path, source: str) -> Iterator[Path]:
+    try:
+        found = [context] if source.strip("./") == "" else sorted(context.glob(os.path.normpath(source)))
+    except (ValueError, OSError):  # a URL, or a pattern that is none
+        return
+    for each in found:
+        yield from [each] if each.is_file() else files_below(each)
+
+
+def _is_file(path: Path) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 - false of a name that no path can have
+
+
+def _is_folder(path: Path) -> bool:
+    return os.path.isdir(path)  # noqa: PTH112 - as above
+
+
+def inputs_in(folder: Path | None, inputs: Iterable[InputFile]) -> Iterator[InputFile]:
+    """Yield inputs whose paths are seen from the folder in which software is executed, as an experiment names them.
+
+    What lies in that folder is one input, the folder, so that the copies have their places in it. What would be too
+    large for that is an input each.
+    """
+    there = list(map(_with_its_files, inputs))
+    inside = [each for each in there if folder is not None and each.path.is_relative_to(folder)]
+    starts = [kept_copy(each.path) or each.path for each in inside]
+    members = dict.fromkeys([*filter(_is_file, starts), *(other for each in inside for other in each.others)])
+    if folder is not None and members and fits(members):
+        yield InputFile(folder, tuple(members))
+    else:
+        yield from inside
+    yield from (each for each in there if each not in inside)
+
+
+def _with_its_files(each: InputFile) -> InputFile:
+    start = kept_copy(each.path) or each.path
+    return InputFile(each.path, tuple(files_below(start))) if _is_folder(start) else each
