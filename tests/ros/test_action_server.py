@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -62,6 +63,52 @@ def test_the_last_state_that_is_told_of_a_goal_is_its_end() -> None:
             thread.join(5.0)
     assert outlet.told[-1] is GoalStatus.CANCELED
     assert outlet.told.count(GoalStatus.CANCELING) == 1
+
+
+class LateOutlet:
+    """Takes its time to tell the result of a goal."""
+
+    def __init__(self) -> None:
+        self.is_telling, self.may_tell = threading.Event(), threading.Event()
+
+    def tell_result(self, execution: Execution, result: Any) -> None:
+        self.is_telling.set()
+        self.may_tell.wait(5.0)
+
+    def tell_status(self, executions: Sequence[Execution]) -> None: ...
+    def tell_feedback(self, execution: Execution, message: Any) -> None: ...
+
+
+def test_an_action_is_withdrawn_once_the_results_of_its_goals_are_told() -> None:
+    outlet = LateOutlet()
+    server = GoalServer("/count", TYPES, lambda _: {}, None, lambda fault: None)
+    server.connect(outlet)
+    server.accept("1", {})
+    assert outlet.is_telling.wait(5.0)  # it is over, and whoever sent it does not know what came of it yet
+    closing = threading.Thread(target=server.close)
+    closing.start()
+    closing.join(0.1)
+    was_waiting = closing.is_alive()
+    outlet.may_tell.set()
+    closing.join(5.0)
+    assert was_waiting
+    assert not closing.is_alive()
+
+
+def test_an_action_that_is_withdrawn_by_whoever_hears_its_result_waits_for_nobody() -> None:
+    server = GoalServer("/count", TYPES, lambda _: {}, None, lambda fault: None)
+    seconds: list[float] = []
+
+    def withdraw(_execution: Execution, _result: Any) -> None:
+        begun = time.monotonic()
+        server.close()
+        seconds.append(time.monotonic() - begun)
+
+    outlet: Any = SimpleNamespace(tell_result=withdraw, tell_status=lambda _: None)
+    server.connect(outlet)
+    server.start = lambda work: work()  # as in a simulation, whose subscribers hear it in the same thread
+    server.accept("1", {})
+    assert seconds[0] < 1.0
 
 
 class ScriptedTransport:

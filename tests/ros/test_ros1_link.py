@@ -210,7 +210,7 @@ class TestGraph:
 
     def test_a_master_that_hangs_holds_nobody_up(self):
         with pytest.raises(LinkError, match=r"took longer than 0\.1 s"):
-            node.within(0.1, threading.Event().wait, where="/odom", doing="registering the subscriber")
+            node.within(threading.Event().wait, where="/odom", doing="registering the subscriber", timeout=0.1)
 
     def test_a_process_is_on_one_graph_at_a_time(self, opened, tmp_path):
         first = opened()

@@ -18,31 +18,14 @@ if TYPE_CHECKING:
 
     from robot_runner.core.links.robot import GraphEndpoint, Message, Subscription
     from robot_runner.ros.action_server import ActionTypes, GoalServer
+    from robot_runner.ros.sent_goal import ActionClient
 
 _logger = logging.getLogger(__name__)
 
 #: How long the goals that are not over may take to end when their link is closed, s, all together.
 CLOSING_SECONDS = 2.0
-
-
-class ActionClient(Protocol):
-    """One action of a graph, as it is used from here; kept for all goals of a link."""
-
-    def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
-        """Send a complete goal, and return once it is accepted; raise a `LinkError` where it is not."""
-        ...
-
-    def cancel(self, sent: SentGoal, timeout: float) -> None:
-        """Ask for the end of a goal; raise a `LinkError` where the server refuses."""
-        ...
-
-    def is_served(self) -> bool:
-        """Whether its server is still there."""
-        ...
-
-    def close(self) -> None:
-        """Leave the action."""
-        ...
+#: How often it is looked for an action that is not offered yet, s.
+_POLL = 0.05
 
 
 class ActionDialect(Protocol):
@@ -81,12 +64,21 @@ def missing_action(action: str, action_type: str, known: Mapping[str, str]) -> L
     return LinkError(f"there is no action {action!r}", where=action, fix=fix)
 
 
-def check_one_server(action: str, servers: Iterable[GraphEndpoint]) -> None:
-    """Raise a `LinkError` where several nodes offer an action: each of them would execute the goal.
+def await_action(actions: Callable[[], Mapping[str, str]], action: str, action_type: str, seconds: float) -> None:
+    """Return once `actions` tells of an action of this type, or of an untold one; `seconds` are how long it may take.
 
-    Args:
-        action: full name of the action.
-        servers: who tells the states of its goals.
+    Raises:
+        LinkError: it does not in time, or the action has another type.
+    """
+    deadline = time.monotonic() + seconds
+    while (known := actions()).get(action) not in {action_type, "*"}:
+        if time.monotonic() > deadline or action in known:
+            raise missing_action(action, action_type, known)
+        time.sleep(_POLL)
+
+
+def check_one_server(action: str, servers: Iterable[GraphEndpoint]) -> None:
+    """Raise a `LinkError` where several nodes offer an action, whose states `servers` tell: each would execute it.
 
     Example:
         >>> check_one_server("/dock", [])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.links.goals import ActionAborted, ActionCanceled, ActionResult, GoalStatus
@@ -24,8 +25,9 @@ _REMEMBERED_SECONDS = 60.0
 _ENDING_SECONDS = 2.0
 
 
-class ActionTypes(Protocol):
-    """What an action is made of; each is a `Shape`.
+@dataclass(frozen=True, slots=True)
+class ActionTypes:
+    """What an action is made of.
 
     Attributes:
         goal: what is sent.
@@ -33,14 +35,14 @@ class ActionTypes(Protocol):
         feedback: what is told meanwhile.
     """
 
-    @property
-    def goal(self) -> Shape: ...  # noqa: D102 - see above
+    goal: Shape
+    result: Shape
+    feedback: Shape
 
-    @property
-    def result(self) -> Shape: ...  # noqa: D102 - see above
 
-    @property
-    def feedback(self) -> Shape: ...  # noqa: D102 - see above
+def part_of(shape: Shape, name: str) -> Shape:
+    """Return the message that one field of a type is."""
+    return next(field.kind for field in shape.fields if field.name == name)  # type: ignore[return-value]
 
 
 class Outlet(Protocol):
@@ -78,6 +80,8 @@ class Execution:
         self.result: ActionResult | None = None
         self.over = threading.Event()
         self.over_since = 0.0
+        self.told = threading.Event()  # once the graph has what came of it, and by whom it is told
+        self.teller = 0
         self._server = server
 
     @property
@@ -132,7 +136,7 @@ class GoalServer:
             stale = [
                 key
                 for key, each in self._executions.items()
-                if each.over.is_set() and now - each.over_since > _REMEMBERED_SECONDS
+                if each.told.is_set() and now - each.over_since > _REMEMBERED_SECONDS
             ]
             for key in stale:
                 del self._executions[key]
@@ -180,15 +184,20 @@ class GoalServer:
             self._outlet.tell_feedback(execution, complete)
 
     def close(self) -> None:
-        """Take no more goals, and ask for the end of those that are executed; those that do not end are aborted."""
+        """Take no more goals, and ask for the end of those that are executed; those that do not end are aborted.
+
+        It returns once the results of all have been told: whoever closes it leaves the topics on which they are.
+        """
         self._is_closed = True
-        running = [each for each in self.executions if not each.over.is_set()]
-        for execution in running:
+        executions = self.executions
+        for execution in executions:
             self.cancel(execution)
         deadline = time.monotonic() + _ENDING_SECONDS
-        for execution in running:
+        for execution in executions:
             if not execution.over.wait(max(0.0, deadline - time.monotonic())):
                 self._finish(execution, GoalStatus.ABORTED, "the action is not offered any more", {})
+            elif execution.teller != threading.get_ident():  # else whoever hears the result withdraws the action
+                execution.told.wait(max(0.0, deadline - time.monotonic()))
 
     def _run(self, execution: Execution) -> None:
         with self._lock:
@@ -220,6 +229,7 @@ class GoalServer:
                 return
             execution.status, execution.over_since = status, time.monotonic()
             execution.result = ActionResult(status, complete, text)
+            execution.teller = threading.get_ident()
             execution.over.set()
         try:
             if self._outlet is not None:
@@ -227,6 +237,7 @@ class GoalServer:
             self._tell_status()
         except Exception:
             _logger.info("the end of a goal of %s could not be told", self.action, exc_info=True)
+        execution.told.set()
 
     def _tell_status(self) -> None:
         with self._telling:

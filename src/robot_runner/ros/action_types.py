@@ -7,6 +7,7 @@ branch. What ROS makes of an action: design.ros2.org/articles/actions.html, and 
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
@@ -19,8 +20,18 @@ if TYPE_CHECKING:
 #: because names of ROS 2 have no underscore.
 _ROS2_PARTS = ("_Goal", "_Result", "_Feedback", "_SendGoal", "_GetResult", "_FeedbackMessage")
 _HALVES = ("_Request", "_Response")
-_SEPARATOR = "---"
+_SEPARATOR = re.compile(r"^[^\S\n]*---[^\S\n]*$", re.MULTILINE)
 _UUID = "unique_identifier_msgs/UUID goal_id"
+
+
+def split_definition(text: str) -> list[str]:
+    r"""Return the messages of which the definition of a service or an action is made.
+
+    Example:
+        >>> split_definition("bool data\n---\nbool success")
+        ['bool data', 'bool success']
+    """
+    return [piece.removeprefix("\n").removesuffix("\n") for piece in _SEPARATOR.split(text)]
 
 
 def whole_action(part: str) -> str:
@@ -62,19 +73,14 @@ def action_parts(generation: int, name: str, text: str, *, where: str) -> dict[s
         >>> parts["example_interfaces/action/Fibonacci_Goal"].strip()
         'int32 order'
     """
-    pieces: list[list[str]] = [[]]
-    for line in text.splitlines():
-        if line.strip() == _SEPARATOR:
-            pieces.append([])
-        else:
-            pieces[-1].append(line)
+    pieces = split_definition(text)
     if len(pieces) != 3:  # noqa: PLR2004  # goal, result and feedback
         raise LinkError(
             f"an action has two lines '---', not {len(pieces) - 1}",
             where=where,
             fix="Put '---' between goal and result, and between result and feedback.",
         )
-    goal, result, feedback = ("\n".join(piece) for piece in pieces)
+    goal, result, feedback = pieces
     package, _, short = plain_type(name).partition("/")
     return (_parts1 if generation == 1 else _parts2)(package, short, goal, result, feedback)
 

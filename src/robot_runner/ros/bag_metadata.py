@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.links.robot import Qos
 from robot_runner.core.storage.guarded_files import open_to_fill
+from robot_runner.ros.qos_policies import offered_by
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
+
+    from robot_runner.core.links.robot import Qos
 
 #: Of rosbag2's metadata: that of Humble, which all later ones read (rosbag2_storage/metadata_io).
 _VERSION = 5
@@ -27,31 +29,26 @@ _AUTOMATIC = 1
 #: RMW_DURATION_INFINITE.
 _FOREVER: Mapping[str, int] = MappingProxyType({"sec": 9223372036, "nsec": 854775807})
 
-#: By profile: history, depth, reliability, durability (rmw/qos_profiles.h).
-_POLICIES: Mapping[Qos, tuple[int, int, int, int]] = MappingProxyType(
-    {
-        Qos.DEFAULT: (_KEEP_LAST, 10, _RELIABLE, _VOLATILE),
-        Qos.SENSOR_DATA: (_KEEP_LAST, 5, _BEST_EFFORT, _VOLATILE),
-        Qos.RELIABLE: (_KEEP_ALL, 0, _RELIABLE, _VOLATILE),
-        Qos.TRANSIENT_LOCAL: (_KEEP_LAST, 1, _RELIABLE, _KEPT),
-    }
-)
-
 
 def offered_profiles(offers: Iterable[Qos]) -> str:
     """Return what a bag holds of the QoS of a topic's publishers: YAML as rosbag2 writes it; empty for none.
 
     Example:
+        >>> from robot_runner.core.links.robot import Qos
         >>> print(offered_profiles([Qos.SENSOR_DATA]).splitlines()[2])
           reliability: 2
     """
-    return "".join(_profile(*_POLICIES[offer]) for offer in sorted(set(offers)))
+    return "".join(map(_profile, sorted(set(offers))))
 
 
-def _profile(history: int, depth: int, reliability: int, durability: int) -> str:
+def _profile(offer: Qos) -> str:
+    policies = offered_by(offer)
+    history = _KEEP_LAST if policies.depth else _KEEP_ALL
+    reliability = _RELIABLE if policies.is_reliable else _BEST_EFFORT
+    durability = _KEPT if policies.is_kept else _VOLATILE
     forever = f"\n    sec: {_FOREVER['sec']}\n    nsec: {_FOREVER['nsec']}\n"
     return (
-        f"- history: {history}\n  depth: {depth}\n  reliability: {reliability}\n  durability: {durability}\n"
+        f"- history: {history}\n  depth: {policies.depth}\n  reliability: {reliability}\n  durability: {durability}\n"
         f"  deadline:{forever}  lifespan:{forever}  liveliness: {_AUTOMATIC}\n  liveliness_lease_duration:{forever}"
         "  avoid_ros_namespace_conventions: false\n"
     )
@@ -85,11 +82,7 @@ class DescribedTopic:
 
 
 class Contents:
-    """What is in a bag of one MCAP file, counted while it is written.
-
-    Args:
-        file: the name of the MCAP file.
-    """
+    """What is in a bag of one MCAP file, counted while it is written."""
 
     def __init__(self, file: str) -> None:
         self._file = file

@@ -139,12 +139,6 @@ class LinkPlayer:
 class ProgramPlayer:
     """A player of ROS' own, from its start until it has ended.
 
-    Args:
-        command: as `playing` returns it.
-        encoding: of the bag, which tells the generation of ROS.
-        folder: takes what it writes.
-        clock: the run's.
-
     Raises:
         PluginError: it cannot be started.
     """

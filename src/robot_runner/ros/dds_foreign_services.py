@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 from contextlib import ExitStack
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +33,7 @@ from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.dds_graph import matched_publications, matched_subscriptions, reply_topic, request_topic
 from robot_runner.ros.dds_qos import service_profile
-from robot_runner.ros.dds_reception import Reception, delete, plain_service_wire_type
+from robot_runner.ros.dds_reception import Reception, delete, service_wire_type
 from robot_runner.ros.rtps_replies import RequestId, RtpsReplies, captured_messages
 
 if TYPE_CHECKING:
@@ -61,10 +62,6 @@ class PacketCapture:
     Cyclone DDS writes its capture through a buffer of the C library, which a thread of its own empties: where it cannot
     be told from other buffers (`_stream_of`), that waits for anybody who reads from the standard input through the
     library, and no deadline of a call may depend on it.
-
-    Args:
-        domain: number of the domain.
-        replies: what reads the packets.
 
     Raises:
         LinkError: the domain cannot be joined once more.
@@ -184,11 +181,7 @@ class _CapturedWriter(DataWriter[Any]):
 
 
 class ForeignServices:
-    """The clients of a link for services of other middlewares; nothing is joined or captured before the first.
-
-    Args:
-        session: of the link.
-    """
+    """The clients of a link for services of other middlewares; nothing is joined or captured before the first."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -297,8 +290,9 @@ class _Client:
         self._request: Shape = session.types.request(service_type)
         self._response: Shape = session.types.response(service_type)
         participant, qos = capture.participant, service_profile("")
-        replies: Topic[Any] = Topic(participant, reply_topic(service), plain_service_wire_type(self._response))
-        requests: Topic[Any] = Topic(participant, request_topic(service), plain_service_wire_type(self._request))
+        wire_type = partial(service_wire_type, has_header=False)
+        replies: Topic[Any] = Topic(participant, reply_topic(service), wire_type(self._response))
+        requests: Topic[Any] = Topic(participant, request_topic(service), wire_type(self._request))
         self.reader: DataReader[Any] = DataReader(participant, replies, qos)
         self._writer = _CapturedWriter(participant, requests, qos)
         self._guid = self._writer.guid.bytes

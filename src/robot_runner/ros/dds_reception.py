@@ -89,16 +89,10 @@ def topic_wire_type(shape: Shape) -> WireType:
     return _structure(shape, wire_type_name(shape.type_name), {})
 
 
-@lru_cache(maxsize=128)
-def service_wire_type(shape: Shape) -> WireType:
-    """Return the DDS type of a request or response, whose bytes begin with the header of services."""
-    return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER)
-
-
-@lru_cache(maxsize=128)
-def plain_service_wire_type(shape: Shape) -> WireType:
-    """Return the DDS type of a request or response of a middleware that puts no header before it."""
-    return _structure(shape, wire_type_name(shape.type_name, "srv"), {})
+@lru_cache(maxsize=256)
+def service_wire_type(shape: Shape, *, has_header: bool = True) -> WireType:
+    """Return the DDS type of a request or response; without a header for a middleware that puts none before it."""
+    return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER if has_header else {})
 
 
 def _structure(shape: Shape, type_name: str, leading: dict[str, Any]) -> WireType:

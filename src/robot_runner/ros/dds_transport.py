@@ -43,10 +43,6 @@ _NEVER = -(2**63)
 class DdsTransport:
     """The primitives of a graph link over DDS, from a machine without ROS.
 
-    Args:
-        settings: how the graph is reached.
-        now_ns: the time that raw messages are stamped with.
-
     Raises:
         LinkError: the domain cannot be joined, or a type definition cannot be used.
     """
@@ -74,7 +70,7 @@ class DdsTransport:
     ) -> _Subscription:
         """Have `receive` called with each message, in the session's thread."""
         del is_raw
-        decode = partial(_decoded, self._session, message_type)
+        decode = partial(self.types.deserialise, message_type, encoding=Encoding.CDR)
 
         def take(data: bytes) -> None:
             receive(ReceivedBytes(data, self._now_ns(), decode))
@@ -158,11 +154,7 @@ class DdsTransport:
 
 
 class _Publisher:
-    """Publishes one topic.
-
-    Raises:
-        LinkError: the topic carries another type, or all of its subscribers ask for more than `qos`.
-    """
+    """Publishes one topic."""
 
     def __init__(self, session: Session, topic: str, message_type: str, qos: Qos) -> None:
         self._session = session
@@ -309,10 +301,6 @@ class _Subscription:
             return
         self._last[info.publication_handle] = info.source_timestamp
         self._take(sample.data)
-
-
-def _decoded(session: Session, message_type: str, data: bytes) -> Message:
-    return session.types.deserialise(message_type, data, Encoding.CDR)
 
 
 def _check_types(session: Session, topic: str, wire_type: WireType) -> None:

@@ -18,13 +18,7 @@ if TYPE_CHECKING:
 
 
 def check_ros(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield what stands between an experiment and the ROS that it needs; the embedded robot needs none.
-
-    Args:
-        where: the config's class.
-        parameters: of the experiment.
-        plugins: all of the experiment.
-    """
+    """Yield what stands between an experiment and the ROS that it needs; the embedded robot needs none."""
     if is_simulated(parameters.robot) or (parameters.robot is None and parameters.required_ros_version is None):
         return
     from robot_runner.ros.required_ros import ros_findings  # noqa: PLC0415 - as said above
@@ -33,13 +27,7 @@ def check_ros(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> 
 
 
 def check_left_settings(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield that nodes of the robot are as a run set them that was killed; the embedded one ends with its run.
-
-    Args:
-        where: the config's class.
-        parameters: of the experiment.
-        plugins: all of the experiment; one that puts such settings back says so itself.
-    """
+    """Yield that nodes of the robot are as a run set them that was killed; the embedded one ends with its run."""
     if parameters.robot is None or is_simulated(parameters.robot):
         return
     from robot_runner.ros.restored_settings import left_findings  # noqa: PLC0415 - as said above

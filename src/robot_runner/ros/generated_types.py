@@ -36,11 +36,6 @@ class TypeKind(Enum):
 def generated_class(type_name: str, kind: TypeKind, is_type: Callable[[Any, str], bool]) -> Any:
     """Return the class of a type.
 
-    Args:
-        type_name: such as `geometry_msgs/Twist`.
-        kind: what the type is of.
-        is_type: whether something in a package's module is the class of the type of this name.
-
     Raises:
         LinkError: there is none, or its package is not on Python's path.
     """

@@ -20,7 +20,6 @@ from robot_runner.ros.type_store import ROS1_DISTROS, ROS2_DISTROS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
-    from urllib.parse import SplitResult
 
 _WHERE = "robot"
 #: Other names of this computer.
@@ -221,7 +220,8 @@ class RosbridgeAddress:
             raise LinkError(problem, where=_WHERE, fix=fix)
         if parts.scheme not in {_SCHEME, *_TLS_PORTS} or not host or parts.fragment:
             raise _malformed(text)
-        options = _options(parts)
+        options = dict(parse_qsl(parts.query, keep_blank_values=True))
+        check_options("rosbridge", options, _ROSBRIDGE_OPTIONS)
         distro = options.get("distro")
         generation = _generation(options.get("ros"), distro)
         security = RosbridgeSecurity.of(options, is_tls=parts.scheme in _TLS_PORTS)
@@ -233,12 +233,6 @@ class RosbridgeAddress:
         """The address of its WebSocket."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{'wss' if self.security.is_tls else 'ws'}://{host}:{self.port}{self.path}"
-
-
-def _options(parts: SplitResult) -> dict[str, str]:
-    options = dict(parse_qsl(parts.query, keep_blank_values=True))
-    check_options("rosbridge", options, _ROSBRIDGE_OPTIONS)
-    return options
 
 
 def _generation(text: str | None, distro: str | None) -> int | None:

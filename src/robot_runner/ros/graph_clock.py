@@ -22,10 +22,6 @@ _RESET = 0.5
 class GraphClock:
     """A clock that shows what the graph's own clock showed last; it must be started before it is used.
 
-    Args:
-        link: to the graph.
-        fix: what to do where nothing comes.
-
     Attributes:
         is_simulated: always: a graph publishes its time because it is not that of the world.
 

@@ -48,7 +48,8 @@ class GraphLink:
     subscriptions and offers until they are closed in reverse order, the deadline of `wait_for`, and the last stop:
     where it published a velocity, it publishes zero before it leaves. A callback that raises does not end its
     subscription, and fails the run at once, whatever the transport. Where no run is going on, it is raised where the
-    callback is called from or, on a transport with threads of its own, logged and raised by `close`.
+    callback is called from or, on a transport with threads of its own, logged and raised by `close`. What else its
+    methods raise stands in `core.links.robot`, whose `RobotLink` it is.
 
     Args:
         connect: joins the graph.
@@ -93,11 +94,7 @@ class GraphLink:
         return self._transport.encoding
 
     def publish(self, topic: str, message_type: str, message: Message, *, qos: Qos = Qos.DEFAULT) -> None:
-        """Publish one message; at first use of a topic, once the subscribers that are there already are reached.
-
-        Raises:
-            LinkError: the message does not follow its definition, the topic carries another type, or the graph is lost.
-        """
+        """Publish one message; at first use of a topic, once the subscribers that are there already are reached."""
         name = self._name(topic)
         advertised = self._advertised.get((name, qos)) or self._advertise(name, message_type, message, qos)
         if advertised.message_type != message_type:
@@ -123,11 +120,7 @@ class GraphLink:
     def subscribe(
         self, topic: str, message_type: str, callback: Callable[[Message], None], *, qos: Qos | None = None
     ) -> Subscription:
-        """Have `callback` called with each message of the topic.
-
-        Raises:
-            LinkError: there is no such type, the topic carries another, or its publishers offer less than `qos`.
-        """
+        """Have `callback` called with each message of the topic."""
         return self._subscribe(topic, message_type, lambda reception: callback(reception.message()), qos, is_raw=False)
 
     def subscribe_raw(
@@ -144,12 +137,7 @@ class GraphLink:
         *,
         timeout: float = 5.0,
     ) -> Message:
-        """Return the first message from now on that satisfies the condition; `timeout` is in seconds.
-
-        Raises:
-            LinkError: none came in time, or as `subscribe`.
-            Exception: what the condition raised.
-        """
+        """Return the first message from now on that satisfies the condition; `timeout` is in seconds."""
         first = FirstMessage(condition, timeout)
         take: Callable[[Reception], None] = lambda reception: first.take(reception.message())  # noqa: E731
         with closing(self._subscribe(topic, message_type, take, None, is_raw=False)) as subscription:
@@ -157,22 +145,13 @@ class GraphLink:
         return first.result(subscription.name, subscription.inner.explain)
 
     def call(self, service: str, service_type: str, request: Message | None = None, *, timeout: float = 5.0) -> Message:
-        """Call a service and return its response; `timeout` is in seconds.
-
-        Raises:
-            LinkError: there is no such service, it has another type, fails or does not answer in time, or the request
-                does not follow its definition.
-        """
+        """Call a service and return its response; `timeout` is in seconds."""
         name = self._name(service)
         complete = completed(self._transport.types.request(service_type), request or {}, where=name)
         return self._transport.call(name, plain_type(service_type), complete, timeout)
 
     def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> Subscription:
-        """Offer a service until it is closed; `answer` may be called from a thread of the transport.
-
-        Raises:
-            LinkError: there is no such type, or a service of this name is offered already.
-        """
+        """Offer a service until it is closed; `answer` may be called from a thread of the transport."""
         name, types = self._name(service), self._transport.types
         types.request(service_type)
         shape = types.response(service_type)
@@ -199,12 +178,7 @@ class GraphLink:
         on_feedback: Callable[[Message], None] | None = None,
         timeout: float = 5.0,
     ) -> Goal:
-        """Send a goal to an action, and return it once it is accepted; `timeout` is in seconds.
-
-        Raises:
-            LinkError: there is no such action, it has another type, the server rejects the goal or does not answer in
-                time, or the goal does not follow its definition.
-        """
+        """Send a goal to an action, and return it once it is accepted; `timeout` is in seconds."""
         name = self._name(action)
         take = self._receiver(Opened(name, action_type, lambda _: None), on_feedback or (lambda _: None))
         return self._goals.send(name, plain_type(action_type), goal or {}, take, timeout)
@@ -217,11 +191,7 @@ class GraphLink:
         *,
         accept: Callable[[Message], bool] | None = None,
     ) -> Subscription:
-        """Offer an action until it is closed; `execute` carries a goal out in a thread of its own.
-
-        Raises:
-            LinkError: there is no such type, or an action of this name is offered already.
-        """
+        """Offer an action until it is closed; `execute` carries a goal out in a thread of its own."""
         name, plain, dialect = self._name(action), plain_type(action_type), self._transport.actions
 
         def serve(opened: Opened) -> Subscription:
@@ -273,20 +243,11 @@ class GraphLink:
         return list(self._transport.subscribers(self._name(topic)))
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, followed by the types that it is made of.
-
-        Raises:
-            LinkError: there is no such type, or nothing here has its text.
-        """
+        """Return the text of a type's definition, followed by the types that it is made of."""
         return self._transport.types.definition(message_type)
 
     def close(self) -> None:
-        """Cancel its goals, stop the robot if it was driven, end all that was opened, and leave; once.
-
-        Raises:
-            LinkError: a goal could not be cancelled, the robot could not be told to stand still, a callback raised, or
-                the graph cannot be left.
-        """
+        """Cancel its goals, stop the robot if it was driven, end all that was opened, and leave; once."""
         if self._is_closed:
             return
         self._is_closed = True

@@ -28,31 +28,20 @@ if TYPE_CHECKING:
     from robot_runner.core.links.kinds import FoundRobot
     from robot_runner.core.links.robot import RobotLink
 
-# Which packages a link lacks, and the extra that brings them.
 
+def check_installed(packages: Iterable[str], *, way: str, extra: str) -> None:
+    """See that packages can be imported that a way to reach a robot takes; none is imported by asking.
 
-def missing_of(packages: Iterable[str]) -> list[str]:
-    """Return those of the packages that cannot be imported; none is imported by asking.
-
-    Example:
-        >>> missing_of(["json", "no_such_package"])
-        ['no_such_package']
-    """
-    return [package for package in packages if importlib.util.find_spec(package) is None]
-
-
-def not_installed(missing: Sequence[str], *, way: str, extra: str) -> LinkError:
-    """Return the error that a robot cannot be reached in this way for want of packages.
+    Raises:
+        LinkError: some cannot be.
 
     Example:
-        >>> print(not_installed(["cyclonedds"], way="over DDS", extra="dds").fix)
-        Install it: pip install 'robot-runner[dds]'.
+        >>> check_installed(["json"], way="over DDS", extra="dds")
     """
-    return LinkError(
-        f"robot is reached {way}, but {enumerated(missing)} cannot be imported",
-        where="robot",
-        fix=f"Install it: pip install 'robot-runner[{extra}]'.",
-    )
+    missing = [package for package in packages if importlib.util.find_spec(package) is None]
+    if missing:
+        problem = f"robot is reached {way}, but {enumerated(missing)} cannot be imported"
+        raise LinkError(problem, where="robot", fix=f"Install it: pip install 'robot-runner[{extra}]'.")
 
 
 #: What a file of definitions is called.
@@ -65,6 +54,9 @@ _GRAPH = "graph"
 @dataclass(frozen=True, slots=True)
 class GraphLinkKind:
     """One way to a ROS graph: a kind of robot link, announced by an entry point.
+
+    Each method raises a `LinkError` where the name of the robot cannot be one; what opens something, where the graph
+    cannot be reached.
 
     Attributes:
         description: in one line.
@@ -88,11 +80,7 @@ class GraphLinkKind:
         return False
 
     def findings(self, name: RobotName) -> list[Finding]:
-        """Return what stands in the way of reaching a robot of this name; nothing is opened by asking.
-
-        Raises:
-            LinkError: the name cannot be one.
-        """
+        """Return what stands in the way of reaching a robot of this name; nothing is opened by asking."""
         _clock_of(name)
         findings: list[Finding] = self._opening(name).findings(_without_clock(name))
         return findings
@@ -119,20 +107,12 @@ class GraphLinkKind:
     def open_robot(
         self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str
     ) -> RobotLink:
-        """Open a link to the robot of this namespace.
-
-        Raises:
-            LinkError: it cannot be reached.
-        """
+        """Open a link to the robot of this namespace."""
         del resources, seed
         return self.open(name, clock, namespace)
 
     def open(self, name: RobotName, clock: Clock, namespace: str = "") -> RobotLink:
-        """Open a link outside a run, too; the caller closes it.
-
-        Raises:
-            LinkError: it cannot be reached.
-        """
+        """Open a link outside a run, too; the caller closes it."""
         bare = _without_clock(name)
         opener = getattr(self._opening(name), self.opener)
         link: RobotLink = opener(bare.options if bare.address is None else bare.address, clock, namespace)

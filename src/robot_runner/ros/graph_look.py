@@ -25,7 +25,7 @@ from robot_runner.ros.graph_links import GRAPH_LINKS, clock_fix
 from robot_runner.ros.graph_transport import LONGEST_DISCOVERY
 from robot_runner.ros.parameter_access import ServerParameters, parameters_of
 from robot_runner.ros.parameter_values import from_json
-from robot_runner.ros.sent_messages import misfits
+from robot_runner.ros.robot_system import misfits
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.sole_control import (
     is_told,
@@ -127,7 +127,7 @@ def look_at(name: RobotName, needs: Mapping[str, Sequence[GraphNeed]]) -> list[F
 def _misfits(link: GraphLink, needs: Mapping[str, Sequence[GraphNeed]]) -> Iterator[Finding]:
     for where, wanted in needs.items():
         for need in wanted:
-            yield from misfits(link, need, where)
+            yield from misfits(link.check_message, need, where)
 
 
 def _patiently(link: GraphListing, needs: Mapping[str, Sequence[GraphNeed]], seconds: float) -> list[Finding]:
@@ -220,14 +220,7 @@ def _parameters(link: GraphListing, need: GraphNeed, where: str) -> Iterator[Fin
 
 
 def offer_findings(what: str, offered: Mapping[str, str], need: GraphNeed, where: str) -> Iterator[Finding]:
-    """Yield that a service or an action is missing, or of another type.
-
-    Args:
-        what: `service` or `action`.
-        offered: the type of each on the graph, by its full name.
-        need: what is needed, with its full name.
-        where: for the finding.
-    """
+    """Yield that a `service` or an `action` is missing, or of another type; names are full."""
     if need.name not in offered:
         yield _missing(f"there is no {what} {need.name!r}", offered, need, where)
         return

@@ -215,13 +215,7 @@ def is_simulated_time(clock: Clock) -> bool:
 
 
 def check_type(topic: str, wanted: str, found: Iterable[str], *, owner: str = "") -> None:
-    """Refuse a topic that already carries another type.
-
-    Args:
-        topic: its full name.
-        wanted: the type that the user names.
-        found: the types that the graph tells for this topic.
-        owner: the node that publishes or subscribes them, where that is known.
+    """Refuse a topic that already carries another type; `owner` is the node that has it, where that is known.
 
     Raises:
         LinkError: one of them is another.

@@ -77,15 +77,9 @@ def full_node(link: RobotLink, node: str) -> str:
 
 
 def call_node(link: RobotLink, node: str, service_type: str, request: Message, *, what: str, timeout: float) -> Any:
-    """Call one of the services that nodes of a kind offer, and return its response.
+    """Call one of the services that nodes of a kind offer, and return its response; for errors, `what` says which kind.
 
-    Args:
-        link: to the robot.
-        node: its name.
-        service_type: such as `rcl_interfaces/GetParameters`; the service is called `get_parameters`.
-        request: to it.
-        what: such nodes are called, for errors: `node that has parameters`.
-        timeout: how long the answer may take, s.
+    The service of the type `rcl_interfaces/GetParameters` is called `get_parameters`.
 
     Raises:
         NodeNotReadyError: no node of this name offers it; the nearest is named.

@@ -21,10 +21,9 @@ from robot_runner.ros.parameter_values import (
     kind_of,
     normal,
 )
-from robot_runner.ros.reconfiguring import reconfigurable, reconfigure
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.ros.parameter_values import ParameterValue
@@ -245,15 +244,10 @@ class ServerParameters:
                 self._server.set_parameter(key, value=value)
             elif self._server.parameter(key) is not None:
                 self._server.delete_parameter(key)
-        reconfigure(self._link, fits, timeout=self._timeout)
+        _reconfigure(self._link, fits, timeout=self._timeout)
 
     def doubts(self, node: str, names: Sequence[str]) -> list[tuple[str, str]]:
-        """Return what may make a change vain, each with a remedy: names that nobody has set, a node that runs already.
-
-        Args:
-            node: whose parameters are to be set.
-            names: of the parameters.
-        """
+        """Return what may make a change vain, each with a remedy: names that nobody has set, a node that is running."""
         there, full = self.names(node), full_node(self._link, node)
         found = []
         for name in names:
@@ -261,7 +255,7 @@ class ServerParameters:
                 near = nearest(name, there)
                 fix = f"Did you mean {near!r}?" if near else "See that the node reads a parameter of this name."
                 found.append((f"{self._key(node, name)} was not set before, and ROS 1 does not tell who reads it", fix))
-        live = reconfigurable(self._link, [self._key(node, name) for name in names])
+        live = _reconfigurable(self._link, [self._key(node, name) for name in names])
         if len(live) < len(names) and full in self._link.nodes():
             problem = f"{full} is running already, and a node of ROS 1 reads most of its parameters when it starts"
             found.append((problem, "Start it after they are set: list its RosLaunch after RosParameters."))
@@ -288,6 +282,46 @@ class ServerParameters:
             fix = f"Name one of them: {enumerated(sorted(value))}."
             raise LinkError("the name is that of several parameters", where=key, fix=fix)
         return None if value is None else normal(value, where=key)
+
+
+# Running nodes of ROS 1 take parameters where they let themselves be changed by dynamic_reconfigure: such a node offers
+# a service below the name of its parameters, takes what it can, and writes what it has then into the parameter server.
+# Source: wiki.ros.org/dynamic_reconfigure.
+
+_RECONFIGURE = "dynamic_reconfigure/Reconfigure"
+#: The field of a dynamic_reconfigure/Config for each kind; there are no arrays.
+_CONFIG_FIELDS = {
+    ParameterKind.BOOL: "bools",
+    ParameterKind.INTEGER: "ints",
+    ParameterKind.DOUBLE: "doubles",
+    ParameterKind.STRING: "strs",
+}
+
+
+def _reconfigurable(link: RobotLink, keys: Iterable[str]) -> set[str]:
+    """Return those of the parameters, by full names, whose node takes them while it runs."""
+    services = link.services()
+    return {key for key in keys if services.get(_service_of(key)) == _RECONFIGURE}
+
+
+def _reconfigure(link: RobotLink, values: Mapping[str, ParameterValue], *, timeout: float) -> None:
+    """Have running nodes take values, by the full names of parameters; nodes that take none while they run are left.
+
+    Raises:
+        LinkError: a node does not answer in time, or `dynamic_reconfigure` is not installed where rospy needs it.
+    """
+    configs: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for key in sorted(_reconfigurable(link, values)):
+        field = _CONFIG_FIELDS.get(kind_of(values[key]))
+        if field is not None:
+            entry = {"name": key.rpartition("/")[2], "value": values[key]}
+            configs.setdefault(_service_of(key), {}).setdefault(field, []).append(entry)
+    for service, config in configs.items():
+        link.call(service, _RECONFIGURE, {"config": config}, timeout=timeout)
+
+
+def _service_of(key: str) -> str:
+    return f"{key.rpartition('/')[0]}/set_parameters"
 
 
 def _fitting_server(value: Any, kind: ParameterKind, key: str) -> ParameterValue:

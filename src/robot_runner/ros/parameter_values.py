@@ -52,11 +52,8 @@ _SCALARS: dict[type, ParameterKind] = {
     str: ParameterKind.STRING,
     bytes: ParameterKind.BYTE_ARRAY,
 }
-_ARRAYS = {
-    ParameterKind.BOOL: ParameterKind.BOOL_ARRAY,
-    ParameterKind.INTEGER: ParameterKind.INTEGER_ARRAY,
-    ParameterKind.DOUBLE: ParameterKind.DOUBLE_ARRAY,
-    ParameterKind.STRING: ParameterKind.STRING_ARRAY,
+_ARRAYS: dict[ParameterKind, ParameterKind] = {
+    kind: ParameterKind[f"{kind.name}_ARRAY"] for kind in _SCALARS.values() if kind is not ParameterKind.BYTE_ARRAY
 }
 
 

@@ -77,9 +77,7 @@ def asked_by(qos: Qos) -> Policies:
 def adapted(offers: Sequence[Policies], *, alone: bool) -> Policies:
     """Return what a subscription asks for that all of these publishers satisfy, as strong as they allow.
 
-    Args:
-        offers: what the publishers offer.
-        alone: whether it is to be reliable where there is none yet.
+    Where there is none yet, `alone` says whether it is to be reliable.
     """
     is_reliable = all(offer.is_reliable for offer in offers) if offers else alone
     return Policies(is_reliable, is_reliable and bool(offers) and all(offer.is_kept for offer in offers))

@@ -31,13 +31,7 @@ _MASTER_SECONDS = 2.0
 
 
 def ros_findings(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield what stands between an experiment and the ROS that it needs.
-
-    Args:
-        where: the config's class.
-        parameters: of the experiment.
-        plugins: all of the experiment; some name a computer of the robot.
-    """
+    """Yield what stands between an experiment and the ROS that it needs; some plugins name a computer of the robot."""
     try:
         name = None if parameters.robot is None else RobotName.parse(parameters.robot)
     except LinkError:  # a finding of the link's
@@ -66,18 +60,10 @@ def _hosts(plugins: Sequence[Plugin]) -> Iterator[tuple[str, Path | None]]:
 def check_required_ros(
     where: str, parameters: Parameters, robot: RobotName | None, hosts: Sequence[tuple[str, Path | None]]
 ) -> Iterator[Finding]:
-    """Yield what speaks against the ROS that is required; each finding says what was found where.
-
-    Args:
-        where: the config's class.
-        parameters: of the experiment.
-        robot: how it is reached; None where there is no robot.
-        hosts: the robot's computers, as ssh takes them, each with its ssh config, where plugins name some.
-    """
+    """Yield what speaks against the ROS that is required, here and on the robot's computers; those have ssh configs."""
     if parameters.required_ros_version is None:
         return
-    check = _Check(where, parameters, robot)
-    yield from check.findings(hosts)
+    yield from _Check(where, parameters, robot).findings(hosts)
 
 
 class _Check:
@@ -97,7 +83,7 @@ class _Check:
             return
         found: list[RosEnvironment] = []
         if self._link not in _WITHOUT_ROS:
-            local = self._local()
+            local = find_ros() or installed_ros()  # sourced, or as Debian ships it
             if local is None:
                 problem = f"the experiment requires {self._wanted}, and no ROS is found on this machine"
                 yield self._error("version", problem, f"Source the setup file of {self._wanted}, {_ON_SIMULATED}.")
@@ -105,11 +91,6 @@ class _Check:
             yield from self._mismatch([local], f"Source the setup file of {self._wanted}, {_ON_SIMULATED}.")
             found.append(local)
         yield from self._of_robot(found, hosts)
-
-    def _local(self) -> RosEnvironment | None:
-        """Return the ROS on this machine that the link uses."""
-        sourced = find_ros()
-        return installed_ros() if sourced is None else sourced
 
     def _of_robot(self, found: list[RosEnvironment], hosts: Sequence[tuple[str, Path | None]]) -> Iterator[Finding]:
         """Yield what speaks against the ROS of the robot itself."""

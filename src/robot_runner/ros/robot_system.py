@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import math
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeVar, runtime_checkable
 
-from robot_runner.core.errors import Finding, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.links.connect import is_simulated, join_beforehand, resolved_robot
 from robot_runner.core.links.graph_names import full_name, namespace_prefix
 from robot_runner.core.links.graph_needs import GraphPart
 from robot_runner.core.plugin import System
-from robot_runner.ros.sent_messages import StandardTypes, misfits
-from robot_runner.ros.shapes import plain_type
+from robot_runner.ros.shapes import completed, plain_type
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.measure import MeasureValue
     from robot_runner.core.links.graph_needs import GraphNeed
+    from robot_runner.core.links.robot import Message
     from robot_runner.core.links.robot_name import RobotName
     from robot_runner.core.plugin import Circumstances
 
@@ -44,6 +46,33 @@ def check_numbers(where: str, *, may_be_zero: bool = False, **parameters: object
         if not 0 <= number < math.inf or (number == 0 and not may_be_zero):
             fix = "Give a number from 0 up." if may_be_zero else "Give a number above 0."
             raise PluginError(f"{name} is {value!r}", where=where, fix=fix)
+
+
+def check_standard_message(name: str, type_name: str, message: Message, *, is_goal: bool = False) -> None:
+    """See that a message or a goal is as ROS 2 defines it without any graph, and so for the embedded robot.
+
+    Raises:
+        LinkError: it is not, or there is no such type.
+    """
+    from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # it takes the extra `ros`
+
+    shape = TypeCatalogue.of(2).shape(f"{plain_type(type_name)}{'_Goal' if is_goal else ''}")
+    completed(shape, message, where=name)
+
+
+def misfits(check_message: Callable[..., None], need: GraphNeed, where: str) -> Iterator[Finding]:
+    """Yield an error for each goal or message of a need that is not as its type is defined.
+
+    Each has a place of its own below `where`: what an experiment starts later does not mend it. A message is checked by
+    `check_standard_message`, or by the method of a link to a graph.
+    """
+    is_goal = need.part is GraphPart.ACTION
+    for sent in need.sent:
+        try:
+            check_message(need.name, need.types[0], json.loads(sent), is_goal=is_goal)
+        except LinkError as error:
+            place = f"{where}, {'goal' if is_goal else 'message'} of {error.where}"
+            yield Finding.error(place, error.problem, error.fix)
 
 
 @runtime_checkable
@@ -84,8 +113,8 @@ class RobotSystem(OfTheRobot, System):
         if circumstances.robot is not None and is_simulated(circumstances.robot):
             for need in self.required_graph(circumstances):
                 yield from self._not_subscribed(need, *resolved_robot(circumstances.robot))
-                if StandardTypes.is_known():
-                    yield from misfits(StandardTypes(), need, f"plugin {self.name}")
+                if importlib.util.find_spec("rosbags") is not None:
+                    yield from misfits(check_standard_message, need, f"plugin {self.name}")
         if circumstances.robot is None:
             yield Finding.error(
                 f"plugin {self.name}",

@@ -11,14 +11,14 @@ import os
 import threading
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.action_calls import check_one_server, missing_action
+from robot_runner.ros.action_calls import await_action, check_one_server
+from robot_runner.ros.action_server import ActionTypes, part_of
 from robot_runner.ros.graph_transport import already_offered
 from robot_runner.ros.shapes import completed, nanoseconds_of, stamp_of
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.action_server import Execution, GoalServer
     from robot_runner.ros.graph_transport import GraphTypes, Reception, TopicPublisher, Transport
     from robot_runner.ros.sent_goal import SentGoal
-    from robot_runner.ros.shapes import Shape
 
 _logger = logging.getLogger(__name__)
 
@@ -52,17 +51,9 @@ _STATES: Mapping[int, GoalStatus] = MappingProxyType(
         9: GoalStatus.ABORTED,
     }
 )
+#: What is told of each: of several numbers with one meaning the first.
 _NUMBERS: Mapping[GoalStatus, int] = MappingProxyType(
-    {
-        GoalStatus.UNKNOWN: 0,
-        GoalStatus.ACCEPTED: 0,
-        GoalStatus.EXECUTING: 1,
-        GoalStatus.CANCELING: 6,
-        GoalStatus.CANCELED: 2,
-        GoalStatus.SUCCEEDED: 3,
-        GoalStatus.ABORTED: 4,
-        GoalStatus.REJECTED: 5,
-    }
+    {GoalStatus.UNKNOWN: 0, **{status: number for number, status in reversed(list(_STATES.items()))}}
 )
 #: How often a server tells its states, s, and for how long those of goals that are over: as actionlib's does.
 _STATUS_PERIOD, _STATUS_SECONDS = 0.2, 5.0
@@ -70,40 +61,26 @@ _STATUS_PERIOD, _STATUS_SECONDS = 0.2, 5.0
 _SILENCE = 5.0
 #: How long a server that is not there is waited for, s; a node that starts up takes as long.
 _PATIENCE = 1.5
-_POLL = 0.05
 #: How long a result may come after the state that says that there is one, s.
 _RESULT_SECONDS = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class Ros1ActionTypes:
-    """What an action is made of."""
-
-    goal: Shape
-    result: Shape
-    feedback: Shape
+class Ros1ActionTypes(ActionTypes):
+    """What an action of ROS 1 is made of."""
 
     @classmethod
     def of(cls, types: GraphTypes, action_type: str) -> Ros1ActionTypes:
         """Look them up among the types of its topics; raise a `LinkError` where there are none."""
         try:
-            return cls(*(_inner(types, f"{action_type}Action{part}", part) for part in ("Goal", "Result", "Feedback")))
+            parts = ("Goal", "Result", "Feedback")
+            return cls(*(part_of(types.shape(f"{action_type}Action{part}"), part.lower()) for part in parts))
         except LinkError as error:
             problem = f"there is no action type {action_type!r}: {error.problem}"
             raise LinkError(problem, where=action_type, fix=error.fix.replace(_GOAL_ENDING, "")) from error
 
 
-def _inner(types: GraphTypes, type_name: str, part: str) -> Shape:
-    shape = types.shape(type_name)
-    return next(field.kind for field in shape.fields if field.name == part.lower())  # type: ignore[return-value]
-
-
 class Ros1Actions:
-    """The actions of a graph of ROS 1, over the primitives of a transport.
-
-    Args:
-        transport: that reaches the graph.
-    """
+    """The actions of a graph of ROS 1, over the primitives of a transport."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
@@ -126,11 +103,7 @@ class Ros1Actions:
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
         """Return what sends goals to an action, once its server is there."""
-        deadline = time.monotonic() + min(timeout, _PATIENCE)
-        while (known := self.actions()).get(action) != action_type:
-            if time.monotonic() > deadline or action in known:
-                raise missing_action(action, action_type, known)
-            time.sleep(_POLL)
+        await_action(self.actions, action, action_type, min(timeout, _PATIENCE))
         client = _Client(self._transport, action, action_type)
         client.await_server(timeout)
         return client

@@ -38,12 +38,7 @@ def findings(name: RobotName) -> list[Finding]:
 
 
 def open_ros1_link(options: Mapping[str, str], clock: Clock, namespace: str = "") -> RobotLink:
-    """Join the graph and return the link to the robot of this namespace.
-
-    Args:
-        options: `master`: its address; left out, what ROS_MASTER_URI says.
-        clock: the run's, by which raw messages are stamped.
-        namespace: the robot's, such as `/alice`.
+    """Join the graph of a `master`, or of ROS_MASTER_URI, and return the link to the robot of this namespace.
 
     Raises:
         LinkError: there is no such option, no master, or no rospy.

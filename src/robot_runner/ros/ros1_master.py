@@ -73,7 +73,10 @@ def master_address(uri: str) -> tuple[str, int]:
 
 
 class Master:
-    """A master, which may be on another computer; each question has a deadline.
+    """A master, which may be on another computer.
+
+    Each question has a deadline, and raises a `LinkError` where there is no master or node, where it does not answer in
+    time, and where the master refuses to set or to take away a parameter.
 
     Args:
         uri: None for what ROS_MASTER_URI says.
@@ -89,90 +92,50 @@ class Master:
 
     def __init__(self, uri: str | None = None, *, timeout: float = 3.0) -> None:
         self.uri = uri or os.environ.get(_URI) or DEFAULT_MASTER
-        self._address = master_address(self.uri)
+        self._host, _ = master_address(self.uri)
         self._timeout = timeout
 
     def check(self) -> None:
-        """See that it answers.
-
-        Raises:
-            LinkError: there is none.
-        """
+        """See that it answers."""
         self._ask("getPid")
 
     def parameter(self, name: str) -> Any:
-        """Return a parameter of its parameter server, or None where it is not set.
-
-        Raises:
-            LinkError: the master does not answer.
-        """
+        """Return a parameter of its parameter server, or None where it is not set."""
         code, _, value = self._answer("getParam", name)
         return value if code == _SUCCESS else None
 
     def set_parameter(self, name: str, *, value: Any) -> None:
-        """Set a parameter of its parameter server.
-
-        Raises:
-            LinkError: the master does not answer, or refuses.
-        """
+        """Set a parameter of its parameter server."""
         self._ask("setParam", name, value)
 
     def delete_parameter(self, name: str) -> None:
-        """Take a parameter away.
-
-        Raises:
-            LinkError: the master does not answer, or there is no such parameter.
-        """
+        """Take a parameter away."""
         self._ask("deleteParam", name)
 
     def parameter_names(self) -> list[str]:
-        """Return the full names of all parameters of its parameter server.
-
-        Raises:
-            LinkError: the master does not answer.
-        """
+        """Return the full names of all parameters of its parameter server."""
         return list(self._ask("getParamNames"))
 
     def topic_types(self) -> dict[str, str]:
-        """Return the type of each topic that was ever registered.
-
-        Raises:
-            LinkError: the master does not answer.
-        """
+        """Return the type of each topic that was ever registered."""
         return {name: topic_type for name, topic_type in self._ask("getTopicTypes") if topic_type != "*"}
 
     def state(self) -> SystemState:
-        """Return the publishers, subscribers and services.
-
-        Raises:
-            LinkError: the master does not answer.
-        """
+        """Return the publishers, subscribers and services."""
         return SystemState(*({name: tuple(nodes) for name, nodes in part} for part in self._ask("getSystemState")))
 
     def service(self, name: str) -> str | None:
-        """Return the URI of a service, or None where there is none.
-
-        Raises:
-            LinkError: the master does not answer.
-        """
+        """Return the URI of a service, or None where there is none."""
         code, _, uri = self._answer("lookupService", name)
         return uri if code == _SUCCESS else None
 
     def pid_of(self, node: str) -> int | None:
-        """Return the number of a node's process, as the node tells it itself, or None where there is no such node.
-
-        Raises:
-            LinkError: the master or the node does not answer.
-        """
+        """Return the number of a node's process, as the node tells it itself, or None where there is no such node."""
         uri = self.uri_of(node)
         return None if uri is None else Master(uri, timeout=self._timeout).pid()
 
     def uri_of(self, node: str) -> str | None:
-        """Return where a node answers, or None where there is no such node.
-
-        Raises:
-            LinkError: the master does not answer.
-        """
+        """Return where a node answers, or None where there is no such node."""
         code, _, uri = self._answer("lookupNode", node)
         return uri if code == _SUCCESS else None
 
@@ -180,9 +143,6 @@ class Master:
         """Take away all that a node has registered, in its name: one that was killed does not do so itself.
 
         Source: wiki.ros.org/ROS/Master_API; `rosnode cleanup` does the same.
-
-        Raises:
-            LinkError: the master does not answer.
         """
         state, uri = self.state(), self.uri_of(node)
         if uri is None:
@@ -207,19 +167,11 @@ class Master:
             return False
 
     def connections(self) -> list[Any]:
-        """Return what a node tells of its connections: number, other side, direction (`o` is out), transport, topic.
-
-        Raises:
-            LinkError: nothing answers.
-        """
+        """Return what a node tells of its connections: number, other side, direction (`o` is out), transport, topic."""
         return list(self._ask("getBusInfo"))
 
     def pid(self) -> int:
-        """Return the number of the process that answers; a node answers this question as a master does.
-
-        Raises:
-            LinkError: nothing answers.
-        """
+        """Return the number of the process that answers; a node answers this question as a master does."""
         return int(self._ask("getPid"))
 
     def _ask(self, method: str, *arguments: Any) -> Any:
@@ -236,39 +188,21 @@ class Master:
             with xmlrpc.client.ServerProxy(self.uri, transport=transport, use_builtin_types=True) as server:
                 code, status, value = getattr(server, method)(caller, *arguments)
         except TimeoutError as error:
-            raise self._silent() from error
+            problem = f"the ROS master at {self.uri} does not answer within {self._timeout:g} s"
+            fix = "Look whether the robot is on and in this network, or correct ROS_MASTER_URI."
+            raise LinkError(problem, where=_URI, fix=fix) from error
         except socket.gaierror as error:
-            raise self._unknown_host() from error
+            problem = f"the host of the ROS master, {self._host!r}, is not known"
+            fix = "Correct ROS_MASTER_URI, or give the host's address as a number."
+            raise LinkError(problem, where=_URI, fix=fix) from error
         except OSError as error:
-            raise self._absent(error) from error
+            problem = f"there is no ROS master at {self.uri}: {(error.strerror or str(error)).lower()}"
+            raise LinkError(problem, where=_URI, fix="Start one (roscore), or correct ROS_MASTER_URI.") from error
         except (xmlrpc.client.Error, ExpatError, HTTPException, TypeError, ValueError) as error:
-            raise self._foreign() from error
+            problem = f"what answers at {self.uri} is not a ROS master"
+            fix = "Correct ROS_MASTER_URI: a master is at port 11311, if not started elsewhere."
+            raise LinkError(problem, where=_URI, fix=fix) from error
         return code, status, value
-
-    def _absent(self, error: OSError) -> LinkError:
-        fix = "Start one (roscore), or correct ROS_MASTER_URI."
-        return LinkError(f"there is no ROS master at {self.uri}: {_reason(error)}", where=_URI, fix=fix)
-
-    def _silent(self) -> LinkError:
-        return LinkError(
-            f"the ROS master at {self.uri} does not answer within {self._timeout:g} s",
-            where=_URI,
-            fix="Look whether the robot is on and in this network, or correct ROS_MASTER_URI.",
-        )
-
-    def _unknown_host(self) -> LinkError:
-        return LinkError(
-            f"the host of the ROS master, {self._address[0]!r}, is not known",
-            where=_URI,
-            fix="Correct ROS_MASTER_URI, or give the host's address as a number.",
-        )
-
-    def _foreign(self) -> LinkError:
-        return LinkError(
-            f"what answers at {self.uri} is not a ROS master",
-            where=_URI,
-            fix="Correct ROS_MASTER_URI: a master is at port 11311, if not started elsewhere.",
-        )
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -282,7 +216,3 @@ class _Transport(xmlrpc.client.Transport):
         connection = HTTPConnection(host, timeout=self._timeout)
         self._connection = host, connection  # where it is found when it is to be closed
         return connection
-
-
-def _reason(error: OSError) -> str:
-    return (error.strerror or str(error)).lower()

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 #: How long the master may take to note one more publisher, subscriber or service, s.
-REGISTERING_SECONDS = 5.0
+_REGISTERING = 5.0
 _NAME = "robot_runner"
 #: Such a name has each of our nodes: rospy adds the number of the process, and when it began.
 _OWN_NODE = re.compile(rf"/{_NAME}_(\d+)_\d+")
@@ -63,14 +63,14 @@ def join_graph(master: Master) -> Any:
     return rospy
 
 
-def within(timeout: float, action: Callable[[], T], *, where: str, doing: str) -> T:
+def within(action: Callable[[], T], *, where: str, doing: str, timeout: float = _REGISTERING) -> T:
     """Return what an action of rospy's returns, whose questions to the master have no deadline.
 
     Args:
-        timeout: how long to wait, s; what takes longer is left to its thread.
         action: what to do.
         where: the topic or service.
         doing: what it does, for the error.
+        timeout: how long to wait, s; what takes longer is left to its thread.
 
     Raises:
         LinkError: it takes too long.
@@ -176,7 +176,7 @@ def _initialise(rospy: Any, master: Master) -> None:
         settings.write_text(_LOGGING, encoding="ascii")
         changed = {"ROS_LOG_DIR": folder, "ROS_HOME": folder, "ROS_PYTHON_LOG_CONFIG_FILE": str(settings)}
         with _environment({**changed, "ROS_LOG_FILENAME": ""}):
-            within(REGISTERING_SECONDS, lambda: _init_node(rospy), where=master.uri, doing="joining the graph")
+            within(lambda: _init_node(rospy), where=master.uri, doing="joining the graph")
 
 
 def _init_node(rospy: Any) -> None:

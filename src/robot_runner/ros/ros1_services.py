@@ -26,12 +26,7 @@ _SIGNS_OF_ANOTHER_TYPE = ("md5sum", "datatype")
 
 
 class _Connection:
-    """A connection to a service on which nothing waits beyond a moment.
-
-    Args:
-        uri: `rosrpc://host:port`.
-        timeout: how long all of it may take, s.
-    """
+    """A connection to a service on which nothing waits beyond a moment."""
 
     def __init__(self, uri: str, timeout: float) -> None:
         parts = urlsplit(uri)
@@ -69,14 +64,7 @@ class _Connection:
 
 
 def call_service(name: str, uri: str, cls: Any, request: Any, *, timeout: float) -> Any:
-    """Call a service and return its response.
-
-    Args:
-        name: its full name.
-        uri: where it is, as the master says.
-        cls: the class of its type.
-        request: of the class of its type's request.
-        timeout: how long it may take, s.
+    """Call a service of a class of types, at the URI that the master tells, and return its response.
 
     Raises:
         LinkError: it cannot be reached, has another type, refuses, or does not answer in time.

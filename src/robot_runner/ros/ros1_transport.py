@@ -22,7 +22,7 @@ from robot_runner.ros.graph_transport import (
 )
 from robot_runner.ros.qos_policies import DEPTHS
 from robot_runner.ros.ros1_actions import Ros1Actions
-from robot_runner.ros.ros1_node import REGISTERING_SECONDS, join_graph, pid_in_name, within
+from robot_runner.ros.ros1_node import join_graph, pid_in_name, within
 from robot_runner.ros.ros1_services import call_service, service_type
 from robot_runner.ros.ros1_types import Ros1Types, as_mapping, as_message, message_class, service_class
 from robot_runner.ros.shapes import plain_type
@@ -51,10 +51,6 @@ class Ros1Transport:
     """The primitives of a graph link over rospy.
 
     Every topic is received as bytes and decoded here, so that a recorder and a callback share one connection.
-
-    Args:
-        master: of the graph.
-        now_ns: the time that raw messages are stamped with.
 
     Raises:
         LinkError: there is no such master, or no rospy.
@@ -188,7 +184,6 @@ class Ros1Transport:
         with its class for any message there is nothing that they can disagree about.
         """
         return within(
-            REGISTERING_SECONDS,
             lambda: self._rospy.Subscriber(topic, self._rospy.AnyMsg, receive, tcp_nodelay=True),
             where=topic,
             doing="registering the subscriber",
@@ -222,18 +217,13 @@ class Ros1Transport:
 
 
 class _Publisher:
-    """Publishes one topic; a subscriber that is there already receives the first message.
-
-    Raises:
-        LinkError: the master does not answer.
-    """
+    """Publishes one topic; a subscriber that is there already receives the first message."""
 
     def __init__(self, rospy: Any, topic: str, cls: Any, qos: Qos, subscribers: int) -> None:
         self._topic = topic
         self._cls = cls
         self._arrivals = _Arrivals()
         self._publisher = within(
-            REGISTERING_SECONDS,
             lambda: rospy.Publisher(
                 topic,
                 cls,
@@ -260,7 +250,7 @@ class _Publisher:
                 time.sleep(_POLL)
 
     def close(self) -> None:
-        within(REGISTERING_SECONDS, self._publisher.unregister, where=self._topic, doing="leaving the topic")
+        within(self._publisher.unregister, where=self._topic, doing="leaving the topic")
 
     def reach(self, subscribers: int) -> bool:
         deadline = time.monotonic() + _CONNECTING_SECONDS
@@ -330,7 +320,7 @@ class _Subscription:
         return self._transport.explain_silence(self._topic)
 
     def close(self) -> None:
-        within(REGISTERING_SECONDS, self._subscriber.unregister, where=self._topic, doing="leaving the topic")
+        within(self._subscriber.unregister, where=self._topic, doing="leaving the topic")
 
     def _take(self, message: Any) -> None:
         header = message._connection_header  # noqa: SLF001 - where rospy documents it to be
@@ -356,11 +346,10 @@ class _Offer:
 
         # Without a handler rospy would print what the answer raises; the link has logged it already.
         self._offered = within(
-            REGISTERING_SECONDS,
             partial(rospy.Service, service, cls, respond, error_handler=lambda *_: None),
             where=service,
             doing="registering the service",
         )
 
     def close(self) -> None:
-        within(REGISTERING_SECONDS, self._offered.shutdown, where=self._service, doing="withdrawing the service")
+        within(self._offered.shutdown, where=self._service, doing="withdrawing the service")

@@ -10,14 +10,14 @@ import threading
 import time
 import uuid
 from contextlib import ExitStack
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.action_calls import check_one_server, missing_action
+from robot_runner.ros.action_calls import await_action, check_one_server
+from robot_runner.ros.action_server import ActionTypes, part_of
 from robot_runner.ros.action_types import whole_action
 from robot_runner.ros.graph_transport import LONGEST_DISCOVERY, already_offered
 from robot_runner.ros.shapes import completed, nanoseconds_of, stamp_of
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.ros.action_server import Execution, GoalServer
     from robot_runner.ros.graph_transport import GraphTypes, Reception, Transport
     from robot_runner.ros.sent_goal import SentGoal
-    from robot_runner.ros.shapes import Shape
 
 _logger = logging.getLogger(__name__)
 
@@ -52,7 +51,6 @@ GOAL_NUMBERS: Mapping[GoalStatus, int] = MappingProxyType({status: number for nu
 #: action_msgs/CancelGoal: why a server does not cancel.
 _NOT_REFUSED, _IS_OVER = 0, 3
 _REFUSALS = {1: "the server refuses", 2: "the server does not know the goal"}
-_POLL = 0.05
 #: How long the result of a goal that is over may take, s.
 _RESULT_SECONDS = 5.0
 _EVERY = bytes(16)
@@ -63,34 +61,21 @@ def uuid_of(key: str) -> dict[str, bytes]:
     return {"uuid": bytes.fromhex(key)}
 
 
-@dataclass(frozen=True, slots=True)
-class Ros2ActionTypes:
-    """What an action is made of."""
-
-    goal: Shape
-    result: Shape
-    feedback: Shape
+class Ros2ActionTypes(ActionTypes):
+    """What an action of ROS 2 is made of."""
 
     @classmethod
     def of(cls, types: GraphTypes, action_type: str) -> Ros2ActionTypes:
         """Look them up among the types of its services and its feedback; raise a `LinkError` where there are none."""
         return cls(
-            _inner(types.request(f"{action_type}_SendGoal"), "goal"),
-            _inner(types.response(f"{action_type}_GetResult"), "result"),
-            _inner(types.shape(f"{action_type}_FeedbackMessage"), "feedback"),
+            part_of(types.request(f"{action_type}_SendGoal"), "goal"),
+            part_of(types.response(f"{action_type}_GetResult"), "result"),
+            part_of(types.shape(f"{action_type}_FeedbackMessage"), "feedback"),
         )
 
 
-def _inner(shape: Shape, name: str) -> Shape:
-    return next(field.kind for field in shape.fields if field.name == name)  # type: ignore[return-value]  # a message
-
-
 class Ros2Actions:
-    """The actions of a graph of ROS 2, over the primitives of a transport.
-
-    Args:
-        transport: that reaches the graph.
-    """
+    """The actions of a graph of ROS 2, over the primitives of a transport."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
@@ -109,11 +94,7 @@ class Ros2Actions:
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
         """Return what sends goals to an action, once its server is there."""
-        deadline = time.monotonic() + min(timeout, LONGEST_DISCOVERY)
-        while (known := self.actions()).get(action) != action_type:
-            if time.monotonic() > deadline or action in known:
-                raise missing_action(action, action_type, known)
-            time.sleep(_POLL)
+        await_action(self.actions, action, action_type, min(timeout, LONGEST_DISCOVERY))
         return _Client(self._transport, self, action, action_type)
 
     def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:

@@ -38,12 +38,9 @@ def findings(name: RobotName) -> list[Finding]:
 
 
 def open_ros2_link(options: Mapping[str, str], clock: Clock, namespace: str = "") -> RobotLink:
-    """Join the graph and return the link to the robot of this namespace.
+    """Join the graph of a `domain`, or of ROS_DOMAIN_ID, and return the link to the robot of this namespace.
 
-    Args:
-        options: `domain`: DDS domain id; left out, what ROS_DOMAIN_ID says.
-        clock: the run's; where it is a simulation's, the node lives by the time on `/clock`.
-        namespace: the robot's, such as `/alice`.
+    Where the run's clock is a simulation's, the node lives by the time on `/clock`.
 
     Raises:
         LinkError: an option cannot have its value, no ROS 2 is sourced, or the graph cannot be joined.

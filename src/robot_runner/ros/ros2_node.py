@@ -46,10 +46,6 @@ _shared: dict[tuple[int, int | None, bool], GraphNode] = {}
 def join_graph(domain: int | None, *, use_sim_time: bool) -> GraphNode:
     """Return this process's node on the graph of a domain; `GraphNode.leave` must be called once for each call.
 
-    Args:
-        domain: DDS domain id; None for what ROS_DOMAIN_ID says.
-        use_sim_time: whether the node lives by the time on `/clock`.
-
     Raises:
         LinkError: the domain cannot be joined.
     """
@@ -212,11 +208,7 @@ class _Spinning:
 
 
 class Graph:
-    """What rclpy knows of a graph.
-
-    Args:
-        node: on it.
-    """
+    """What rclpy knows of a graph."""
 
     def __init__(self, node: GraphNode) -> None:
         self._node = node

@@ -36,7 +36,7 @@ except ModuleNotFoundError:  # Humble
     from rclpy.qos_event import SubscriptionEventCallbacks
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from robot_runner.core.links.robot import GraphEndpoint, Message
     from robot_runner.ros.graph_transport import Reception
@@ -72,6 +72,7 @@ class Ros2Transport:
         self._clients: dict[tuple[str, str], _Client] = {}
         self._node = join_graph(domain, use_sim_time=use_sim_time)
         self._graph = Graph(self._node)
+        self.topics, self.services, self.nodes = self._graph.topics, self._graph.services, self._graph.nodes
 
     def advertise(self, topic: str, message_type: str, qos: Qos) -> _Publisher:
         """Return a publisher, once the subscribers that are there already are reached."""
@@ -106,18 +107,6 @@ class Ros2Transport:
         """Offer a service; a request at which `answer` raises is not answered: services of ROS 2 cannot say so."""
         return _Offer(self._node, self._graph, service, service_type, answer)
 
-    def topics(self) -> Mapping[str, str]:
-        """Return the type of each topic that has a publisher or a subscriber."""
-        return self._graph.topics()
-
-    def services(self) -> Mapping[str, str]:
-        """Return the type of each service that a node offers."""
-        return self._graph.services()
-
-    def nodes(self) -> Iterable[str]:
-        """Return the full names of the nodes."""
-        return self._graph.nodes()
-
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
         """Return who publishes a topic."""
         return self._graph.endpoints(self._graph.publishers(topic))
@@ -136,11 +125,7 @@ class Ros2Transport:
 
 
 class _Publisher:
-    """Publishes one topic.
-
-    Raises:
-        LinkError: the topic carries another type.
-    """
+    """Publishes one topic."""
 
     def __init__(self, node: GraphNode, graph: Graph, topic: str, message_type: str, qos: Qos) -> None:
         self._node = node
@@ -169,11 +154,7 @@ class _Publisher:
 
 
 class _Subscription:
-    """Receives one topic as bytes; adapts to the topic's publishers where no profile is asked for.
-
-    Raises:
-        LinkError: the topic carries another type, or its publishers offer less than `qos`.
-    """
+    """Receives one topic as bytes; adapts to the topic's publishers where no profile is asked for."""
 
     def __init__(
         self,
@@ -286,11 +267,7 @@ class _Client:
 
 
 class _Offer:
-    """A service that is offered.
-
-    Raises:
-        LinkError: a service of this name is offered already.
-    """
+    """A service that is offered."""
 
     def __init__(
         self, node: GraphNode, graph: Graph, service: str, service_type: str, answer: Callable[[Message], Message]

@@ -20,19 +20,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 _OCTET = "byte"
-#: Where the class of an action has those of its parts.
+#: Where the class of an action has those of its parts that are not of its own definition.
 _ACTION_STEPS = MappingProxyType(
     {
-        "_Goal": "Goal",
-        "_Result": "Result",
-        "_Feedback": "Feedback",
-        "_FeedbackMessage": "Impl.FeedbackMessage",
-        "_SendGoal": "Impl.SendGoalService",
-        "_SendGoal_Request": "Impl.SendGoalService.Request",
-        "_SendGoal_Response": "Impl.SendGoalService.Response",
-        "_GetResult": "Impl.GetResultService",
-        "_GetResult_Request": "Impl.GetResultService.Request",
-        "_GetResult_Response": "Impl.GetResultService.Response",
+        "FeedbackMessage": "Impl.FeedbackMessage",
+        "SendGoal": "Impl.SendGoalService",
+        "GetResult": "Impl.GetResultService",
     }
 )
 #: Between the definitions of two types in a bag.
@@ -66,7 +59,8 @@ def _action_part(type_name: str) -> Any:
     if action == name:
         return None
     found = generated_class(action, TypeKind.ACTION, _is_action)
-    for step in _ACTION_STEPS[name.removeprefix(action)].split("."):
+    part, *half = name.removeprefix(f"{action}_").split("_")  # of a service the request or the response
+    for step in (*_ACTION_STEPS.get(part, part).split("."), *half):
         found = getattr(found, step)
     return found
 

@@ -21,7 +21,7 @@ from robot_runner.core.links.kinds import FoundRobot
 from robot_runner.core.links.ssh_command import execute, failure, gist, remedy, ssh_command
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
     from robot_runner.ros.ros1_master import Master
 
@@ -165,17 +165,10 @@ def describe_ros(environment: Mapping[str, str] | None = None) -> dict[str, Any]
 
 def _packages(variables: Mapping[str, str]) -> dict[str, str]:
     found: dict[str, str] = {}
-    for prefix in _prefixes(variables):
-        for path in prefix.glob("share/*/package.xml"):
+    for prefix in (entry for name in _PATHS for entry in variables.get(name, "").split(os.pathsep) if entry):
+        for path in Path(prefix).glob("share/*/package.xml"):
             found.setdefault(path.parent.name, _version(path))
     return found
-
-
-def _prefixes(variables: Mapping[str, str]) -> Iterator[Path]:
-    for name in _PATHS:
-        for entry in variables.get(name, "").split(os.pathsep):
-            if entry:
-                yield Path(entry)
 
 
 def _version(path: Path) -> str:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.links.goals import ActionResult, GoalStatus
 from robot_runner.core.links.robot import Qos
-from robot_runner.ros.action_calls import missing_action
+from robot_runner.ros.action_calls import await_action
 from robot_runner.ros.graph_transport import already_offered
 from robot_runner.ros.ros2_actions import GOAL_NUMBERS, GOAL_STATES, STATUS_TOPIC, STATUS_TYPE, Ros2ActionTypes
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
@@ -55,14 +55,7 @@ _SENDING, _CANCELLING = "send_action_goal", "cancel_action_goal"
 
 
 class RosbridgeActions:
-    """The actions of the ROS 2 graph behind a rosbridge.
-
-    Args:
-        transport: that reaches the graph.
-        session: its connection.
-        rosapi: what tells of the graph.
-        address: of the rosbridge.
-    """
+    """The actions of the ROS 2 graph behind a rosbridge."""
 
     def __init__(self, transport: Transport, session: Session, rosapi: Rosapi, address: RosbridgeAddress) -> None:
         self.transport = transport
@@ -83,11 +76,7 @@ class RosbridgeActions:
 
     def client(self, action: str, action_type: str, timeout: float) -> _Client:
         """Return what sends goals to an action, once its server is there."""
-        deadline = time.monotonic() + min(timeout, _PATIENCE)
-        while (known := self.actions()).get(action) not in {action_type, "*"}:
-            if time.monotonic() > deadline or action in known:
-                raise missing_action(action, action_type, known)
-            time.sleep(_POLL)
+        await_action(self.actions, action, action_type, min(timeout, _PATIENCE))
         return _Client(self, action, action_type, self.types(action_type))
 
     def serve(self, action: str, action_type: str, server: GoalServer) -> Subscription:

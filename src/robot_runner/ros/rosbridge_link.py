@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.ros.graph_addresses import RosbridgeAddress
 from robot_runner.ros.graph_link import GraphLink
-from robot_runner.ros.graph_links import missing_of, not_installed
+from robot_runner.ros.graph_links import check_installed
 from robot_runner.ros.graph_transport import receive_clock
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from robot_runner.core.links.robot_name import RobotName
 
 _PACKAGES = ("cbor2", "rosbags", "websockets")
-_WAY = "through a rosbridge"
+_check_installed = partial(check_installed, _PACKAGES, way="through a rosbridge", extra="rosbridge")
 
 
 def findings(name: RobotName) -> list[Finding]:
@@ -29,10 +29,8 @@ def findings(name: RobotName) -> list[Finding]:
         >>> [finding.problem for finding in findings(RobotName.parse("rosbridge://robot:port"))]
         ["'rosbridge://robot:port' cannot be the address of a rosbridge"]
     """
-    missing = missing_of(_PACKAGES)
-    if missing:
-        return [not_installed(missing, way=_WAY, extra="rosbridge").as_finding()]
     try:
+        _check_installed()
         address = RosbridgeAddress.parse(name.address or name.link)
         from robot_runner.ros.type_catalogue import TypeCatalogue  # noqa: PLC0415  # an extra, only where asked for
 
@@ -63,21 +61,13 @@ def _readable_by_others(address: RosbridgeAddress) -> Finding:
 
 
 def open_rosbridge_link(url: str, clock: Clock, namespace: str = "") -> RobotLink:
-    """Connect to a rosbridge and return the link to the robot of this namespace.
-
-    Args:
-        url: `rosbridge://host:port`, `rosbridge+tls://` or `wss://`, with `?ros=`, `distro=` and `types=` for what the
-            robot does not tell.
-        clock: the run's, by which messages are stamped where it is a simulation's.
-        namespace: of the robot.
+    """Connect to a rosbridge, whose address `RosbridgeAddress` reads, and return the link to the robot there.
 
     Raises:
         LinkError: it cannot be an address, a package is missing, or the rosbridge cannot be reached.
     """
     address = RosbridgeAddress.parse(url)
-    missing = missing_of(_PACKAGES)
-    if missing:
-        raise not_installed(missing, way=_WAY, extra="rosbridge")
+    _check_installed()
     from robot_runner.ros.rosbridge_transport import RosbridgeTransport  # noqa: PLC0415  # cbor2 and rosbags, extras
 
     connect = partial(RosbridgeTransport, address, receive_clock(clock))

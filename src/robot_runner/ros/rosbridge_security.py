@@ -23,21 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _WHERE = "robot"
-#: The part of an address after `?` that says how the connection is secured.
-SECURITY_OPTIONS = (
-    "ca",
-    "cert",
-    "key",
-    "fingerprint",
-    "user",
-    "password_env",
-    "password_file",
-    "token_env",
-    "token_file",
-    "rosauth_env",
-    "rosauth_file",
-)
 _TLS_OPTIONS = ("ca", "cert", "key", "fingerprint")
+_SECRETS = tuple(f"{kind}_{place}" for kind in ("password", "token", "rosauth") for place in ("env", "file"))
+#: The part of an address after `?` that says how the connection is secured.
+SECURITY_OPTIONS = (*_TLS_OPTIONS, "user", *_SECRETS)
 _SHA256_HEX = 64
 #: rosauth takes secrets of this length, and no other (ros_mac_authentication.cpp).
 _ROSAUTH_LENGTH = 16
@@ -51,6 +40,8 @@ _EXPIRED, _NOT_YET, _HOSTNAME, _ADDRESS = 10, 9, 62, 64
 @dataclass(frozen=True, slots=True)
 class RosbridgeSecurity:
     """What the address of a rosbridge says of security; nothing in it is secret.
+
+    What reads files and secrets raises a `LinkError` where one is not where the address says, or cannot be used.
 
     Attributes:
         is_tls: whether the connection is encrypted, and the server has to prove who it is.
@@ -102,22 +93,14 @@ class RosbridgeSecurity:
         return bool(self.password or self.token)
 
     def check(self) -> None:
-        """See that files and secrets are there; nothing is connected.
-
-        Raises:
-            LinkError: one is not, or cannot be used.
-        """
+        """See that files and secrets are there; nothing is connected."""
         self.headers()
         self.authentication("here", "there")
         if self.is_tls:
             self.context()
 
     def context(self) -> ssl.SSLContext:
-        """Return what a server's certificate is checked by; one with a fingerprint is checked by that alone.
-
-        Raises:
-            LinkError: a file of certificates or keys cannot be read.
-        """
+        """Return what a server's certificate is checked by; one with a fingerprint is checked by that alone."""
         try:
             context = ssl.create_default_context(cafile=self.ca)
             if self.cert is not None:
@@ -133,11 +116,7 @@ class RosbridgeSecurity:
         return context
 
     def headers(self) -> dict[str, str]:
-        """Return the HTTP headers that say who we are.
-
-        Raises:
-            LinkError: a secret is not where the address says.
-        """
+        """Return the HTTP headers that say who we are."""
         if self.token:
             return {"Authorization": f"Bearer {_secret(self.token)}"}
         if self.password:
@@ -149,9 +128,6 @@ class RosbridgeSecurity:
         """Return the operation that authenticates us by rosauth; None where that is not asked for.
 
         Source: rosauth, ros_mac_authentication.cpp: the SHA-512 of secret, client, dest, rand, t, level and end.
-
-        Raises:
-            LinkError: the secret is not where the address says, or cannot be one.
         """
         if not self.rosauth:
             return None

@@ -57,6 +57,8 @@ class _Pending:
 class Session:
     """A connection, with a thread that receives and one that calls back.
 
+    What sends or waits raises a `LinkError` once the connection is lost.
+
     Args:
         address: of the rosbridge.
 
@@ -109,11 +111,7 @@ class Session:
             raise self._lost
 
     def send(self, operation: dict[str, Any]) -> None:
-        """Send an operation that nothing comes back for.
-
-        Raises:
-            LinkError: the connection is lost.
-        """
+        """Send an operation that nothing comes back for."""
         self.check_open(self.where)
         try:
             self._connection.send(as_json(operation))
@@ -125,7 +123,7 @@ class Session:
         """Return when the server has dealt with all that was sent.
 
         Raises:
-            LinkError: the server does not answer in time, or the connection is lost.
+            LinkError: the server does not answer in time.
         """
         self.call(_BARRIER, {}, timeout=ANSWER, where=where)
 
@@ -133,7 +131,7 @@ class Session:
         """Send an operation, and return when the server has dealt with it.
 
         Raises:
-            LinkError: the server refuses it, does not answer in time, or the connection is lost.
+            LinkError: the server refuses it, or does not answer in time.
         """
         name = operation.get("id") or self.fresh_id(operation["op"])
         self.send({**operation, "id": name})
@@ -146,7 +144,7 @@ class Session:
         """Call a service and return what it answers, in the protocol's spelling.
 
         Raises:
-            LinkError: it does not answer in time, or the connection is lost.
+            LinkError: it does not answer in time.
         """
         return self.calls([(service, request)], timeout=timeout, where=where)[0]
 
@@ -165,11 +163,7 @@ class Session:
                     self._complaints.pop(name, None)
 
     def wait(self, event: threading.Event, seconds: float) -> None:
-        """Wait for an event, for so long at most.
-
-        Raises:
-            LinkError: the connection is lost.
-        """
+        """Wait for an event, for so long at most."""
         with self._lock:
             self._waiting.add(event)
         try:

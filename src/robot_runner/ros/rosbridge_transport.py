@@ -14,11 +14,10 @@ from robot_runner.core.links.graph_names import missing
 from robot_runner.core.links.robot import Encoding, Qos, RawMessage
 from robot_runner.ros.graph_transport import already_offered, check_type, is_hidden, wrong_service_type
 from robot_runner.ros.ros1_actions import Ros1Actions
-from robot_runner.ros.rosapi_parameters import RosapiParameters
 from robot_runner.ros.rosbridge_actions import RosbridgeActions
 from robot_runner.ros.rosbridge_frames import from_protocol, to_protocol
 from robot_runner.ros.rosbridge_session import Session
-from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi
+from robot_runner.ros.rosbridge_types import RobotTypes, Rosapi, RosapiParameters
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -49,10 +48,6 @@ class RosbridgeTransport:
     A rosbridge fits its own subscriptions to what a topic's publishers offer; of a QoS it takes `TRANSIENT_LOCAL`, for
     what is published.
 
-    Args:
-        address: of the rosbridge.
-        now_ns: the time that raw messages are stamped with.
-
     Raises:
         LinkError: it cannot be reached, is not a rosbridge, or does not tell its generation of ROS.
     """
@@ -73,6 +68,8 @@ class RosbridgeTransport:
         except LinkError:
             self._session.close()
             raise
+        # Each raises a `LinkError` where rosapi does not run beside the server.
+        self.topics, self.services, self.nodes = self._rosapi.topics, self._rosapi.services, self._rosapi.nodes
         self.actions: ActionDialect = (
             Ros1Actions(self)
             if self.types.generation == 1
@@ -152,20 +149,8 @@ class RosbridgeTransport:
             raise
         return _Subscription(partial(self._withdraw, service))
 
-    def topics(self) -> Mapping[str, str]:
-        """Return the type of each topic; raises a `LinkError` where rosapi does not run beside the server."""
-        return self._rosapi.topics()
-
-    def services(self) -> Mapping[str, str]:
-        """Return the type of each service; raises as `topics`."""
-        return self._rosapi.services()
-
-    def nodes(self) -> Iterable[str]:
-        """Return the full names of the nodes; raises as `topics`."""
-        return self._rosapi.nodes()
-
     def publishers(self, topic: str) -> Iterable[GraphEndpoint]:
-        """Return who publishes a topic; raises as `topics`. What the server publishes for all its clients is one."""
+        """Return who publishes a topic. What the server publishes for all its clients is one."""
         return self._rosapi.endpoints("publishers", topic)
 
     def subscribers(self, topic: str) -> Iterable[GraphEndpoint]:

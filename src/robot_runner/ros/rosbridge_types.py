@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from typing import TYPE_CHECKING, Any
 
@@ -28,10 +29,10 @@ _SIGNS = ((1, "/rosbridge_websocket/get_loggers"), (2, "/rosbridge_websocket/lis
 
 
 class Rosapi:
-    """Asks rosapi, the node beside a rosbridge; what it cannot answer is None or empty unless a method raises.
+    """Asks rosapi, the node beside a rosbridge.
 
-    Args:
-        session: over which it is asked.
+    Where rosapi does not answer, `told` and what lists the graph (`topics`, `services`, `nodes`, `endpoints`,
+    `action_servers`) raise a `LinkError`; what else it cannot answer is None or empty.
     """
 
     def __init__(self, session: Session) -> None:
@@ -59,21 +60,13 @@ class Rosapi:
         )
 
     def topics(self) -> dict[str, str]:
-        """Return the type of each topic by its full name; an empty text where it is not told.
-
-        Raises:
-            LinkError: rosapi does not answer.
-        """
-        values = self._must("topics")
+        """Return the type of each topic by its full name; an empty text where it is not told."""
+        values = self.told("topics")
         return {name: plain_type(kind) for name, kind in zip(values["topics"], values["types"], strict=True)}
 
     def services(self) -> dict[str, str]:
-        """Return the type of each service by its full name.
-
-        Raises:
-            LinkError: rosapi does not answer.
-        """
-        names: list[str] = self._must("services")["services"]
+        """Return the type of each service by its full name."""
+        names: list[str] = self.told("services")["services"]
         asked: list[tuple[str, Mapping[str, Any]]] = [("/rosapi/service_type", {"service": name}) for name in names]
         answers = self._session.calls(asked, timeout=ANSWER)
         types = [_text(answer, "type") for answer in answers]
@@ -85,21 +78,13 @@ class Rosapi:
         return list(answer.values["services"]) if answer.is_good else []
 
     def nodes(self) -> list[str]:
-        """Return the full names of the nodes.
-
-        Raises:
-            LinkError: rosapi does not answer.
-        """
-        return list(self._must("nodes")["nodes"])
+        """Return the full names of the nodes."""
+        return list(self.told("nodes")["nodes"])
 
     def endpoints(self, question: str, topic: str) -> list[GraphEndpoint]:
-        """Return the `publishers` or `subscribers` of a topic; rosapi knows one type of it.
-
-        Raises:
-            LinkError: rosapi does not answer.
-        """
+        """Return the `publishers` or `subscribers` of a topic; rosapi knows one type of it."""
         known = self.topic_type(topic) or ""
-        names: list[str] = self._must(question, {"topic": topic})[question]
+        names: list[str] = self.told(question, {"topic": topic})[question]
         return [GraphEndpoint(name, known, name.rpartition("/")[2].startswith(_SERVER)) for name in names]
 
     def topic_type(self, topic: str) -> str | None:
@@ -112,12 +97,8 @@ class Rosapi:
         return plain_type(_text(answer, "type")) if answer.is_good else None
 
     def action_servers(self) -> list[str]:
-        """Return the full names of the actions of ROS 2 that are offered.
-
-        Raises:
-            LinkError: rosapi does not answer.
-        """
-        return list(self._must("action_servers")["action_servers"])
+        """Return the full names of the actions of ROS 2 that are offered."""
+        return list(self.told("action_servers")["action_servers"])
 
     def action_type(self, action: str) -> str:
         """Return the type of an action; an empty text where this rosapi is too old to tell it."""
@@ -164,14 +145,6 @@ class Rosapi:
         answer = self._ask(question, {"type": type_name})
         return list(answer.values.get("typedefs", [])) if answer.is_good and isinstance(answer.values, dict) else []
 
-    def told(self, question: str, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what rosapi answers to a question of this name.
-
-        Raises:
-            LinkError: rosapi does not answer.
-        """
-        return self._must(question, values)
-
     def raw_definitions(self) -> dict[str, str]:
         """Return the text of the definition of the type of each topic, by the type's name."""
         answer = self._ask("topics_and_raw_types")
@@ -180,7 +153,8 @@ class Rosapi:
         names, texts = answer.values.get("types", []), answer.values.get("typedefs_full_text", [])
         return {plain_type(name): text for name, text in zip(names, texts, strict=False)}
 
-    def _must(self, question: str, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    def told(self, question: str, values: Mapping[str, Any] | None = None) -> dict[str, Any]:
+        """Return what rosapi answers to a question of this name."""
         answer = self._ask(question, values)
         if not answer.is_good or not isinstance(answer.values, dict):
             raise LinkError(
@@ -198,15 +172,55 @@ def _text(answer: Reply, field: str) -> str:
     return str(answer.values.get(field) or "") if answer.is_good and isinstance(answer.values, dict) else ""
 
 
+class RosapiParameters:
+    """A parameter server by `/rosapi/get_param` and the like, which carry values as JSON.
+
+    rosapi can be told which parameters it lets anybody see (`params_glob`); those that it does not are as if not set.
+    """
+
+    def __init__(self, rosapi: Rosapi) -> None:
+        self._rosapi = rosapi
+
+    def parameter_names(self) -> list[str]:
+        """Return the full names of all parameters."""
+        return list(self._rosapi.told("get_param_names")["names"])
+
+    def parameter(self, name: str) -> Any:
+        """Return the value of one, or None where it is not set.
+
+        Raises:
+            LinkError: rosapi does not answer, or with something that is no JSON.
+        """
+        told = self._rosapi.told("get_param", {"name": name, "default": ""})["value"]
+        try:
+            return json.loads(told or "null")
+        except ValueError as error:
+            fix = "Look at rosapi's log."
+            raise LinkError(f"rosapi tells its value as {told!r}, which is no JSON", where=name, fix=fix) from error
+
+    def set_parameter(self, name: str, *, value: Any) -> None:
+        """Set one.
+
+        Raises:
+            LinkError: rosapi does not answer, or the value cannot be written as JSON.
+        """
+        try:
+            written = json.dumps(value, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            fix = "Give a number, a text, True or False, or a list of them."
+            raise LinkError(f"{value!r} cannot pass through a rosbridge: {error}", where=name, fix=fix) from error
+        self._rosapi.told("set_param", {"name": name, "value": written})
+
+    def delete_parameter(self, name: str) -> None:
+        """Take one away."""
+        self._rosapi.told("delete_param", {"name": name})
+
+
 _STAMPS = frozenset({"time", "duration"})
 
 
 class RobotTypes:
-    """What the types of one robot are made of.
-
-    Args:
-        rosapi: of the robot.
-        address: of the robot, which may say more.
+    """What the types of one robot are made of; a `LinkError` says that neither the catalogue nor the robot knows one.
 
     Attributes:
         generation: of the robot's ROS, 1 or 2.
@@ -243,27 +257,19 @@ class RobotTypes:
         return True
 
     def shape(self, message_type: str) -> Shape:
-        """Return what a message type is made of.
-
-        Raises:
-            LinkError: neither the catalogue nor the robot knows it.
-        """
+        """Return what a message type is made of."""
         return self._shape(self._catalogue.shape, message_type, "message_details", "msg")
 
     def request(self, service_type: str) -> Shape:
-        """Return what the request of a service type is made of; raises as `shape`."""
+        """Return what the request of a service type is made of."""
         return self._shape(self._catalogue.request, service_type, "service_request_details", "srv")
 
     def response(self, service_type: str) -> Shape:
-        """Return what the response of a service type is made of; raises as `shape`."""
+        """Return what the response of a service type is made of."""
         return self._shape(self._catalogue.response, service_type, "service_response_details", "srv")
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a type's definition, followed by the types that it is made of.
-
-        Raises:
-            LinkError: neither the catalogue nor a topic of the robot has it.
-        """
+        """Return the text of a type's definition, followed by the types that it is made of."""
         try:
             return self._catalogue.definition(message_type)
         except LinkError:

@@ -18,15 +18,30 @@ if TYPE_CHECKING:
 _LOOK = 1.0
 
 
-class _Client(Protocol):
-    """What a goal asks of the client that it was sent with."""
+class ActionClient(Protocol):
+    """One action of a graph, as it is used from here; kept for all goals of a link."""
 
-    def cancel(self, sent: SentGoal, timeout: float) -> None: ...
-    def is_served(self) -> bool: ...
+    def send(self, goal: Message, sent: SentGoal, timeout: float) -> None:
+        """Send a complete goal, and return once it is accepted; raise a `LinkError` where it is not."""
+        ...
+
+    def cancel(self, sent: SentGoal, timeout: float) -> None:
+        """Ask for the end of a goal; raise a `LinkError` where the server refuses."""
+        ...
+
+    def is_served(self) -> bool:
+        """Whether its server is still there."""
+        ...
+
+    def close(self) -> None:
+        """Leave the action."""
+        ...
 
 
 class SentGoal:
     """A goal that was sent, until it is over. A dialect tells it what it hears; whoever sent it waits for it.
+
+    To whoever waits, it is a `Goal` of `core.links.robot`, where it stands what `result` and `cancel` raise.
 
     Args:
         action: full name of its action.
@@ -44,7 +59,7 @@ class SentGoal:
         self.action = action
         self.key = ""
         self.is_abandoned = False
-        self.client: _Client | None = None
+        self.client: ActionClient | None = None
         self._wait = wait
         self._take_feedback = take_feedback
         self._lock = threading.Lock()
@@ -70,11 +85,7 @@ class SentGoal:
         return self._is_over.is_set()
 
     def result(self, *, timeout: float) -> ActionResult:
-        """Wait until it is over and return what came of it; `timeout` is in seconds.
-
-        Raises:
-            LinkError: it is not over in time, or its server is gone.
-        """
+        """Wait until it is over and return what came of it; `timeout` is in seconds."""
         if not self._wait_until_over(timeout):
             problem = f"the goal is not over within {timeout:g} s: it is {self._status}"
             raise LinkError(problem, where=self.action, fix="Give a longer timeout, or cancel the goal.")
@@ -83,11 +94,7 @@ class SentGoal:
         return self._result
 
     def cancel(self, *, timeout: float = 5.0) -> None:
-        """Ask for its end and wait until it is over; `timeout` is in seconds.
-
-        Raises:
-            LinkError: the server refuses, or does not end it in time.
-        """
+        """Ask for its end and wait until it is over; `timeout` is in seconds."""
         deadline = time.monotonic() + timeout
         self.ask_for_end(timeout)
         if not self._wait_until_over(timeout, deadline):

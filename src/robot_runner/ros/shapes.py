@@ -35,9 +35,6 @@ _STAMPS: Mapping[str, tuple[int, int]] = MappingProxyType({"time": _INTEGERS["ui
 _SECOND_NS = 1_000_000_000
 _NANOSECONDS = (0, _SECOND_NS - 1)
 
-#: The kinds of field that are no message themselves.
-PRIMITIVES = ("bool", *_INTEGERS, *_FLOATS, *_TEXTS, *_STAMPS)
-
 _LEFT_OUT = object()
 
 #: Arrays of these are `bytes`.
@@ -66,7 +63,7 @@ class Field:
 
     Attributes:
         name: of the field.
-        kind: one of `PRIMITIVES`, or the shape of a message.
+        kind: `bool`, a kind of number, text or time, or the shape of a message.
         count: None for one value, a number for an array of that many, `UpTo` for a sequence.
         default: what it holds where it is left out; None for ROS' own: zero, an empty text, an empty sequence.
         limit: the most characters of a bounded text; None where there is no bound.
@@ -144,11 +141,6 @@ def completed(shape: Shape, message: Mapping[str, Any], *, where: str) -> dict[s
 
     Numbers become `int` or `float` as the type has them, arrays lists, and arrays of bytes `bytes`. Floats may be
     infinite or not a number, as a laser's ranges are, but not in a velocity command.
-
-    Args:
-        shape: of the type.
-        message: what is to be sent.
-        where: the topic or service, for the error.
 
     Raises:
         LinkError: a field is not one of the type's, or its value is not of the field's kind or out of its range.

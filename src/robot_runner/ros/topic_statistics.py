@@ -22,7 +22,7 @@ from robot_runner.ros.robot_system import OfTheRobot
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.events.window import Window
     from robot_runner.core.links.robot import RawMessage, RobotLink
     from robot_runner.core.plugin import Circumstances
@@ -93,8 +93,14 @@ class TopicProfiler(OfTheRobot, Profiler):
 
     def found(self, names: Iterable[str], context: RobotRunnerContext) -> Mapping[str, TypedTopic | None]:
         """Return each topic with its type; None for one that is not on the graph in time."""
-        link, namespace = self.link(context), robot_namespace(context, self.namespace)
-        return found_topics(link, names, namespace, context.clock, patience=self.patience)
+        link, namespace, clock = self.link(context), robot_namespace(context, self.namespace), context.clock
+        wanted = {name: full_name(namespace, name) for name in names}
+        deadline = clock.now() + self.patience
+        types = link.topics()
+        while not all(full in types for full in wanted.values()) and clock.now() < deadline:
+            clock.sleep(_LOOK)
+            types = link.topics()
+        return {name: TypedTopic(name, full, types[full]) if full in types else None for name, full in wanted.items()}
 
     def link(self, context: RobotRunnerContext) -> RobotLink:
         """Return the link to the robot."""
@@ -103,19 +109,6 @@ class TopicProfiler(OfTheRobot, Profiler):
     def is_of_simulation(self, context: RobotRunnerContext) -> bool:
         """Whether the robot is a simulated one."""
         return is_simulation(self.link(context), robot_namespace(context, self.namespace))
-
-
-def found_topics(
-    link: RobotLink, names: Iterable[str], namespace: str, clock: Clock, *, patience: float
-) -> Mapping[str, TypedTopic | None]:
-    """Return each topic with its type; None for one that is not on the graph within `patience` seconds of the clock."""
-    wanted = {name: full_name(namespace, name) for name in names}
-    deadline = clock.now() + patience
-    types = link.topics()
-    while not all(full in types for full in wanted.values()) and clock.now() < deadline:
-        clock.sleep(_LOOK)
-        types = link.topics()
-    return {name: TypedTopic(name, full, types[full]) if full in types else None for name, full in wanted.items()}
 
 
 def topic_label(topic: str, *, where: str) -> str:
@@ -138,10 +131,6 @@ def topic_label(topic: str, *, where: str) -> str:
 
 class HeaderReader:
     """Reads the header of raw messages of one type, without decoding the rest.
-
-    Args:
-        definition: the text of the type's definition.
-        encoding: of the messages.
 
     Example:
         >>> reader = HeaderReader("std_msgs/Header header", Encoding.CDR)

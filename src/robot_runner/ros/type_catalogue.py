@@ -29,6 +29,8 @@ _ROS1_STAMPS = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/D
 class TypeCatalogue:
     """The types of one distribution of ROS, with those that the user's files add.
 
+    Each method that takes the name of a type raises a `LinkError` where there is none of this name.
+
     Example:
         >>> catalogue = TypeCatalogue.of(2)
         >>> catalogue.shape("geometry_msgs/Vector3").names
@@ -62,43 +64,23 @@ class TypeCatalogue:
         return _catalogue(generation, distro, tuple(extra))
 
     def shape(self, message_type: str) -> Shape:
-        """Return what a message type is made of.
-
-        Raises:
-            LinkError: there is no such type.
-        """
+        """Return what a message type is made of."""
         return self._shape(self._known(message_type))
 
     def request(self, service_type: str) -> Shape:
-        """Return what the request of a service type is made of.
-
-        Raises:
-            LinkError: there is no such type.
-        """
+        """Return what the request of a service type is made of."""
         return self._shape(self._known_service(service_type, "Request"))
 
     def response(self, service_type: str) -> Shape:
-        """Return what the response of a service type is made of.
-
-        Raises:
-            LinkError: there is no such type.
-        """
+        """Return what the response of a service type is made of."""
         return self._shape(self._known_service(service_type, "Response"))
 
     def definition(self, message_type: str) -> str:
-        """Return the text of a definition, with those that it is made of after it, as bags store it.
-
-        Raises:
-            LinkError: there is no such type.
-        """
+        """Return the text of a definition, with those that it is made of after it, as bags store it."""
         return self._store.generate_msgdef(self._known(message_type), ros_version=self._generation)[0]
 
     def digest(self, message_type: str) -> str:
-        """Return what tells versions of a type apart: the md5 sum of ROS 1, the type hash (RIHS01) of ROS 2.
-
-        Raises:
-            LinkError: there is no such type.
-        """
+        """Return what tells versions of a type apart: the md5 sum of ROS 1, the type hash (RIHS01) of ROS 2."""
         name = self._known(message_type)
         if self._generation == 1:
             return self._store.generate_msgdef(name, ros_version=1)[1]
@@ -113,7 +95,7 @@ class TypeCatalogue:
             encoding: how to lay it out.
 
         Raises:
-            LinkError: there is no such type, or the message does not follow its definition.
+            LinkError: the message does not follow its definition.
         """
         name = self._known(message_type)
         try:
@@ -131,13 +113,8 @@ class TypeCatalogue:
     def deserialise(self, message_type: str, data: bytes | memoryview, encoding: Encoding) -> dict[str, Any]:
         """Return the message that these bytes are.
 
-        Args:
-            message_type: ROS name; a request or response is `std_srvs/Trigger_Request` or `…_Response`.
-            data: the bytes; CDR with its header.
-            encoding: how they are laid out.
-
         Raises:
-            LinkError: there is no such type, or these are not the bytes of one.
+            LinkError: these are not the bytes of one.
         """
         name = self._known(message_type)
         read = self._store.deserialize_ros1 if encoding is Encoding.ROS1 else self._store.deserialize_cdr

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import re
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.ros.action_types import action_parts, bundled_definitions, is_action_part
-from robot_runner.ros.field_defaults import field_defaults
+from robot_runner.ros.action_types import action_parts, bundled_definitions, is_action_part, split_definition
 from robot_runner.ros.message_codec import NodeKind
 from robot_runner.ros.node_services import NODE_TYPES
 from robot_runner.ros.shapes import plain_type
@@ -36,7 +37,6 @@ STANDARD_SERVICES = MappingProxyType(
 _LATEST = "jazzy"
 _FOLDERS = ("msg", "srv", "action")
 _SUFFIXES = tuple(f".{folder}" for folder in _FOLDERS)
-_SEPARATOR = "---"
 #: What ROS 2 has in place of the fields of a type that has none, such as one of constants only.
 _PLACEHOLDER = "structure_needs_at_least_one_member"
 
@@ -189,18 +189,11 @@ def _parts(name: str, text: str, where: str, generation: int) -> dict[str, str]:
         return {stored_name(stem): text}
     if suffix == "action":
         return action_parts(generation, stem, text, where=where)
-    request, separator, response = _halves(text)
-    if not separator:
+    pieces = split_definition(text)
+    if len(pieces) == 1:
         raise LinkError("a service has no line '---'", where=where, fix="Put '---' between request and response.")
+    request, response = pieces[0], "\n---\n".join(pieces[1:])  # what is too much, the parser refuses
     return {service_part(stem, "Request"): request, service_part(stem, "Response"): response}
-
-
-def _halves(text: str) -> tuple[str, str, str]:
-    lines = text.splitlines()
-    for index, line in enumerate(lines):
-        if line.strip() == _SEPARATOR:
-            return "\n".join(lines[:index]), _SEPARATOR, "\n".join(lines[index + 1 :])
-    return text, "", ""
 
 
 def _message(rosbags: Any, name: str, text: str, where: str) -> dict[str, Any]:
@@ -250,3 +243,50 @@ def _check_same(name: str, fields: Any, store: Typestore, definitions: Mapping[s
             where=_file_of(name, definitions),
             fix="Leave the file out, or name the distribution that it is of.",
         )
+
+
+# The defaults that definitions of ROS 2 give to fields, which type stores lose. Source: docs.ros.org, "Interfaces",
+# "Field default value".
+
+#: A field's type, whether it is an array, its name, and what stands behind that; constants have `=` there.
+_FIELD = re.compile(r"\s*([\w/]+)(?:<=\d+)?(\[[^\]]*\])?\s+(\w+)\s+([^\s=#].*)")
+_TRUTH = re.compile(r"\b(?:true|false)\b", re.IGNORECASE)
+_TEXTS = ("string", "wstring")
+
+
+def field_defaults(text: str, *, where: str) -> dict[str, Any]:
+    r"""Return the default of each field that has one in a definition; arrays are tuples.
+
+    Raises:
+        LinkError: one cannot be read.
+
+    Example:
+        >>> field_defaults("float32 speed 0.25  # m/s\nuint8 MODE=3\nint32 count\nbool[] on [true, false]", where="a")
+        {'speed': 0.25, 'on': (True, False)}
+    """
+    found = {}
+    for line in text.splitlines():
+        parts = _FIELD.fullmatch(line)
+        if parts is not None:
+            kind, array, name, written = parts.groups()
+            try:
+                found[name] = _default(kind, written, is_array=array is not None)
+            except (ValueError, SyntaxError) as error:
+                problem = f"the default of the field {name!r} cannot be read: {written[:80]!r}"
+                raise LinkError(problem, where=where, fix="Mend the definition.") from error
+    return found
+
+
+def _default(kind: str, written: str, *, is_array: bool) -> Any:
+    if is_array:
+        spelt = written if kind in _TEXTS else _TRUTH.sub(lambda word: word[0].title(), written)
+        values = ast.literal_eval(spelt)  # lists are spelt as in Python, and comments, too
+        return tuple(map(bool, values)) if kind == "bool" else tuple(values)
+    if kind in _TEXTS and written[0] in "\"'":
+        return ast.literal_eval(written)
+    bare = written.partition("#")[0].strip()
+    if kind in _TEXTS:  # quotes may be left out
+        return bare
+    if kind == "bool":
+        return bool(("false", "true", "0", "1").index(bare.lower()) % 2)
+    return float(bare) if kind.startswith("float") else int(bare)

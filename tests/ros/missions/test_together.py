@@ -139,6 +139,13 @@ def test_two_systems_with_one_name_or_one_robot_are_refused() -> None:
     one_robot = Together(Waypoints([(1, 0)], name="alice"), Waypoints([(1, 0)], name="bob"))
     found = [finding.problem for finding in one_robot.check(Circumstances(robot="simulated"))]
     assert found == ["alice and bob command the same robot at the same time, on '/cmd_vel'"]
+
+
+def test_a_turtlebot3_that_another_kind_of_system_drives_at_the_same_time_is_refused() -> None:
+    circling = BasicTurtlebot3(name="alice", task="Video", task_factor=None)
+    one_robot = Together(circling, Waypoints([(1, 0)], name="bob"))
+    found = [finding.problem for finding in one_robot.check(Circumstances(robot="simulated"))]
+    assert found == ["alice and bob command the same robot at the same time, on '/cmd_vel'"]
     turtlebots = Together(*(BasicTurtlebot3(name=name, task="Video", task_factor=None) for name in ("a", "b")))
     assert "so does 'a'" in next(iter(turtlebots.check(Circumstances(robot="simulated")))).problem
 

@@ -86,6 +86,28 @@ def test_a_robot_whose_pose_is_no_number_is_stopped_at_once(tmp_path: Path, x: f
     assert clock.now() < 2.2
 
 
+def test_a_robot_that_does_not_take_the_first_zero_is_made_safe_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = FakeRobotLink(FakeClock())
+    ahead = Waypoints([(1.0, 0.0)])
+    context = make_context(tmp_path, ahead, robot="dds", links=FakeLinks(robot=link))
+    publish, refused = link.publish, []
+
+    def flaky(topic: str, *given: Any, **more: Any) -> None:
+        if not refused:
+            refused.append(topic)
+            raise LinkError("the robot could not be reached", where=topic)
+        publish(topic, *given, **more)
+
+    monkeypatch.setattr(link, "publish", flaky)
+    with pytest.raises(LinkError, match="could not be reached"):
+        ahead.make_safe(context)
+    assert refused == ["cmd_vel"]
+    assert link.publications  # the robot was told a second time
+    assert link.stands_still
+
+
 def test_a_robot_that_tells_no_direction_is_not_driven(tmp_path: Path) -> None:
     clock = FakeClock()
     link = FakeRobotLink(clock)

@@ -14,8 +14,8 @@ from robot_runner.core.links.goals import GoalStatus
 from robot_runner.core.links.graph_names import full_name
 from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.links.message_fields import field_of
+from robot_runner.core.links.robot import Encoding
 from robot_runner.core.words import listed
-from robot_runner.ros.missions.cancelling import cancel_all_goals
 from robot_runner.ros.missions.goal_measures import FeedbackMeasures, ResultMeasures
 from robot_runner.ros.missions.way_measures import WayMeasures
 from robot_runner.ros.robot_system import RobotSystem, check_numbers
@@ -39,6 +39,9 @@ _LOOK = 0.02
 _LOOK_FOR_SERVER = 1.0
 #: How long the result may take once the goal is over, s.
 _RESULT_SECONDS = 5.0
+#: action_msgs/srv/CancelGoal: the server does not cancel any of them.
+_REFUSED = 1
+_NOW = {"sec": 0, "nanosec": 0}
 
 
 class _Failure(StrEnum):
@@ -227,7 +230,7 @@ class ActionMission(RobotSystem):
                 each.callback(self._cancel)
             elif not link.is_simulated:
                 name, timeout = full_name(namespace, self.action), self.cancel_timeout_s
-                each.callback(cancel_all_goals, link, self.action, name, timeout=timeout)
+                each.callback(_cancel_all_goals, link, self.action, name, timeout=timeout)
             if wheels is not None:  # first of all, and again when the goal is over
                 wheels.command(0.0, 0.0)
 
@@ -309,3 +312,23 @@ class ActionMission(RobotSystem):
             self._cancel()
         except LinkError as error:
             fault.add_note(f"The goal could not be cancelled: {error}")
+
+
+def _cancel_all_goals(link: RobotLink, action: str, full_name: str, *, timeout: float) -> None:
+    """Ask an action server to cancel whatever it executes, whoever sent it; without a server nothing is executed.
+
+    Both generations have it so: an empty goal id with a stamp of zero means all goals (action_msgs/srv/CancelGoal, and
+    actionlib's "cancel policy": http://wiki.ros.org/actionlib/DetailedDescription).
+    """
+    if link.encoding is Encoding.ROS1:
+        link.publish(f"{action}/cancel", "actionlib_msgs/GoalID", {"stamp": _NOW, "id": ""})
+        return
+    try:
+        answer = link.call(f"{action}/_action/cancel_goal", "action_msgs/CancelGoal", {}, timeout=timeout)
+    except LinkError:
+        if full_name in link.actions():
+            raise
+        return
+    if answer["return_code"] == _REFUSED:
+        fix = "Look at the log of its server, and stop the robot by hand."
+        raise LinkError("the action server refuses to cancel its goals", where=full_name, fix=fix)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from statistics import fmean
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -24,17 +25,9 @@ _PAIR = 2
 _COUNT = "count"
 
 
-def _first(values: Sequence[Any]) -> Any:
-    return values[0]
-
-
-def _last(values: Sequence[Any]) -> Any:
-    return values[-1]
-
-
 #: How the values that a field of the feedback had make one.
 _OVER: Mapping[str, Callable[[Sequence[Any]], Any]] = MappingProxyType(
-    {"first": _first, "last": _last, "minimum": min, "maximum": max, "mean": fmean}
+    {"first": itemgetter(0), "last": itemgetter(-1), "minimum": min, "maximum": max, "mean": fmean}
 )
 #: Those of numbers only.
 _OF_NUMBERS = frozenset({"minimum", "maximum", "mean"})
@@ -51,10 +44,6 @@ class _Taken:
 
 class ResultMeasures:
     """Measures that are fields of a result.
-
-    Args:
-        wanted: the field of each measure, by its name, or by a `Measure` that tells its unit.
-        where: the plugin, for errors.
 
     Raises:
         PluginError: one of them is no field.
@@ -80,11 +69,7 @@ class ResultMeasures:
         return [each.measure for each in self._taken]
 
     def values(self, result: Message | None) -> dict[str, MeasureValue]:
-        """Return the value of each measure; None where there is no result.
-
-        Raises:
-            LinkError: the result has no such field, or it is neither a number nor a text.
-        """
+        """Return the value of each measure; None where there is no result."""
         return {
             each.measure.name: None if result is None else _value_of(result, each.field, self._where)
             for each in self._taken
@@ -129,11 +114,7 @@ class FeedbackMeasures:
         self._came: dict[str, list[Any]] = {each.measure.name: [] for each in self._taken}
 
     def take(self, message: Message) -> None:
-        """Take what was told.
-
-        Raises:
-            LinkError: it has no such field, or it is neither a number nor a text.
-        """
+        """Take what was told."""
         self._count += 1
         for each in self._taken:
             if each.over != _COUNT:
@@ -190,7 +171,11 @@ def _as_measure(name: str | Measure, description: str, unit: str = "") -> Measur
 
 
 def _value_of(message: Message, field: str, where: str) -> MeasureValue:
-    """Return a field as a value of the run table: times in s, and None for what is not finite."""
+    """Return a field as a value of the run table: times in s, and None for what is not finite.
+
+    Raises:
+        LinkError: there is no such field, or it is neither a number nor a text.
+    """
     found = field_of(message, field, where=where)
     if is_time(found):
         return float(found["sec"]) + float(found["nanosec"]) * 1e-9

@@ -82,11 +82,7 @@ def sleep_by(sleep: Callable[[float], None]) -> None:
 
 
 class SharedClock:
-    """The clock of a run as several missions have it: whoever sleeps on it lets the others go on, and can be stopped.
-
-    Args:
-        clock: the run's.
-    """
+    """The clock of a run as several missions have it: who sleeps on it lets the others go on, and can be stopped."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -111,10 +107,7 @@ class SharedClock:
 def execute_together(missions: Sequence[JointMission], clock: Clock, *, takes_turns: bool) -> None:
     """Execute missions at the same time until all have ended; where one fails, or this is interrupted, stop the others.
 
-    Args:
-        missions: what is executed.
-        clock: the run's.
-        takes_turns: whether the clock is that of a simulation, which one thread at a time may sleep on.
+    They take turns on the clock of a simulation, on which one thread at a time may sleep.
 
     Raises:
         PluginError: one failed: which, why, and which others were stopped or go on.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, nullcontext
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import ConditionTimeout, Finding, PluginError
@@ -20,7 +20,7 @@ from robot_runner.ros.turtlebot3.steered_robot import Heartbeat
 from robot_runner.ros.watchdog import VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RobotLink
@@ -143,7 +143,8 @@ class TopicMission(RobotSystem):
         """
         link = self.started(self._link)
         begun = context.clock.now()
-        with ExitStack() as opened, self._made_safe(link):
+        with ExitStack() as opened, ExitStack() as leaving:
+            leaving.callback(self._say_safe, link)
             count = self._publish_until(link, context, self.until.watch(context, opened))
         self._result = context.clock.now() - begun, count
 
@@ -167,13 +168,6 @@ class TopicMission(RobotSystem):
     def make_safe(self, context: RobotRunnerContext) -> None:
         """Publish the safe message, also in a process that has not been connected to the robot before."""
         self._say_safe(connect_robot(context, namespace=self.namespace))
-
-    @contextmanager
-    def _made_safe(self, link: RobotLink) -> Iterator[None]:
-        try:
-            yield
-        finally:
-            self._say_safe(link)
 
     def _say_safe(self, link: RobotLink) -> None:
         if self.afterwards is not None:

@@ -12,13 +12,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, robot_namespace
-from robot_runner.core.links.graph_needs import GraphNeed
-from robot_runner.measuring.live_samples import LiveSamples
-from robot_runner.ros.robot_system import RobotSystem, check_numbers
-from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp, Wheels
-from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Pose, Trajectory, wrapped
-from robot_runner.ros.turtlebot3.steered_robot import Robot
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS
+from robot_runner.ros.robot_system import check_numbers
+from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp
+from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC, Odometer, Pose, wrapped
+from robot_runner.ros.turtlebot3.steered_robot import Robot, SteeredSystem
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -47,16 +44,7 @@ class _Waypoint:
     yaw: float | None
 
 
-@dataclass(slots=True)
-class _Outcome:
-    duration: float
-    distance: float
-    legs: list[float]
-    error: float
-    turned_by: float | None
-
-
-class Waypoints(RobotSystem):
+class Waypoints(SteeredSystem):
     """Drives from waypoint to waypoint: on the spot to face it, straight to it, and on the spot to the yaw there.
 
     Each leg is a phase of the mission, `leg_1`, `leg_2` and so on, for which the config's `phases` may ask. The way is
@@ -93,8 +81,6 @@ class Waypoints(RobotSystem):
         Measure("FinalError", "m", "How far from the last waypoint the robot ended, by odometry."),
         Measure("FinalYawError", "rad", "How far from the last waypoint's yaw it ended, where that has one."),
     )
-    #: What it commands, for `Together`.
-    commands: Sequence[str] = (COMMAND_TOPIC,)
     needs: ClassVar[str] = "A robot with odometry and velocity commands, or robot='simulated'."
 
     def __init__(  # noqa: PLR0913 - one keyword for each thing in which robots and studies differ
@@ -114,25 +100,24 @@ class Waypoints(RobotSystem):
         odometry_timeout_s: float = 1.0,
         sole_control: bool = True,
     ) -> None:
-        super().__init__(name=name)
+        super().__init__(
+            name=name,
+            namespace=namespace,
+            connect_timeout_s=connect_timeout_s,
+            odometry_timeout_s=odometry_timeout_s,
+            sole_control=sole_control,
+        )
         self.waypoints = _checked_waypoints(waypoints, self.name)
         if relative_to not in {"odom", "start"}:
             raise PluginError(f"relative_to is {relative_to!r}", where=self.name, fix="Say 'odom' or 'start'.")
         check_numbers(self.name, speed=speed, turn_rate=turn_rate, tolerance_m=tolerance_m, tolerance_rad=tolerance_rad)
-        check_numbers(self.name, connect_timeout_s=connect_timeout_s, odometry_timeout_s=odometry_timeout_s)
-        self.namespace = namespace
         self.relative_to = relative_to
         self.speed, self.turn_rate = float(speed), float(turn_rate)
         self.tolerance_m, self.tolerance_rad = float(tolerance_m), float(tolerance_rad)
         self.command_topic, self.odometry_topic = command_topic, odometry_topic
         self.commands = (command_topic,)
-        self.connect_timeout_s, self.odometry_timeout_s = connect_timeout_s, odometry_timeout_s
-        self.sole_control = sole_control
         with_yaw = self.waypoints[-1].yaw is not None
         self.measures = (*type(self).measures[: None if with_yaw else -1], *_legs(len(self.waypoints)))
-        self._robot: Robot | None = None
-        self._outcome: _Outcome | None = None
-        self._is_simulated = False
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Yield what stands in the way: no robot; and yaws that are probably in degrees."""
@@ -142,14 +127,6 @@ class Waypoints(RobotSystem):
                 problem = f"the yaw {each.yaw:g} rad of a waypoint is more than a full turn"
                 fix = f"Yaws are in rad: {each.yaw:g} degrees are {math.radians(each.yaw):.4g}."
                 yield Finding.warning(f"plugin {self.name}", problem, fix)
-
-    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
-        """Return odometry and velocity commands."""
-        del circumstances
-        fix = "Start the robot's bringup, or correct the plugin's namespace."
-        yield GraphNeed.published(self.odometry_topic, ODOMETRY, is_sole=self.sole_control, fix=fix)
-        commands = sorted(VELOCITY_COMMANDS)
-        yield GraphNeed.subscribed(self.command_topic, *commands, is_sole=self.sole_control, fix=fix)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long the legs between the waypoints take, s; None where the first begins anywhere."""
@@ -170,14 +147,6 @@ class Waypoints(RobotSystem):
     def _turning(self, angle: float) -> float:
         return Ramp.covering(angle, self.turn_rate).seconds if abs(angle) > _NO_TURN else 0.0
 
-    def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, and see that the robot answers and obeys nobody else."""
-        self._robot = self._outcome = None
-        self._robot = self._reached(context)
-        self._robot.odometer.wait(self.connect_timeout_s)
-        self._robot.check_commands_subscribed(where=self.name)
-        self._robot.control.take(context, sole=self.sole_control)
-
     def launch_mission(self, context: RobotRunnerContext) -> None:
         """Drive from waypoint to waypoint; the robot is stopped whatever happens.
 
@@ -186,39 +155,12 @@ class Waypoints(RobotSystem):
                 commanded.
         """
         robot = self.started(self._robot)
-        path = context.raw_data_folder / "trajectory.csv"
-        trajectory = Trajectory(LiveSamples(path))
-        with ExitStack() as closing:
-            closing.callback(trajectory.write, path)
-            closing.callback(setattr, robot.odometer, "on_pose", None)
-            closing.callback(robot.pilot.stop)
-            robot.odometer.on_pose = trajectory.add
-            self._outcome = self._driven(robot, context)
+        with self.keeping_way(robot, context), ExitStack() as stopping:
+            stopping.callback(robot.pilot.stop)
+            self._values = self._driven(robot, context)
 
-    def stop_run(self, context: RobotRunnerContext) -> None:
-        """Stop the robot and leave it."""
-        del context
-        if self._robot is not None:
-            self._robot.close()
-            if self._outcome is not None:
-                self._is_simulated = self._robot.is_simulated()
-
-    def populate_run_data(self, context: RobotRunnerContext) -> None:
-        """Publish the measures; no values where the mission did not take place."""
-        values, found = None, self._outcome
-        if found is not None:
-            turned_by = () if found.turned_by is None else (found.turned_by,)
-            values = found.duration, found.distance, found.error, *turned_by, *found.legs
-        self.publish_values(context, values, is_simulated=self._is_simulated)
-
-    def make_safe(self, context: RobotRunnerContext) -> None:
-        """Stop the wheels, also in a process that has not been connected to the robot before."""
-        link = connect_robot(context, namespace=self.namespace)
-        namespace = robot_namespace(context, self.namespace)
-        Wheels(link, namespace=namespace, topic=self.command_topic).command(0.0, 0.0)
-        self._reached(context).close()
-
-    def _reached(self, context: RobotRunnerContext) -> Robot:
+    def reached(self, context: RobotRunnerContext) -> Robot:
+        """Return the robot, whose odometry is subscribed from now on."""
         fastest = max(_SLOWEST_JUMP, _JUMPING * self.speed)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name, fastest=fastest)
         return Robot(
@@ -233,7 +175,8 @@ class Waypoints(RobotSystem):
             has_tasks=False,
         )
 
-    def _driven(self, robot: Robot, context: RobotRunnerContext) -> _Outcome:
+    def _driven(self, robot: Robot, context: RobotRunnerContext) -> list[float]:
+        """Drive the whole way, and return a value for each measure."""
         clock, odometer = context.clock, robot.odometer
         start, way_before, legs = odometer.pose(), odometer.travelled, [clock.now()]
         for number, waypoint in enumerate(self.waypoints, start=1):
@@ -243,13 +186,10 @@ class Waypoints(RobotSystem):
                 self._go_to(robot, target, number, context)
             legs.append(clock.now())
         here = odometer.pose()
-        return _Outcome(
-            duration=legs[-1] - legs[0],
-            distance=odometer.travelled - way_before,
-            legs=[later - earlier for earlier, later in pairwise(legs)],
-            error=math.dist((here.x, here.y), (target.x, target.y)),
-            turned_by=None if target.yaw is None else abs(wrapped(here.heading - target.yaw)),
-        )
+        error = math.dist((here.x, here.y), (target.x, target.y))
+        yaw_error = [] if target.yaw is None else [abs(wrapped(here.heading - target.yaw))]
+        seconds = [later - earlier for earlier, later in pairwise(legs)]
+        return [legs[-1] - legs[0], odometer.travelled - way_before, error, *yaw_error, *seconds]
 
     def _go_to(self, robot: Robot, target: _Waypoint, number: int, context: RobotRunnerContext) -> None:
         for _ in range(_MOST_TRIES):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 #: Where a robot is to stand: x, y (m) and yaw (rad).
 Spot = tuple[float, float, float]
 
-_EMPTY = "std_srvs/Empty"
 _LOOK = 0.02
 #: A graph on which no service is seen for so long, s, does not tell its services.
 _SILENT = 1.0
@@ -150,22 +149,21 @@ def _pose(spot: Spot) -> dict[str, Any]:
     return {"position": {"x": x, "y": y}, "orientation": {"z": math.sin(yaw / 2), "w": math.cos(yaw / 2)}}
 
 
-def _empty(*services: str) -> Demand:
-    return Demand(services, _EMPTY, {}, _nothing_to_refuse)
+def _by_empty(title: str, prefix: str, hint: str, place: Callable[[str, Spot], Demand] | None = None) -> Dialect:
+    """Return how a simulator is spoken to by services that take nothing, below a prefix or where its node stands."""
+
+    def call(name: str) -> Demand:
+        return Demand((f"{prefix}{name}", f"/{name}"), "std_srvs/Empty", {}, _nothing_to_refuse)
+
+    pause, unpause = call("pause_physics"), call("unpause_physics")
+    return Dialect(title, pause, unpause, call("reset_world"), call("reset_simulation"), place, hint)
 
 
 def _gazebo_classic(world: str) -> Dialect:
     del world
-    return Dialect(
-        title="Gazebo classic",
-        # ROS 1 has them below /gazebo, ROS 2 where the node of gazebo_ros stands.
-        pause=_empty("/gazebo/pause_physics", "/pause_physics"),
-        unpause=_empty("/gazebo/unpause_physics", "/unpause_physics"),
-        reset_world=_empty("/gazebo/reset_world", "/reset_world"),
-        reset_simulation=_empty("/gazebo/reset_simulation", "/reset_simulation"),
-        place=_in_gazebo_classic,
-        hint="gazebo_ros; on ROS 2 placing a robot takes libgazebo_ros_state.so in the world",
-    )
+    # ROS 1 has them below /gazebo, ROS 2 where the node of gazebo_ros stands.
+    hint = "gazebo_ros; on ROS 2 placing a robot takes libgazebo_ros_state.so in the world"
+    return _by_empty("Gazebo classic", "/gazebo/", hint, _in_gazebo_classic)
 
 
 def _in_gazebo_classic(robot: str, spot: Spot) -> Demand:
@@ -175,16 +173,7 @@ def _in_gazebo_classic(robot: str, spot: Spot) -> Demand:
 
 
 def _gazebo_classic_ros2(world: str) -> Dialect:
-    classic = _gazebo_classic(world)
-    return Dialect(
-        classic.title,
-        classic.pause,
-        classic.unpause,
-        classic.reset_world,
-        classic.reset_simulation,
-        _entity_in_gazebo_classic,
-        classic.hint,
-    )
+    return replace(_gazebo_classic(world), place=_entity_in_gazebo_classic)
 
 
 def _entity_in_gazebo_classic(robot: str, spot: Spot) -> Demand:
@@ -257,15 +246,7 @@ def _webots(world: str) -> Dialect:
 
 def _robot_runner(world: str) -> Dialect:
     del world
-    return Dialect(
-        title="robot-runner simulate",
-        pause=_empty("pause_physics", "/pause_physics"),
-        unpause=_empty("unpause_physics", "/unpause_physics"),
-        reset_world=_empty("reset_world", "/reset_world"),
-        reset_simulation=_empty("reset_simulation", "/reset_simulation"),
-        place=None,
-        hint="robot-runner simulate turtlebot3",
-    )
+    return _by_empty("robot-runner simulate", "", "robot-runner simulate turtlebot3")
 
 
 #: By the name that a config gives. Sources of the services' names and types: docs/decisions/0059.

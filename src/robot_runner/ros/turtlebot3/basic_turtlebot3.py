@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.measure import Measure
 from robot_runner.core.links.connect import connect_robot, robot_namespace
-from robot_runner.core.links.graph_needs import GraphNeed
 from robot_runner.core.treatments import factors_of
-from robot_runner.measuring.live_samples import LiveSamples
-from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.turtlebot3.mission import CircularMission, Performer, PhaseLog
-from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Wheels
-from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Odometer, Trajectory
-from robot_runner.ros.turtlebot3.steered_robot import Robot, Task, TaskServices, required_services
-from robot_runner.ros.watchdog import VELOCITY_COMMANDS
+from robot_runner.ros.turtlebot3.odometry import Odometer
+from robot_runner.ros.turtlebot3.steered_robot import Robot, SteeredSystem, Task, TaskServices, required_services
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from typing import Any
 
     from robot_runner.core.events.context import RobotRunnerContext
+    from robot_runner.core.links.graph_needs import GraphNeed
     from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.turtlebot3.mission import Performance, Phase
 
@@ -34,7 +29,7 @@ _NEAR = 0.1
 _MOST = 0.9
 
 
-class BasicTurtlebot3(RobotSystem):
+class BasicTurtlebot3(SteeredSystem):
     """Executes the paper's circular mission on a TurtleBot3: 95 s of sleeping, driving and three times a task.
 
     The robot drives away and comes back, in a closed loop on its odometry, so that it need not be
@@ -90,18 +85,17 @@ class BasicTurtlebot3(RobotSystem):
         odometry_timeout_s: float = 1.0,
         sole_control: bool = True,
     ) -> None:
-        super().__init__(name=name)
-        check_numbers(self.name, connect_timeout_s=connect_timeout_s, odometry_timeout_s=odometry_timeout_s)
-        self.namespace = namespace
+        super().__init__(
+            name=name,
+            namespace=namespace,
+            connect_timeout_s=connect_timeout_s,
+            odometry_timeout_s=odometry_timeout_s,
+            sole_control=sole_control,
+        )
         self.task_factor = task_factor
         self.task = task
-        self.connect_timeout_s = connect_timeout_s
-        self.odometry_timeout_s = odometry_timeout_s
-        self.sole_control = sole_control
         self.mission = CircularMission(sleep_s=sleep_s, drive_s=drive_s, task_s=task_s, rotate_s=rotate_s, speed=speed)
-        self._robot: Robot | None = None
         self._performance: Performance | None = None
-        self._is_simulated = False
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no robot, or treatments that are no tasks."""
@@ -111,9 +105,7 @@ class BasicTurtlebot3(RobotSystem):
 
     def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
         """Return odometry, velocity commands, and the services of the tasks that runs may have."""
-        fix = "Start the robot's bringup, or correct the plugin's namespace."
-        yield GraphNeed.published(POSE_TOPIC, ODOMETRY, is_sole=self.sole_control, fix=fix)
-        yield GraphNeed.subscribed(COMMAND_TOPIC, *sorted(VELOCITY_COMMANDS), is_sole=self.sole_control, fix=fix)
+        yield from super().required_graph(circumstances)
         named = [self.task] if self.task is not None else circumstances.factors.get(self.task_factor or "", ())
         for task in dict.fromkeys(filter(None, map(Task.named, named))):
             yield from required_services(task)
@@ -123,15 +115,10 @@ class BasicTurtlebot3(RobotSystem):
         del combination
         return self.mission.seconds
 
-    def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect, and see that the robot answers."""
-        self._robot = self._performance = None
-        self._robot = self._reached(context)
-        self._robot.odometer.wait(self.connect_timeout_s)
-        self._robot.check_commands_subscribed(where=self.name)
-        self._robot.tasks.check(self._task_of(context), context.clock, where=self.name)
-        self._end_left_task(self._robot.tasks, context)
-        self._robot.control.take(context, sole=self.sole_control)
+    def check_ready(self, robot: Robot, context: RobotRunnerContext) -> None:
+        """See that the robot has the services of the run's task, and works on none."""
+        robot.tasks.check(self._task_of(context), context.clock, where=self.name)
+        self._end_left_task(robot.tasks, context)
 
     def _end_left_task(self, tasks: TaskServices, context: RobotRunnerContext) -> None:
         """Stop a task that an earlier run, or somebody else, left running: it would be measured, and refuse ours."""
@@ -150,44 +137,22 @@ class BasicTurtlebot3(RobotSystem):
         def announce(number: int, phase: Phase) -> None:
             context.share(phase=phase.kind.value, phase_number=number, phase_count=len(self.mission.phases))
 
-        path = context.raw_data_folder / "trajectory.csv"
-        trajectory = Trajectory(LiveSamples(path))
-        with ExitStack() as closing:
-            closing.callback(trajectory.write, path)
-            closing.callback(setattr, robot.odometer, "on_pose", None)
-            robot.odometer.on_pose = trajectory.add
-            file = closing.enter_context(
-                (context.raw_data_folder / "phases.csv").open("w", encoding="ascii", newline="")
-            )
+        self._performance = None
+        phases = context.raw_data_folder / "phases.csv"
+        with self.keeping_way(robot, context), phases.open("w", encoding="ascii", newline="") as file:
             performer = Performer(self.mission, task, robot, context.clock, PhaseLog(file))
-            self._performance = performer.perform(announce, context.phase)
-
-    def stop_run(self, context: RobotRunnerContext) -> None:
-        """Stop the robot and leave it."""
-        del context
-        if self._robot is not None:
-            self._robot.close()
-            if self._performance is not None:
-                self._is_simulated = self._robot.is_simulated()
+            found = self._performance = performer.perform(announce, context.phase)
+        self._values = found.duration, found.distance, found.pose_error
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish duration, distance and pose error; no values where the mission did not take place."""
-        values, found = None, self._performance
-        if found is not None:
-            values = found.duration, found.distance, found.pose_error
-            for problem in _doubts(found):
+        if self._values is not None and self._performance is not None:
+            for problem in _doubts(self._performance):
                 context.warn(problem, fix="Look whether the robot's way is free, and reposition the robot.")
-        self.publish_values(context, values, is_simulated=self._is_simulated)
+        super().populate_run_data(context)
 
-    def make_safe(self, context: RobotRunnerContext) -> None:
-        """Stop wheels and tasks, also in a process that has not been connected to the robot before."""
-        link = connect_robot(context, namespace=self.namespace)
-        namespace = robot_namespace(context, self.namespace)
-        with ExitStack() as closing:
-            closing.callback(lambda: self._reached(context).close())
-            Wheels(link, namespace=namespace).command(0.0, 0.0)  # before anything that has to ask the graph first
-
-    def _reached(self, context: RobotRunnerContext) -> Robot:
+    def reached(self, context: RobotRunnerContext) -> Robot:
+        """Return the robot, whose odometry is subscribed from now on."""
         link, namespace = connect_robot(context, namespace=self.namespace), robot_namespace(context, self.namespace)
         odometer = Odometer(context.clock, timeout=self.odometry_timeout_s, where=self.name)
         return Robot(link, odometer, context.clock, namespace=namespace, where=self.name)

@@ -164,15 +164,7 @@ class PhaseLog:
 
 
 class Performer:
-    """Carries out one mission once.
-
-    Args:
-        mission: what is to be done.
-        task: what the robot works on in the task phases.
-        robot: the robot that does it.
-        clock: the run's clock.
-        log: takes the phases that are over.
-    """
+    """Carries out one mission once."""
 
     def __init__(self, mission: CircularMission, task: Task, robot: Robot, clock: Clock, log: PhaseLog) -> None:
         self._mission = mission

@@ -26,12 +26,8 @@ COMMAND_TOPIC = "cmd_vel"
 class Wheels:
     """Tells a robot how fast to move: as `TwistStamped` where its graph carries that, and as `Twist` elsewhere.
 
-    A TurtleBot3 subscribes `Twist` up to ROS 2 Humble, and `TwistStamped` by default from Jazzy on.
-
-    Args:
-        link: to the robot.
-        namespace: the robot's.
-        topic: of its velocity commands.
+    A TurtleBot3 subscribes `Twist` up to ROS 2 Humble, and `TwistStamped` by default from Jazzy on. A robot that cannot
+    be reached, or subscribes neither type, is a `LinkError`.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -49,20 +45,12 @@ class Wheels:
         self._type: str | None = None
 
     def command(self, speed: float, rate: float) -> None:
-        """Move ahead at `speed` in m/s and turn at `rate` in rad/s until the next command.
-
-        Raises:
-            LinkError: the robot cannot be reached, or subscribes neither type.
-        """
+        """Move ahead at `speed` in m/s and turn at `rate` in rad/s until the next command."""
         message_type = self._type or self._subscribed_type()
         self._link.publish(self._own_topic, message_type, velocity_command(message_type, speed, rate))
 
     def get_ready(self) -> None:
-        """Be heard from the first command on: to be discovered may take seconds, which are not to be measured.
-
-        Raises:
-            LinkError: the robot cannot be reached, or subscribes neither type.
-        """
+        """Be heard from the first command on: to be discovered may take seconds, which are not to be measured."""
         if isinstance(self._link, Advertiser):
             self._link.advertise(self._own_topic, self._type or self._subscribed_type())
 
@@ -170,6 +158,8 @@ def _moving_time(seconds: float) -> float:
 class Pilot:
     """Moves one robot. Who uses it must call `stop` in the end, whatever happened.
 
+    A `LinkError` says that the odometry fell silent, or that the robot cannot be reached or does not move.
+
     Args:
         wheels: of the robot.
         odometer: where it is.
@@ -198,9 +188,6 @@ class Pilot:
 
         The line is the one asked for, not the one that the robot happens to stand on: errors of the phases
         before are mended on the way.
-
-        Raises:
-            LinkError: the odometry fell silent, the robot cannot be reached, or it does not move.
         """
 
         def steer(time: float) -> tuple[float, float]:
@@ -213,11 +200,7 @@ class Pilot:
         self._follow(steer, begun, ramp.seconds)
 
     def turn(self, start: Pose, ramp: Ramp, begun: float) -> None:
-        """Turn on the spot, from the heading of `start` by the way of `ramp` in rad.
-
-        Raises:
-            LinkError: the odometry fell silent or the robot cannot be reached.
-        """
+        """Turn on the spot, from the heading of `start` by the way of `ramp` in rad."""
 
         def steer(time: float) -> tuple[float, float]:
             pose, (way, rate) = self._odometer.pose(), ramp.at(time)
@@ -228,11 +211,7 @@ class Pilot:
         self._follow(steer, begun, ramp.seconds)
 
     def stop(self) -> None:
-        """Stand still.
-
-        Raises:
-            LinkError: the robot cannot be reached.
-        """
+        """Stand still; a `LinkError` says that the robot cannot be reached."""
         self._wheels.command(0.0, 0.0)
 
     def _check_moving(self, lag: float, ramp: Ramp, covered: str, due: str) -> None:

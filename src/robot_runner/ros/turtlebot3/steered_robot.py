@@ -4,28 +4,32 @@ from __future__ import annotations
 
 import logging
 import threading
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from enum import Enum
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import raised_in_thread
-from robot_runner.core.links.connect import is_simulation
+from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.links.graph_names import full_name, missing
 from robot_runner.core.links.graph_needs import GraphNeed
+from robot_runner.measuring.live_samples import LiveSamples
 from robot_runner.ros.graph_look import offer_findings
 from robot_runner.ros.graph_transport import LONGEST_DISCOVERY
+from robot_runner.ros.robot_system import RobotSystem, check_numbers
 from robot_runner.ros.sole_control import SoleControl
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, MAXIMUM_SPEED, MAXIMUM_TURN_RATE, Pilot, Wheels
-from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC
-from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE
+from robot_runner.ros.turtlebot3.odometry import ODOMETRY, POSE_TOPIC, Trajectory
+from robot_runner.ros.watchdog import HEARTBEAT_TOPIC, HEARTBEAT_TYPE, VELOCITY_COMMANDS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from robot_runner.core.events.context import Clock
+    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.events.measure import MeasureValue
     from robot_runner.core.links.robot import RobotLink
+    from robot_runner.core.plugin import Circumstances
     from robot_runner.ros.turtlebot3.odometry import Odometer
 
 #: The watchdog is patient for 0.4 s: three beats may be lost on the air.
@@ -44,9 +48,6 @@ class Heartbeat:
     When the process dies or the link is lost, the beats cease, and the robot's watchdog stops it.
 
     The embedded robot lives in the run's own process and needs none.
-
-    Args:
-        link: to the robot.
 
     Example:
         >>> from robot_runner.testing import FakeClock, FakeRobotLink
@@ -83,11 +84,7 @@ class Heartbeat:
             self._thread.join(_PATIENCE)
 
     def say_farewell(self) -> None:
-        """Tell the watchdog that the robot stands still and is left to others.
-
-        Raises:
-            LinkError: the robot cannot be reached.
-        """
+        """Tell the watchdog that the robot is left to others and stands still; a `LinkError` where it is not there."""
         if self._thread is not None:
             self._link.publish(HEARTBEAT_TOPIC, HEARTBEAT_TYPE, {"data": 0})
 
@@ -134,7 +131,10 @@ def required_services(task: Task) -> Iterator[GraphNeed]:
 
 
 class TaskServices:
-    """Calls `task/<task>/start`, `task/<task>/stop` and `task/stop`, which stops whichever is going on."""
+    """Calls `task/<task>/start`, `task/<task>/stop` and `task/stop`, which stops whichever is going on.
+
+    Each raises a `LinkError` where the robot cannot be reached, has no such service, or refuses.
+    """
 
     def __init__(self, link: RobotLink, namespace: str = "") -> None:
         self._link = link
@@ -158,27 +158,15 @@ class TaskServices:
             clock.sleep(_LOOK)
 
     def start(self, task: Task) -> None:
-        """Start a task.
-
-        Raises:
-            LinkError: the robot cannot be reached, has no such service, or refuses.
-        """
+        """Start a task."""
         self._call(f"task/{task.value}/start")
 
     def stop(self, task: Task) -> None:
-        """Stop a task that is going on.
-
-        Raises:
-            LinkError: the robot cannot be reached, has no such service, or refuses.
-        """
+        """Stop a task that is going on."""
         self._call(f"task/{task.value}/stop")
 
     def stop_all(self) -> str:
-        """Stop whatever is going on, and return what the robot says of it; that nothing is, is no fault.
-
-        Raises:
-            LinkError: the robot cannot be reached or has no such service.
-        """
+        """Stop whatever is going on, and return what the robot says of it; that nothing is, is no fault."""
         return str(self._link.call("task/stop", _TRIGGER).get("message", ""))
 
     def _call(self, service: str) -> None:
@@ -198,6 +186,8 @@ _LOOK_PERIOD = 0.1
 
 class Robot:
     """One robot that is reached: what it says and what it can be told.
+
+    Each method raises a `LinkError` where it cannot be reached any more.
 
     Args:
         link: to the robot.
@@ -246,15 +236,11 @@ class Robot:
         )
         self.tasks = TaskServices(link, namespace)
         self._has_tasks = has_tasks
-        self._subscription = link.subscribe(pose_topic, "nav_msgs/Odometry", odometer.take)
+        self._subscription = link.subscribe(pose_topic, ODOMETRY, odometer.take)
         self._heartbeat = Heartbeat(link)
 
     def is_simulated(self) -> bool:
-        """Whether it is a simulated one; to be asked after its mission, whose window that would lengthen.
-
-        Raises:
-            LinkError: the robot cannot be reached.
-        """
+        """Whether it is a simulated one; to be asked after its mission, whose window that would lengthen."""
         return is_simulation(self._link, self._namespace)
 
     def check_commands_subscribed(self, *, where: str) -> None:
@@ -272,11 +258,7 @@ class Robot:
         self._wheels.get_ready()
 
     def make_safe(self) -> None:
-        """Stop the wheels, and the tasks even if the wheels cannot be reached.
-
-        Raises:
-            LinkError: the robot cannot be reached.
-        """
+        """Stop the wheels, and the tasks even if the wheels cannot be reached."""
         with ExitStack() as stopping:
             if self._has_tasks:
                 stopping.callback(self.tasks.stop_all)
@@ -286,10 +268,92 @@ class Robot:
         """Make it safe and end its subscription; closing twice does no harm.
 
         A robot that could not be made safe gets no farewell, so that its watchdog stops it.
-
-        Raises:
-            LinkError: the robot cannot be reached.
         """
         with closing(self._subscription), self._heartbeat:
             self.control.end()
             self.make_safe()
+
+
+class SteeredSystem(RobotSystem):
+    """A system that steers a robot in a closed loop on its odometry, and keeps its way in `trajectory.csv`.
+
+    Attributes:
+        commands: the one topic that it commands, for `Together`, too.
+        odometry_topic: the one that it is steered by.
+    """
+
+    commands: Sequence[str] = (COMMAND_TOPIC,)
+    odometry_topic: str = POSE_TOPIC
+
+    def __init__(
+        self,
+        *,
+        name: str | None,
+        namespace: str,
+        connect_timeout_s: float,
+        odometry_timeout_s: float,
+        sole_control: bool,
+    ) -> None:
+        super().__init__(name=name)
+        check_numbers(self.name, connect_timeout_s=connect_timeout_s, odometry_timeout_s=odometry_timeout_s)
+        self.namespace = namespace
+        self.connect_timeout_s, self.odometry_timeout_s = connect_timeout_s, odometry_timeout_s
+        self.sole_control = sole_control
+        self._robot: Robot | None = None
+        self._values: Sequence[MeasureValue] | None = None
+        self._is_simulated = False
+
+    def reached(self, context: RobotRunnerContext) -> Robot:
+        """Return the robot, whose odometry is subscribed from now on."""
+        raise NotImplementedError
+
+    def check_ready(self, robot: Robot, context: RobotRunnerContext) -> None:
+        """See that the robot has what else the mission needs; nothing, if not overridden."""
+
+    def required_graph(self, circumstances: Circumstances) -> Iterable[GraphNeed]:
+        """Return odometry and velocity commands."""
+        del circumstances
+        fix = "Start the robot's bringup, or correct the plugin's namespace."
+        yield GraphNeed.published(self.odometry_topic, ODOMETRY, is_sole=self.sole_control, fix=fix)
+        for topic in self.commands:
+            yield GraphNeed.subscribed(topic, *sorted(VELOCITY_COMMANDS), is_sole=self.sole_control, fix=fix)
+
+    def start_run(self, context: RobotRunnerContext) -> None:
+        """Connect, and see that the robot answers and obeys nobody else."""
+        self._robot = self._values = None
+        self._robot = robot = self.reached(context)
+        robot.odometer.wait(self.connect_timeout_s)
+        robot.check_commands_subscribed(where=self.name)
+        self.check_ready(robot, context)
+        robot.control.take(context, sole=self.sole_control)
+
+    @contextmanager
+    def keeping_way(self, robot: Robot, context: RobotRunnerContext) -> Iterator[None]:
+        """While it lasts, keep the robot's way, and write it afterwards."""
+        path = context.raw_data_folder / "trajectory.csv"
+        trajectory = Trajectory(LiveSamples(path))
+        with ExitStack() as ending:
+            ending.callback(trajectory.write, path)
+            ending.callback(setattr, robot.odometer, "on_pose", None)
+            robot.odometer.on_pose = trajectory.add
+            yield
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """Stop the robot and leave it."""
+        del context
+        if self._robot is not None:
+            self._robot.close()
+            if self._values is not None:
+                self._is_simulated = self._robot.is_simulated()
+
+    def populate_run_data(self, context: RobotRunnerContext) -> None:
+        """Publish the measures; no values where the mission did not take place."""
+        self.publish_values(context, self._values, is_simulated=self._is_simulated)
+
+    def make_safe(self, context: RobotRunnerContext) -> None:
+        """Stop the robot, and its tasks, also in a process that has not been connected to it before."""
+        link, namespace = connect_robot(context, namespace=self.namespace), robot_namespace(context, self.namespace)
+        with ExitStack() as closing:
+            closing.callback(lambda: self.reached(context).close())
+            for topic in self.commands:  # before anything that has to ask the graph first
+                Wheels(link, namespace=namespace, topic=topic).command(0.0, 0.0)
