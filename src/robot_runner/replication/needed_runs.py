@@ -59,7 +59,7 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
 
     Args:
         differences: as a comparison has them: `verdict`, `first_n`, `first_sd`, `second_sd`, `difference`, `bound`,
-            `not_computed`.
+            `not_computed`; where runs count together, `unit`, and `first_units` and `first_error` of both experiments.
         alpha: the level of significance.
     """
     if not differences:
@@ -67,6 +67,7 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
     undecided = [each for each in differences if each["verdict"] == "undecided"]
     fewest = min(min(each["first_n"], each["second_n"]) for each in undecided or differences)
     there_are = f"there {'is' if fewest == 1 else 'are'} {counted(fewest, 'run')} a combination"
+    unit = next((str(each["unit"]) for each in undecided if each.get("unit")), "")
     if fewest < 2:  # noqa: PLR2004 - one value has no spread
         return f"{there_are}, and 2 of each experiment are the fewest that can be tested"
     if why := next((str(each["not_computed"]) for each in undecided if each.get("not_computed")), ""):
@@ -76,6 +77,13 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
     if not known or len(known) < len(undecided):
         return f"{there_are}, and the difference lies so close to the bound that no number of runs would do"
     fix = "--bound names another bound" if max(known) > _MOST / 100 else "`robot-runner extend` adds runs to both"
+    if unit:
+        fewest = min(_units(each, side) for each in undecided for side in _SIDES)
+        there_are += f", of {counted(fewest, 'unit')} of {unit}"
+        return (
+            f"{there_are}, and about {max(known):,} units of each experiment would be needed, if means and spread stay "
+            f"as they are ({_POWER:.0%} power; more runs of the same units hardly help)"
+        )
     return (
         f"{there_are}, and about {max(known):,} of each experiment would be needed, if means and spread stay as they "
         f"are ({_POWER:.0%} power; {fix})"
@@ -84,11 +92,25 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
 
 def _needed(each: Mapping[str, Any], alpha: float) -> int | None:
     """Return how many runs would decide a combination one way or the other."""
-    variance = (each["first_sd"] or 0.0) ** 2 + (each["second_sd"] or 0.0) ** 2
+    variance = sum(_variance(each, side) for side in _SIDES)
     difference, bound = each["difference"] or 0.0, each["bound"]
     ways = [runs_for_difference(variance, difference, alpha)]
     if bound:
         ways.append(runs_for_equivalence(variance, difference, bound, alpha))
     found = [way for way in ways if way is not None]
     fewest = min(found, default=None)
-    return None if fewest is None else max(fewest, min(each["first_n"], each["second_n"]) + 1)
+    return None if fewest is None else max(fewest, min(_units(each, side) for side in _SIDES) + 1)
+
+
+_SIDES = ("first", "second")
+
+
+def _units(each: Mapping[str, Any], side: str) -> int:
+    """Return how many units a combination has that vary by chance: its runs, where none count together."""
+    return int(each.get(f"{side}_units") or each[f"{side}_n"])
+
+
+def _variance(each: Mapping[str, Any], side: str) -> float:
+    """Return the variance of one such unit."""
+    error = each.get(f"{side}_error")
+    return float(error) ** 2 * _units(each, side) if error is not None else (each[f"{side}_sd"] or 0.0) ** 2

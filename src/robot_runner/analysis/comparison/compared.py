@@ -194,6 +194,9 @@ class Difference:
         equivalence_p_value: the larger one of the two one-sided tests.
         not_computed: why there is no verdict by numbers; empty where there is one.
         practical: the probabilities of a region of practical equivalence, where one was stated.
+        unit: what several runs have in common, so that they count together: a block, whole plot, subject or robot.
+        first_units, second_units: how many of these there are; None where runs stand by themselves.
+        first_error, second_error: the standard errors of the means, where runs count together.
     """
 
     treatments: Mapping[str, str]
@@ -214,6 +217,11 @@ class Difference:
     verdict: Verdict = Verdict.UNDECIDED
     not_computed: str = ""
     practical: PracticalEquivalence | None = None
+    unit: str = ""
+    first_units: int | None = None
+    second_units: int | None = None
+    first_error: float | None = None
+    second_error: float | None = None
 
     @property
     def label(self) -> str:
@@ -258,6 +266,7 @@ class MeasureComparison:
         verdict: of all combinations together.
         not_computed: what could not be compared and why.
         are_answers: whether it is yes or no in both, so that its means are proportions.
+        procedure: the test of the difference, in words.
     """
 
     first_name: str
@@ -273,6 +282,7 @@ class MeasureComparison:
     not_computed: tuple[NotComputed, ...] = ()
     region: Bound | None = None
     are_answers: bool = False
+    procedure: str = ""
 
     @property
     def name(self) -> str:
@@ -295,6 +305,7 @@ class Comparison:
         measures: one each.
         differing: circumstances that differ: what, in the first, in the second.
         notes: what a reader has to know, such as combinations that only one of them has.
+        together: what runs have in common, such as a day, where runs that have it count together.
     """
 
     first: Side
@@ -305,6 +316,7 @@ class Comparison:
     measures: tuple[MeasureComparison, ...]
     differing: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
+    together: tuple[str, ...] = ()
 
     @property
     def verdict(self) -> Verdict:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.analysis.comparison.compared import (
     TOO_WIDE,
@@ -16,7 +16,7 @@ from robot_runner.analysis.comparison.compared import (
     Side,
     Verdict,
 )
-from robot_runner.analysis.comparison.comparison_document import conclusion_of
+from robot_runner.analysis.comparison.comparison_document import conclusion_of, procedure_of
 from robot_runner.analysis.comparison.equivalence import (
     Regions,
     agreement_of,
@@ -38,6 +38,7 @@ from robot_runner.analysis.comparison.matching import (
     names_of,
     of_one_quantity,
 )
+from robot_runner.analysis.comparison.shared_units import estimate_of
 from robot_runner.analysis.results import results_of
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
 from robot_runner.analysis.statistics.post_hoc import adjusted
@@ -52,13 +53,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.comparison.matching import Matching
+    from robot_runner.analysis.comparison.matching import MatchedValues, Matching
+    from robot_runner.analysis.comparison.shared_units import Floats, Units
     from robot_runner.analysis.results import Results
-
-    Floats = NDArray[np.float64]
 
 _ALPHA = 0.05
 _PERCENT = 100.0
@@ -129,6 +126,7 @@ def compare(
         compared,
         differing_circumstances(ours, theirs),
         tuple(dict.fromkeys(notes)),
+        matching.together,
     )
 
 
@@ -194,6 +192,11 @@ class _Asked(NamedTuple):
     obstacle: str = ""
 
     @property
+    def are_proportions(self) -> bool:
+        """Whether proportions are compared: answers that are no pairs."""
+        return self.are_answers and not self.is_paired
+
+    @property
     def is_bound_too_wide(self) -> bool:
         """Whether all there is is within the bound."""
         return self.are_answers and self.bound is not None and self.bound.holds_all_proportions
@@ -209,11 +212,12 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
         obstacle = "One of the experiments has values that are no numbers."
     asked = asked._replace(are_answers=are_answers(matching, names), obstacle=obstacle)
     found_values = (group.values(*names, is_paired=asked.is_paired) for group in matching.groups)
-    values = [(one, in_unit(other, units[1], units[0])) for one, other in found_values]
-    found = [_tested(group.treatments, *pair, asked) for group, pair in zip(matching.groups, values, strict=True)]
+    values = [each._replace(second=in_unit(each.second, units[1], units[0])) for each in found_values]
+    found = [_tested(group.treatments, each, asked) for group, each in zip(matching.groups, values, strict=True)]
     differences = tuple(_judged(each, asked.alpha) for each in _adjusted(found))
     ours, theirs = matching.first.columns[names[0]], matching.second.columns[names[1]]
-    labelled = {each.label: pair for each, pair in zip(differences, values, strict=True)}
+    labelled = {each.label: pair[:2] for each, pair in zip(differences, values, strict=True)}
+    together = tuple(dict.fromkeys(name for each in values if each.units.are_shared for name in each.units.names))
     compared = MeasureComparison(
         *names,
         unit=ours.unit,
@@ -227,15 +231,17 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
         not_computed=tuple(_missed(differences, asked, *units)),
         region=asked.region,
         are_answers=asked.are_answers,
+        procedure=procedure_of(are_proportions=asked.are_proportions, is_paired=asked.is_paired, together=together),
     )
     return replace(compared, conclusion=conclusion_of(compared))
 
 
-def _tested(treatments: Mapping[str, str], first: Floats, second: Floats, asked: _Asked) -> Difference:
+def _tested(treatments: Mapping[str, str], values: MatchedValues, asked: _Asked) -> Difference:
     """Compare the values of one combination; p-values are not adjusted yet."""
+    first, second, units = values
     region, alpha, is_paired = asked.region, asked.alpha, asked.is_paired
     bound = None if asked.is_bound_too_wide else asked.bound
-    one, other = (float(values.mean()) if len(values) else None for values in (first, second))
+    one, other = (float(each.mean()) if len(each) else None for each in (first, second))
     size = None if one is None or other is None else other - one
     described = Difference(
         treatments,
@@ -248,31 +254,51 @@ def _tested(treatments: Mapping[str, str], first: Floats, second: Floats, asked:
         size,
         relative=size / abs(one) * _PERCENT if size is not None and one else None,
         bound=None if bound is None or one is None else bound.in_units(one),
+        **_facts_of(units, first, second),
     )
     if asked.obstacle:
         return replace(described, not_computed=asked.obstacle)
-    if asked.are_answers and not is_paired and size is not None:
-        told = proportion_test(first, second, alpha=alpha)
+    if asked.are_proportions and size is not None:
+        if why := units.why_unknown:
+            return replace(described, not_computed=why)
+        told = proportion_test(first, second, alpha=alpha, units=units)
         return replace(
             described,
             interval=told.interval,
             narrow_interval=told.narrow,
             p_value=told.p_value,
-            equivalence_p_value=equivalent_proportions(first, second, bound) if bound and described.bound else None,
+            equivalence_p_value=equivalent_proportions(first, second, bound, units=units)
+            if bound and described.bound
+            else None,
         )
-    if why := why_not_testable(first, second, is_paired=is_paired):
+    if why := why_not_testable(first, second, is_paired=is_paired, units=units):
         return replace(described, not_computed=why)
-    test, pair = difference_test(first, second, alpha=alpha, is_paired=is_paired), (first, second)
+    test, pair = difference_test(first, second, alpha=alpha, is_paired=is_paired, units=units), (first, second)
     return replace(
         described,
         interval=test.interval,
         narrow_interval=test.narrow,
         p_value=test.p_value,
-        equivalence_p_value=equivalence_p_value(*pair, bound, is_paired=is_paired)
+        equivalence_p_value=equivalence_p_value(*pair, bound, is_paired=is_paired, units=units)
         if bound and described.bound
         else None,
-        practical=practical_equivalence(*pair, region, alpha=alpha, is_paired=is_paired) if region else None,
+        practical=practical_equivalence(*pair, region, alpha=alpha, is_paired=is_paired, units=units)
+        if region
+        else None,
     )
+
+
+def _facts_of(units: Units, first: Floats, second: Floats) -> dict[str, Any]:
+    """Return what there is to tell of runs that count together; nothing where none do."""
+    if not units.are_shared:
+        return {}
+    found: dict[str, Any] = {"unit": units.name}
+    pairs = zip((first, second), units.kinds, units.counts, strict=True)
+    for name, (values, kinds, count) in zip(("first", "second"), pairs, strict=True):
+        found[f"{name}_units"] = count
+        if len(values) > 1 and count != 1:
+            found[f"{name}_error"] = estimate_of(values, kinds).variance ** 0.5
+    return found
 
 
 def _adjusted(differences: Sequence[Difference]) -> list[Difference]:
@@ -292,7 +318,6 @@ def _judged(difference: Difference, alpha: float) -> Difference:
 def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: str) -> Iterator[NotComputed]:
     if asked.is_bound_too_wide:
         yield NotComputed("equivalence", sentence(TOO_WIDE))
-    are_proportions = asked.are_answers and not asked.is_paired
     for each in differences:
         if each.not_computed:
             yield NotComputed(f"test of {each.label}", each.not_computed)
@@ -301,7 +326,7 @@ def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: s
             yield NotComputed(f"equivalence of {each.label}", why)
         elif asked.region is not None and each.practical is None:
             why = "The runs of one experiment are all equal, so that there is no posterior distribution."
-            why = "They are computed of means, and not of proportions." if are_proportions else why
+            why = "They are computed of means, and not of proportions." if asked.are_proportions else why
             yield NotComputed(f"probabilities of {each.label}", why)
     if one != other and not of_one_quantity(other, one):
         why = f"The units are {one or 'not known'} and {other or 'not known'}: numbers are compared as they are."

@@ -123,14 +123,19 @@ def _why_undecided(measure: MeasureComparison) -> str:
     return (
         f"for {listed(each.label for each in undecided)} the runs suffice neither to show a difference nor to show "
         f"that the difference is within the bound of {shown_bound(measure)} "
-        f"({_fewest_runs(undecided)} a combination)."
+        f"({_fewest_runs(undecided)})."
     )
 
 
 def _fewest_runs(differences: Sequence[Difference]) -> str:
     """Return how many runs the smallest combinations have, of each experiment where these differ."""
     first, second = (min(getattr(each, name) for each in differences) for name in ("first_n", "second_n"))
-    return counted(first, "run") if first == second else f"{first} and {counted(second, 'run')}"
+    runs = counted(first, "run") if first == second else f"{first} and {counted(second, 'run')}"
+    of_units = [each for each in differences if each.unit]
+    if not of_units:
+        return f"{runs} a combination"
+    units = min(count for each in of_units for count in (each.first_units, each.second_units) if count is not None)
+    return f"{runs} a combination, of {counted(units, 'unit')} of {of_units[0].unit}"
 
 
 def _largest(measure: MeasureComparison) -> str:
@@ -179,10 +184,15 @@ def difference_table(comparison: Comparison, measure: MeasureComparison) -> Tabl
     def size(each: Difference) -> Cell:
         return Cell.of_text(", ".join(map(str, dict.fromkeys((each.first_n, each.second_n)))))
 
+    def units(each: Difference) -> Cell:
+        counts = dict.fromkeys((each.first_units, each.second_units))
+        return Cell.of_text(", ".join("apart" if count is None else str(count) for count in counts))
+
     fields: list[Field | tuple[Field, ...]] = [
         text(" / ".join(comparison.factors) or "Group", "label"),
         text("Verdict", "verdict.value", lambda each: _TONES[each.verdict]),
         field("n", size, is_number=True),
+        *([field(" or ".join(comparison.together), units, is_number=True)] if comparison.together else []),
         number(comparison.first.name, "first_mean"),
         number(comparison.second.name, "second_mean"),
         number("Difference", "difference"),
@@ -193,16 +203,31 @@ def difference_table(comparison: Comparison, measure: MeasureComparison) -> Tabl
     ]
     if measure.region is not None:
         fields += [_probability(name) for name in ("below", "within", "above")]
-    of_means = "t-test of pairs" if comparison.is_paired else "Welch's t-test"
-    test = "Newcombe's score intervals" if measure.are_answers and not comparison.is_paired else of_means
     bound = f"two one-sided tests with a bound of {shown_bound(measure)}" if measure.bound else "no bound was stated"
-    note = f"Difference: {test}, p-values adjusted after Holm. Equivalence: {bound}. {ALPHA} = {comparison.alpha:g}."
+    note = f"Difference: {measure.procedure}, p-values adjusted after Holm. Equivalence: {bound}. "
+    note += f"{ALPHA} = {comparison.alpha:g}."
     if measure.region is not None:
         region = _shown_bound(measure.region, measure.unit)
         note += f" P: that the second mean is below, within or above {region} of the first; prior of each mean and "
         note += "standard deviation: 1 / standard deviation."
     caption = f"{measure.label}: {comparison.second.name} less {comparison.first.name}."
     return build_table(f"difference {measure.name}", caption, measure.differences, fields, note)
+
+
+def procedure_of(*, are_proportions: bool, is_paired: bool, together: Sequence[str]) -> str:
+    """Return the test of a difference in words.
+
+    Args:
+        are_proportions: whether the measure is yes or no.
+        is_paired: whether runs belong together one by one.
+        together: what runs have in common that therefore count together.
+    """
+    of_means = "t-test of pairs" if is_paired else "Welch's t-test"
+    test = "Newcombe's score intervals" if are_proportions else of_means
+    if not together:
+        return test
+    alike = f"runs of one {' or '.join(together)} counting together"
+    return f"{test}, {alike} ({'effective numbers of runs' if are_proportions else 'cluster-robust variance'})"
 
 
 def _probability(which: str) -> Field:
@@ -233,6 +258,9 @@ def _circumstances(comparison: Comparison) -> Iterator[Block]:
     names = (comparison.first.name, comparison.second.name)
     matched = f"by {' and '.join(comparison.factors)}" if comparison.factors else "as one group"
     pairs = "Runs of a combination belong together one by one." if comparison.is_paired else "Runs are independent."
+    if comparison.together:
+        alike = f"Runs of one {' or '.join(comparison.together)} vary together, and count together."
+        pairs = f"{pairs} {alike}" if comparison.is_paired else alike
     yield Paragraph(f"Runs that are done are matched {matched}. {pairs}")
     if comparison.differing:
         yield circumstances_table(names, comparison.differing)

@@ -18,9 +18,10 @@ from scipy import integrate, optimize, special, stats
 
 from robot_runner.analysis.comparison.compared import Agreement, Bound, PracticalEquivalence
 from robot_runner.analysis.comparison.matching import of_one_quantity
+from robot_runner.analysis.comparison.shared_units import APART, MeansTest, Units, estimate_of, shares_of
 from robot_runner.analysis.importing.units import known_units, unit_of
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
-from robot_runner.analysis.statistics.proportions import Share, difference_ends, score_of
+from robot_runner.analysis.statistics.proportions import difference_ends, score_of
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from robot_runner.analysis.comparison.shared_units import Kinds
 
     Floats = NDArray[np.float64]
 
@@ -46,15 +49,21 @@ class DifferenceTest:
     narrow: Interval
 
 
-def why_not_testable(first: NDArray[np.float64], second: NDArray[np.float64], *, is_paired: bool) -> str:
+def why_not_testable(
+    first: NDArray[np.float64], second: NDArray[np.float64], *, is_paired: bool, units: Units = APART
+) -> str:
     """Return why nothing can be tested, or nothing where it can."""
     if min(len(first), len(second)) < _FEWEST:
         return f"There are {len(first)} and {len(second)} runs; {_FEWEST} are needed of each."
+    if why := units.why_unknown:
+        return why
     if odd := out_of_range(first) or out_of_range(second):
         return f"One of the experiments {odd}"
     spread = float(np.ptp(second - first)) if is_paired else float(np.ptp(first)) + float(np.ptp(second))
     if spread <= _ROUNDING * max(float(np.abs(first).max()), float(np.abs(second).max())):
         return "All values are equal, so chance cannot be told from a difference."
+    if units.are_shared and not _means_test(second, first, is_paired=is_paired, units=units).error > 0:
+        return f"The means of each {units.name} are equal, so chance cannot be told from a difference."
     return ""
 
 
@@ -64,7 +73,7 @@ def spread_of(values: Floats) -> float | None:
 
 
 def difference_test(
-    first: NDArray[np.float64], second: NDArray[np.float64], *, alpha: float, is_paired: bool
+    first: NDArray[np.float64], second: NDArray[np.float64], *, alpha: float, is_paired: bool, units: Units = APART
 ) -> DifferenceTest:
     """Test the difference of two means, second less first: Welch's t-test, or one of pairs.
 
@@ -73,9 +82,10 @@ def difference_test(
         second: values of the second; of pairs in the same order.
         alpha: the level of significance.
         is_paired: whether values belong together.
+        units: which values vary together.
     """
-    result = _t_test(second, first, is_paired=is_paired)
-    method = "paired t" if is_paired else "Welch's t"
+    result = _t_test(second, first, is_paired=is_paired, units=units)
+    method = ("paired t" if is_paired else "Welch's t") + units.in_words
     intervals = []
     for level in (1 - alpha, 1 - 2 * alpha):
         interval = result.confidence_interval(confidence_level=level)
@@ -84,7 +94,7 @@ def difference_test(
 
 
 def equivalence_p_value(
-    first: NDArray[np.float64], second: NDArray[np.float64], bound: Bound, *, is_paired: bool
+    first: NDArray[np.float64], second: NDArray[np.float64], bound: Bound, *, is_paired: bool, units: Units = APART
 ) -> float:
     """Return the p-value of two one-sided tests (TOST): the second mean lies within the bound around the first one.
 
@@ -93,45 +103,59 @@ def equivalence_p_value(
         second: values of the second; of pairs in the same order.
         bound: what would not matter.
         is_paired: whether values belong together.
+        units: which values vary together.
     """
     lower, upper = _edges(first, bound)
-    above = _t_test(second, lower, is_paired=is_paired, alternative="greater")
-    below = _t_test(second, upper, is_paired=is_paired, alternative="less")
+    above = _t_test(second, lower, is_paired=is_paired, units=units, alternative="greater")
+    below = _t_test(second, upper, is_paired=is_paired, units=units, alternative="less")
     return max(float(above.pvalue), float(below.pvalue))
 
 
-def proportion_test(first: Floats, second: Floats, *, alpha: float) -> DifferenceTest:
+def proportion_test(first: Floats, second: Floats, *, alpha: float, units: Units = APART) -> DifferenceTest:
     """Test the difference of two proportions, second less first, by Newcombe's score intervals.
 
     Args:
         first: answers of the first experiment, 1 for yes and 0 for no.
         second: answers of the second.
         alpha: the level of significance.
+        units: which answers vary together.
     """
-    one, other = (Share(float(values.mean()), len(values)) for values in (first, second))
-    ends = [difference_ends(other, one, float(stats.norm.isf(each))) for each in (alpha / 2, alpha)]
-    p_value = min(1.0, 2 * float(stats.norm.sf(abs(score_of(other, one)))))
+    one, other, chance = shares_of(first, second, units)
+    ends = [difference_ends(other, one, float(chance.isf(each))) for each in (alpha / 2, alpha)]
+    p_value = min(1.0, 2 * float(chance.sf(abs(score_of(other, one)))))
     wide, narrow = (
-        Interval(*each, level, "Newcombe's score interval")
+        Interval(*each, level, f"Newcombe's score interval{units.in_words}")
         for each, level in zip(ends, (1 - alpha, 1 - 2 * alpha), strict=True)
     )
     return DifferenceTest(p_value, wide, narrow)
 
 
-def equivalent_proportions(first: Floats, second: Floats, bound: Bound) -> float:
+def equivalent_proportions(first: Floats, second: Floats, bound: Bound, *, units: Units = APART) -> float:
     """Return the p-value of two one-sided tests: the second proportion lies within a bound around the first one.
 
     With a bound in percent it is tested against multiples of the first one, which is not known exactly either.
     """
-    one, other = (Share(float(values.mean()), len(values)) for values in (first, second))
+    one, other, chance = shares_of(first, second, units)
     share = bound.value / _PERCENT if bound.is_relative else 0.0
     edge = 0.0 if bound.is_relative else bound.value
     scores = score_of(other, one, -edge, 1 - share), -score_of(other, one, edge, 1 + share)
-    return float(stats.norm.sf(min(scores)))
+    return float(chance.sf(min(scores)))
 
 
-def _t_test(one: NDArray[np.float64], other: NDArray[np.float64], *, is_paired: bool, **settings: str) -> Any:
-    """Return scipy's t-test of pairs, or Welch's."""
+def _means_test(
+    one: Floats, other: Floats, *, is_paired: bool, units: Units, alternative: str = "two-sided"
+) -> MeansTest:
+    if is_paired:
+        return MeansTest.of_pairs(estimate_of(one - other, units.of_pairs), alternative)
+    return MeansTest.of_means(estimate_of(one, units.second), estimate_of(other, units.first), alternative)
+
+
+def _t_test(
+    one: NDArray[np.float64], other: NDArray[np.float64], *, is_paired: bool, units: Units, **settings: str
+) -> Any:
+    """Return scipy's t-test of pairs, or Welch's; of values that vary together the same of their units."""
+    if units.are_shared:
+        return _means_test(one, other, is_paired=is_paired, units=units, **settings)
     with quiet():  # of experiments whose own values are all equal scipy says that precision may be lost
         if is_paired:
             return stats.ttest_1samp(one - other, 0.0, **settings)
@@ -274,10 +298,13 @@ class _Posterior(NamedTuple):
 
     mean: float
     scale: float
-    freedom: int
+    freedom: float
 
     @classmethod
-    def of(cls, values: Floats) -> _Posterior:
+    def of(cls, values: Floats, kinds: Kinds = ()) -> _Posterior:
+        if kinds:
+            found = estimate_of(values, kinds)
+            return cls(found.mean, found.variance**0.5, found.freedom)
         return cls(float(values.mean()), float(values.std(ddof=1)) / len(values) ** 0.5, len(values) - 1)
 
     def below(self, edge: float) -> float:
@@ -288,7 +315,7 @@ class _Posterior(NamedTuple):
 
 
 def practical_equivalence(
-    first: Floats, second: Floats, bound: Bound, *, alpha: float, is_paired: bool
+    first: Floats, second: Floats, bound: Bound, *, alpha: float, is_paired: bool, units: Units = APART
 ) -> PracticalEquivalence | None:
     """Return how probable it is that the second mean lies below, within and above a region about the first one.
 
@@ -298,13 +325,15 @@ def practical_equivalence(
         bound: the half-width of the region; a percentage is of the first mean, which is not known exactly either.
         alpha: the credible interval of the difference holds 1 - alpha.
         is_paired: whether values belong together.
+        units: which values vary together.
 
     Returns:
         None where values do not vary, so that there is no posterior.
     """
     if is_paired:
-        return _of_pairs(first, second, bound, alpha)
-    one, other = _Posterior.of(first), _Posterior.of(second)
+        return _of_pairs(first, second, bound, alpha, units)
+    kinds = (units.first, units.second) if units.are_shared else ((), ())
+    one, other = map(_Posterior.of, (first, second), kinds)
     if not min(one.scale, other.scale) > 0:
         return None
 
@@ -317,8 +346,9 @@ def practical_equivalence(
     return _result(first, bound, below, above, Interval(low, high, 1 - alpha, "posterior (Behrens-Fisher)"))
 
 
-def _of_pairs(first: Floats, second: Floats, bound: Bound, alpha: float) -> PracticalEquivalence | None:
-    lower, upper, difference = (_Posterior.of(second - each) for each in (*_edges(first, bound), first))
+def _of_pairs(first: Floats, second: Floats, bound: Bound, alpha: float, units: Units) -> PracticalEquivalence | None:
+    kinds = units.of_pairs if units.are_shared else ()
+    lower, upper, difference = (_Posterior.of(second - each, kinds) for each in (*_edges(first, bound), first))
     if not min(lower.scale, upper.scale, difference.scale) > 0:
         return None
     ends = Interval(difference.quantile(alpha / 2), difference.quantile(1 - alpha / 2), 1 - alpha, "posterior (t)")

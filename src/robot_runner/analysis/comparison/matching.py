@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.comparison.shared_units import APART, Units, same_robots, unit_columns_of_both
 from robot_runner.analysis.importing.units import Unit, unit_of
 from robot_runner.analysis.run_frame import several
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.secret_names import shown_settings
+from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -29,30 +31,50 @@ class MatchedRuns:
     Attributes:
         treatments: the combination, by factor.
         first, second: their rows in the run tables; of pairs in the same order.
+        units: which of them vary together.
     """
 
     treatments: Mapping[str, str]
     first: pd.DataFrame
     second: pd.DataFrame
+    units: Units = APART
 
-    def values(self, first: str, second: str, *, is_paired: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def values(self, first: str, second: str, *, is_paired: bool) -> MatchedValues:
         """Return the values of a measure in each, without missing ones; of pairs, both or none."""
         ours, theirs = numbers_of(self.first[first]), numbers_of(self.second[second])
-        if not is_paired:
-            return ours[np.isfinite(ours)], theirs[np.isfinite(theirs)]
-        both = np.isfinite(ours) & np.isfinite(theirs)
-        return ours[both], theirs[both]
+        known = (np.isfinite(ours), np.isfinite(theirs))
+        if is_paired:
+            known = (known[0] & known[1],) * 2
+        return MatchedValues(ours[known[0]], theirs[known[1]], self.units.of_runs(*known))
+
+
+class MatchedValues(NamedTuple):
+    """The values of a measure in both experiments, and which of them vary together."""
+
+    first: NDArray[np.float64]
+    second: NDArray[np.float64]
+    units: Units
 
 
 @dataclass(frozen=True, slots=True)
 class Matching:
-    """How the runs of two experiments were matched: by which factors, one group a combination; notes for readers."""
+    """How the runs of two experiments were matched: by which factors, one group a combination; notes for readers.
+
+    Attributes:
+        blocks: the columns of either experiment that are no treatments.
+    """
 
     first: Results
     second: Results
     factors: tuple[str, ...]
     groups: tuple[MatchedRuns, ...]
     notes: tuple[str, ...]
+    blocks: tuple[str, ...] = ()
+
+    @property
+    def together(self) -> tuple[str, ...]:
+        """What runs have in common that therefore count together."""
+        return tuple(dict.fromkeys(name for each in self.groups for name in each.units.names))
 
 
 def are_answers(matching: Matching, names: tuple[str, str]) -> bool:
@@ -62,11 +84,17 @@ def are_answers(matching: Matching, names: tuple[str, str]) -> bool:
 
 
 def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
-    """Match the runs that are done by the treatments of the factors that both experiments have."""
-    factors = tuple(name for name in first.factors if name in second.factors)
+    """Match the runs that are done by the treatments of the factors that both experiments have.
+
+    What the design of either adds beside treatments, such as days, is none in the other, too.
+    """
+    columns = unit_columns_of_both(first, second)
+    blocks = tuple(dict.fromkeys(name for each in columns for name in each.every))
+    factors = tuple(name for name in first.factors if name in second.factors and name not in blocks)
     names = names_of(first, second)
-    notes = _notes_on_factors(dict(zip(names, (first, second), strict=True)), factors)
+    notes = _notes_on_factors(dict(zip(names, (first, second), strict=True)), factors, blocks)
     ours, theirs = (_by_combination(each, factors) for each in (first, second))
+    notes += _notes_on_robots(first, second)
     for name, here, there in zip(names, (ours, theirs), (theirs, ours), strict=True):
         alone = [" / ".join(_treatments(rows, factors)) for key, rows in here.items() if key not in there]
         if alone:
@@ -74,9 +102,12 @@ def match_runs(first: Results, second: Results, *, is_paired: bool) -> Matching:
     groups = []
     for key, rows in ours.items():
         if key in theirs:
-            pair = _paired(first, second, rows, theirs[key]) if is_paired else (rows, theirs[key])
-            groups.append(MatchedRuns(dict(zip(factors, _treatments(rows, factors), strict=True)), *pair))
-    return Matching(first, second, factors, tuple(groups), tuple(notes))
+            pair = _paired(first, second, rows, theirs[key], blocks) if is_paired else (rows, theirs[key])
+            units = Units.of(pair, columns)
+            groups.append(MatchedRuns(dict(zip(factors, _treatments(rows, factors), strict=True)), *pair, units))
+    told = [name for name in blocks if name in (*first.factors, *second.factors)]
+    notes[:0] = [*_notes_on_blocks(told, groups), *([] if is_paired else _notes_on_same_units(first, second, groups))]
+    return Matching(first, second, factors, tuple(groups), tuple(notes), blocks)
 
 
 def chosen_measures(first: Results, second: Results, wanted: str | Sequence[str] | None) -> list[tuple[str, str]]:
@@ -113,15 +144,51 @@ def _named(first: Results, second: Results, text: str) -> tuple[str, str]:
     return names
 
 
-def _notes_on_factors(experiments: Mapping[str, Results], factors: tuple[str, ...]) -> list[str]:
+def _notes_on_factors(
+    experiments: Mapping[str, Results], factors: tuple[str, ...], blocks: tuple[str, ...]
+) -> list[str]:
     notes = []
     for called, results in experiments.items():
-        own = [name for name in results.factors if name not in factors]
+        own = [name for name in results.factors if name not in (*factors, *blocks)]
         if own:
             notes.append(f"Only {called} has the factor {', '.join(own)}: its runs are taken together.")
     if not factors:
-        notes.append("The experiments have no factor in common: all runs are compared as one group.")
+        beside = f" beside {listed(blocks)}" if blocks else ""
+        notes.append(f"The experiments have no factor in common{beside}: all runs are compared as one group.")
     return notes
+
+
+def _notes_on_blocks(blocks: Sequence[str], groups: Sequence[MatchedRuns]) -> Iterator[str]:
+    together = dict.fromkeys(name for each in groups for name in each.units.names)
+    if blocks:
+        are, them = ("is no treatment", "it") if len(blocks) == 1 else ("are no treatments", "them")
+        apart = "" if together else ", and as no combination has several runs of one, each run counts by itself"
+        yield f"{listed(blocks)} {are}, as the design adds {them}: runs are matched without {them}{apart}."
+    if together:
+        names = " or ".join(together)
+        yield (
+            f"Runs of one {names} vary together, and count together: chance is how much units of {names} differ. More "
+            "runs of the same units hardly make the comparison more precise."
+        )
+
+
+def _notes_on_same_units(first: Results, second: Results, groups: Sequence[MatchedRuns]) -> Iterator[str]:
+    for name in dict.fromkeys(name for each in groups for name in each.units.names):
+        ours, theirs = (set(each.done[name].astype("str")) if name in each.done else None for each in (first, second))
+        if ours == theirs:
+            yield (
+                f"Units of {name} have the same names in both, and are taken for others all the same. Where they are "
+                "the same robots, rooms or people, --paired compares within them."
+            )
+
+
+def _notes_on_robots(first: Results, second: Results) -> Iterator[str]:
+    robots = same_robots(first, second)
+    if robots:
+        yield (
+            f"Both experiments used {listed(robots)}, which are taken for the same robots. Where they are others, name "
+            'Robot as the blocks of the analysis: AnalysisPlan(blocks="Robot").'
+        )
 
 
 def _by_combination(results: Results, factors: tuple[str, ...]) -> dict[tuple[str, ...], pd.DataFrame]:
@@ -141,9 +208,11 @@ def _treatments(rows: pd.DataFrame, factors: tuple[str, ...]) -> tuple[str, ...]
 
 
 def _paired(
-    first: Results, second: Results, ours: pd.DataFrame, theirs: pd.DataFrame
+    first: Results, second: Results, ours: pd.DataFrame, theirs: pd.DataFrame, blocks: tuple[str, ...]
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return the rows that belong together: by run id within one experiment, else by repetition, else in order.
+
+    Runs of one repetition and of blocks of the same name are pairs, where both experiments have these.
 
     Raises:
         AnalysisError: that does not tell which run belongs to which.
@@ -151,7 +220,12 @@ def _paired(
     if first.folder == second.folder:
         keys = (ours[RUN_ID], theirs[RUN_ID])
     elif first.repetition and second.repetition:
-        keys = (ours[first.repetition].astype("str"), theirs[second.repetition].astype("str"))
+        shared = [name for name in blocks if name in ours and name in theirs]
+        columns = ([*shared, first.repetition], [*shared, second.repetition])
+        keys = tuple(
+            pd.Series(list(rows[names].astype("str").itertuples(index=False, name=None)), dtype="object")
+            for rows, names in zip((ours, theirs), columns, strict=True)
+        )
     else:
         keys = (pd.Series(range(len(ours))), pd.Series(range(len(theirs))))
         if len(ours) != len(theirs):
@@ -243,10 +317,11 @@ def differing_circumstances(*experiments: Results) -> tuple[tuple[str, ...], ...
     """Return what differs between experiments: what it is, then how it is in each."""
     rows = [("Runs that are done", *(str(len(each.done)) for each in experiments))]
     rows += [(name, *(_shown(_within(each.manifest, keys)) for each in experiments)) for name, keys in _ASPECTS]
+    blocks = {name for each in unit_columns_of_both(*experiments) for name in each.every}
     for factor in experiments[0].factors:
         if all(factor in each.factors for each in experiments):
             treatments = (", ".join(map(str, each.runs[factor].cat.categories)) for each in experiments)
-            rows.append((f"Treatments of {factor}", *treatments))
+            rows.append((factor if factor in blocks else f"Treatments of {factor}", *treatments))
     return tuple(row for row in rows if len(set(row[1:])) > 1)
 
 
