@@ -255,7 +255,7 @@ CELLS = {
     "float('inf')": "",
     "__import__('numpy').float32('nan')": "",
     "__import__('numpy').float32('-inf')": "",
-    "__import__('numpy').datetime64('NaT')": "",
+    "__import__('numpy').datetime64('NaT', 's')": "",
     "__import__('decimal').Decimal('NaN')": "",
     "__import__('decimal').Decimal('Infinity')": "",
     "__import__('numpy').ma.masked": "",
