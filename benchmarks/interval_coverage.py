@@ -11,7 +11,6 @@ from scipy import stats
 
 from benchmarks.null_designs import DISTRIBUTIONS, NullDesign
 from benchmarks.table import Judged
-from robot_runner.analysis.statistics.analysed_design import Group
 from robot_runner.analysis.statistics.cell_layout import layout_of
 from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import describe, quiet
@@ -21,6 +20,7 @@ from robot_runner.analysis.statistics.effect_sizes import (
     omega_squared,
     paired_rank_biserial,
 )
+from robot_runner.analysis.statistics.grouped_runs import Group
 from robot_runner.analysis.statistics.linear_model import fit_model
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 

@@ -1,8 +1,8 @@
 """A D-optimal design: seven of the eleven allowed combinations, from which main effects are estimated best.
 
 The network is not reached at full speed, and work of the computer is varied only for the task that has some: a fraction
-of a factorial would lose its balance, and this one is built around what is left. The report describes the runs and
-tests nothing: where Work is inactive, it tells the task. To test, make one factor of both: "computation for 0.1 s".
+of a factorial would lose its balance, and this one is built around what is left. The report tests work among the runs
+of the computation alone, and says so.
 """
 
 from robot_runner import ExperimentConfig, Factor, RunTableModel, treatment

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.analysis.planning.assumed_values import means_file
+from robot_runner.analysis.planning.assumed_values import differences_of, means_file
 from robot_runner.analysis.planning.planned_study import Study
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
@@ -46,3 +46,17 @@ def test_a_row_too_many_names_the_column_that_is_missing(tmp_path: Path) -> None
     with pytest.raises(AnalysisError) as refused:
         means_file(STUDY, path, {"Energy": 1.0})
     assert refused.value.fix == "Leave one out, or add the column Map."
+
+
+def test_a_difference_of_a_conditional_factor_is_of_the_runs_to_which_it_applies() -> None:
+    factors = [
+        Factor("Sensor", ["camera", "lidar"]),
+        Factor("Resolution", ["720p", "1080p", "4k"], when={"Sensor": "camera"}),
+    ]
+    study = Study.of_model("study", RunTableModel(factors, repetitions=3), None, {"Energy": "J"})
+    assert study.varied == ("Sensor", "Resolution")
+    (difference,) = differences_of(study, ["Resolution=4"], ["Energy"])
+    assert [difference.at(study, cell) for cell in study.cells] == [-2, 0, 2, 0]
+    with pytest.raises(AnalysisError) as refused:
+        differences_of(study, ["Sensor x Resolution=4"], ["Energy"])
+    assert refused.value.problem == "Sensor has one treatment where Resolution applies"

@@ -45,6 +45,15 @@ needs_r = pytest.mark.skipif(
 )
 
 TASKS, MAPS = Factor("Task", ["Video", "Network", "Idle"]), Factor("Map", ["lab", "hall"])
+SENSOR = Factor("Sensor", ["camera", "lidar", "sonar"])
+RESOLUTION = Factor("Resolution", ["720p", "1080p"], when={"Sensor": "camera"})
+BEAMS = Factor("Beams", [1, 2, 3], when={"Sensor": ["lidar", "sonar"]})
+NESTED_PLAN = {
+    "measures": ["Energy"],
+    "hypotheses": [
+        {"statement": "So.", "measure": "Energy", "factors": ["Beams"], "contrast": {"1": 1, "3": -1}, "within": 9}
+    ],
+}
 PLAN = {
     "measures": ["Energy"],
     "secondary": ["CPU"],
@@ -109,6 +118,9 @@ DESIGNS: dict[str, tuple[list[Factor], int, set[int], dict[str, Any]]] = {
     "yes or no, two factors": ([TASKS, MAPS], 7, {2, 3}, {"analysis": {"measures": ["Energy", "CPU"]}}),
     "yes or no, blocks": ([TASKS, MAPS], 9, {4}, {"blocks": "Repetition"}),
     "yes or no, two blocks": ([TASKS, MAPS], 2, set(), {"blocks": "Repetition"}),
+    "conditional factors": ([SENSOR, BEAMS, RESOLUTION, MAPS], 3, {1, 9}, {"analysis": NESTED_PLAN}),
+    "a conditional factor, blocks": ([SENSOR, RESOLUTION, MAPS], 8, {4}, {"blocks": "Repetition"}),
+    "yes or no, a conditional factor": ([SENSOR, BEAMS, MAPS], 6, {4}, {}),
     "odd names": ([Factor(EVIL, EVILS), Factor("is on", [True, False])], 2, set(), {}),
 }
 

@@ -141,7 +141,7 @@ def test_a_model_says_of_a_combination_that_it_has_a_single_run_only_where_one_h
 def test_a_factor_that_cannot_be_tested_gives_its_effect_to_no_other():
     # Only the resolution of the camera costs anything, and it goes together with the sensor and, in part, the speed.
     cells = {("camera", "720p", "2"): 0, ("camera", "1080p", "1"): 9, ("camera", "1080p", "2"): 9}
-    cells |= {("lidar", "inactive", "1"): 0, ("lidar", "inactive", "2"): 0}
+    cells |= {("lidar", "none", "1"): 0, ("lidar", "none", "2"): 0}
     rows = [[*cell, cost + run] for cell, cost in cells.items() for run in (0.0, 1.0, 0.5)]
     found = analyse(designed(rows, ["Sensor", "Resolution", "Speed"], {"kind": "d_optimal", "model": "main"}))
     assert found.measure("y").test is None

@@ -15,8 +15,8 @@ from tests.analysis.made_experiment import make_experiment
 from tests.analysis.statistics.designed_data import designed
 
 from robot_runner.analysis import analyse, load_results
-from robot_runner.analysis.statistics.analysed_design import Group
 from robot_runner.analysis.statistics.disclosed import Reason
+from robot_runner.analysis.statistics.grouped_runs import Group
 from robot_runner.analysis.statistics.proportions import _proportion
 from robot_runner.core.design.factor import Factor
 

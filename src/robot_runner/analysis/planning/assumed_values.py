@@ -107,7 +107,7 @@ class Difference:
         share = 1.0
         for name, text in zip(study.factors, cell, strict=True):
             if name in self.factors:
-                texts = study.factors[name]
+                texts = study.treatments(name)
                 share *= {texts[0]: -0.5, texts[-1]: 0.5}.get(text, 0.0)
         return self.size * share
 
@@ -145,7 +145,8 @@ def differences_of(study: Study, texts: Sequence[str], measures: Sequence[str]) 
             raise AnalysisError(f"{text!r} is no difference", where=option, fix=fix)
         factors = tuple(each.strip() for each in names.split(_AND))
         for name in factors:
-            if len(study.factor(name, option)) < 2:  # noqa: PLR2004 - a difference takes two
+            study.factor(name, option)
+            if len(study.treatments(name)) < 2:  # noqa: PLR2004 - a difference takes two
                 fix = f"Name a factor with two treatments: {', '.join(study.varied)}."
                 raise AnalysisError(f"{name} has a single treatment", where=option, fix=fix)
             if name not in study.varied:
@@ -153,6 +154,10 @@ def differences_of(study: Study, texts: Sequence[str], measures: Sequence[str]) 
                 raise AnalysisError(f"{name} makes the blocks, and has no effect to test", where=option, fix=fix)
         if len(set(factors)) < len(factors):
             raise AnalysisError(f"{text!r} names a factor twice", where=option, fix="Name each factor once.")
+        apart = study.apart(factors)
+        if apart:
+            fix = f"Name {' x '.join(each for each in factors if each != apart[1])}, or {apart[1]} by itself."
+            raise AnalysisError(f"{apart[0]} has one treatment where {apart[1]} applies", where=option, fix=fix)
         of = [study.measure(measure.strip(), option)] if has_measure else measures
         found += [Difference(each, factors, _number(number, option, text)) for each in of]
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,6 +13,7 @@ import pandas as pd
 from robot_runner.analysis.results import Results
 from robot_runner.analysis.run_frame import RunFrame
 from robot_runner.analysis.statistics.known_design import KnownDesign
+from robot_runner.analysis.statistics.nested_factors import IDLE, NestedFactors, conditions_of
 from robot_runner.core.design.columns import BATCH, REPETITION, RUN_ID, STATUS
 from robot_runner.core.design.design import CombinationDesign
 from robot_runner.core.design.factor import treatment_text
@@ -45,7 +46,7 @@ class ArrangedRun(NamedTuple):
     blocks: Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Study:
     """A design that can be repeated more or less often, and how it will be analysed.
 
@@ -106,11 +107,39 @@ class Study:
             arranged=arranged,
         )
 
+    @cached_property
+    def nested(self) -> NestedFactors:
+        """The factors with their treatments, of which some may apply to some runs only."""
+        conditions = conditions_of(pd.DataFrame(self.cells, columns=list(self.factors)))
+        levels = {
+            name: [text for text in texts if text != IDLE or name not in conditions]
+            for name, texts in self.factors.items()
+        }
+        return NestedFactors(levels, conditions)
+
+    def treatments(self, name: str) -> list[str]:
+        """Return the treatments of a factor; where it does not apply, it has none."""
+        return self.nested[name]
+
+    def apart(self, factors: Sequence[str]) -> tuple[str, str] | None:
+        """Return of several factors one that has a single treatment where another one applies, with that; else None."""
+        left = self.nested.scope(factors)
+        alone = [name for name in factors if len(left[name]) <= 1 < len(self.nested[name])]
+        return next(
+            (
+                (name, each)
+                for name in alone
+                for each in factors
+                if each != name and len(self.nested.scope([each])[name]) <= 1
+            ),
+            None,
+        )
+
     @property
     def varied(self) -> tuple[str, ...]:
         """The factors whose effects are tested: with two and more treatments, and no blocks."""
         blocks = {self.blocks, self.plan.blocks if self.plan is not None else None}
-        return tuple(name for name, texts in self.factors.items() if len(texts) > 1 and name not in blocks)
+        return tuple(name for name, texts in self.nested.items() if len(texts) > 1 and name not in blocks)
 
     def factor(self, name: str, where: str) -> tuple[str, ...]:
         """Return the treatments of a factor.

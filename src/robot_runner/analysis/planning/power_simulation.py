@@ -23,7 +23,7 @@ from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.post_hoc import adjusted, contrast_of, p_value_of_contrast
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
-from robot_runner.analysis.statistics.tested import NotComputed
+from robot_runner.analysis.statistics.tested import NotComputed, named_within
 from robot_runner.analysis.statistics.tests import Choices, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import AnalysisError
@@ -170,7 +170,8 @@ class Simulation:
         ]
         for each in self._measures:
             for test in each.model.effects():
-                label = f"{enumerated_factors(test.factors)} on {each.assumed.name}"
+                what = named_within(enumerated_factors(test.factors), each.data.within(test.factors))
+                label = f"{what} on {each.assumed.name}"
                 found.append(
                     Claim(effect_key(each.assumed.name, test.factors), label, each.assumed.name, is_hypothesis=False)
                 )

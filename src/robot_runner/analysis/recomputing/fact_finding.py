@@ -94,6 +94,8 @@ def facts_of_study(
         correlated=tuple(_correlated(shown, design)),
         correlations=_correlations(shown, is_plain=design.known.is_plain),
         without_within=0 if design.known.is_plain else len(shown.correlations),
+        conditional=tuple(name for name in design.factors if name in design.conditions),
+        possible=design.possible if design.conditions else None,
     )
 
 

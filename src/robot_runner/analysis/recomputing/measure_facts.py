@@ -21,6 +21,7 @@ from robot_runner.analysis.statistics.cell_means import CellMeans
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.linear_model import FittedModel
+from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.outcome import Proportion
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import check_estimand, model_of
@@ -190,21 +191,21 @@ def _answered(
         effects=tuple(
             (
                 each.factors[0],
-                tuple(name for name in data.factors if name not in each.factors),
+                tuple(data.others(each.factors)),
                 effect_keys[each.factors],
                 drawn.get(each.factors),
             )
             for each in known
         ),
         tested=Reported.of(rows),
-        pairs=tuple(_paired(each, effect_keys[each.factors], "ranks") for each in measure.post_hoc),
+        pairs=tuple(_paired(each, effect_keys[each.factors], "ranks", data) for each in measure.post_hoc),
         treatments=tuple(tuple((each.first, each.second) for each in of.comparisons) for of in measure.post_hoc),
     )
 
 
 def _left(measure: MeasureStatistics) -> list[Reported]:
     """Return the tables of tests that are not computed again."""
-    pairs = (_paired(each, "", "ranks").reported for each in measure.post_hoc)
+    pairs = (_paired(each, "", "ranks", None).reported for each in measure.post_hoc)
     return [_tested(measure, "ranks"), _contrasts(measure), *pairs]
 
 
@@ -220,11 +221,13 @@ def _compared(
     used, _, _ = comparable(data)
     model = model_of(used, choices.estimand, choices.statistic)
     beside = model_of(used, check_estimand(choices.estimand), choices.statistic)
+    if isinstance(nested := used.treatments, NestedFactors) and not _is_known(model):
+        return None
     if measure.test is None or not isinstance(model, _KNOWN) or not isinstance(beside, (*_KNOWN, NotComputed)):
         return None
     tested, checked = (_procedures(each) for each in (model, beside))
     effects = [
-        _effect(each, effect_keys[each.factors], tested[each.factors], checked.get(each.factors, ""))
+        _effect(each, effect_keys[each.factors], tested[each.factors], checked.get(each.factors, ""), used)
         for each in measure.test.effects
     ]
     known = [each for each in effects if each is not None]
@@ -246,7 +249,7 @@ def _compared(
         left_out=_left_out(used, model),
         effects=tuple(known),
         tested=_tested(measure, of),
-        pairs=tuple(_paired(each, effect_keys[each.factors], of) for each in measure.post_hoc),
+        pairs=tuple(_paired(each, effect_keys[each.factors], of, used) for each in measure.post_hoc),
         contrasts=tuple(
             _contrasted(by_statement[each.statement], levels, choices, contrast_keys[each.statement])
             for each in measure.contrasts
@@ -257,7 +260,17 @@ def _compared(
         has_check=not isinstance(beside, NotComputed),
         is_uniform=_is_uniform(model) and _is_uniform(beside),
         terms=_terms(model),
+        nested=tuple((name, tuple(of.items())) for name, of in nested.conditions.items())
+        if isinstance(nested, NestedFactors)
+        else (),
     )
+
+
+def _is_known(model: object) -> bool:
+    """Return whether scripts know the comparisons of factors that apply to some runs only."""
+    if not isinstance(model, CellMeans):
+        return False
+    return model.layout.inverse is None and not (model.layout.is_blocked and model.layout.between)
 
 
 def _terms(model: Model) -> tuple[tuple[bool, ...], ...]:
@@ -271,7 +284,7 @@ def _levels(model: Model) -> dict[str, list[str]]:
     return {name: list(of) for name, of in (model.layout if isinstance(model, CellMeans) else model).factors.items()}
 
 
-def _effect(effect: Effect, key: str, tested: str, checked: str) -> TestedEffect | None:
+def _effect(effect: Effect, key: str, tested: str, checked: str, data: MeasureData) -> TestedEffect | None:
     """Return an effect with the procedures that test it; None where these are not known."""
     has_check = effect.check is not None and effect.check.p_value is not None
     test, check = tested.removesuffix(_BOOTSTRAP), checked.removesuffix(_BOOTSTRAP) if has_check else ""
@@ -285,7 +298,15 @@ def _effect(effect: Effect, key: str, tested: str, checked: str) -> TestedEffect
         check=_PROCEDURES.get(check, ""),
         drawn=effect.p_value if tested.endswith(_BOOTSTRAP) else None,
         check_is_drawn=has_check and checked.endswith(_BOOTSTRAP),
+        levels=_levels_of(effect, data),
     )
+
+
+def _levels_of(effect: Effect, data: MeasureData) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Return the treatments of an effect's factors where all of them apply; nothing where all apply everywhere."""
+    if not isinstance(nested := data.treatments, NestedFactors):
+        return ()
+    return tuple(zip(effect.factors, map(tuple, nested.levels(effect.factors)), strict=True))
 
 
 def _tested(measure: MeasureStatistics, of: str) -> Reported:
@@ -345,10 +366,12 @@ def _size(size: EffectSize, name: str) -> Row:
     return {name: size.value, **_ends(size.interval, f"{name} ")}
 
 
-def _paired(post_hoc: PostHoc, key: str, of: str) -> Paired:
+def _paired(post_hoc: PostHoc, key: str, of: str, data: MeasureData | None) -> Paired:
     pairs = [(f"{each.first} and {each.second}", each) for each in post_hoc.comparisons]
     adjusted = Reported.of([(label, {"adjusted p": each.adjusted_p_value}) for label, each in pairs])
-    return Paired(key, post_hoc.factors, Reported.of([(label, _pair(each, of)) for label, each in pairs]), adjusted)
+    reported = Reported.of([(label, _pair(each, of)) for label, each in pairs])
+    others = () if data is None else tuple(data.others(post_hoc.factors))
+    return Paired(key, post_hoc.factors, others, reported, adjusted)
 
 
 def _pair(pair: Comparison, of: str) -> Row:

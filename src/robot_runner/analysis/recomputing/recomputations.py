@@ -14,6 +14,7 @@ from robot_runner.analysis.recomputing.literals import Code, python_literal, r_l
 from robot_runner.analysis.recomputing.study_facts import LEVEL
 from robot_runner.analysis.report.writing import made_by, report_folder
 from robot_runner.analysis.results import results_of
+from robot_runner.analysis.statistics.nested_factors import IDLE
 from robot_runner.core.storage.guarded_files import make_folder, replace
 
 if TYPE_CHECKING:
@@ -37,7 +38,26 @@ def r_script(study: StudyFacts) -> str:
         which_of=_which_of,
         terms=_r_terms,
         weights=_weights,
+        treatments=_r_treatments,
+        conditions=_r_conditions,
+        applied=lambda study, factors: Code(
+            f"every[{_r_applied(factors)}, ]" if study.is_conditional(factors) else "every"
+        ),
+        where_applied=_r_applied,
     )
+
+
+def _r_treatments(of: Sequence[tuple[str, Sequence[str]]]) -> Code:
+    return Code(f"list({', '.join(f'{r_literal(name)} = {r_literal(list(levels))}' for name, levels in of)})")
+
+
+def _r_conditions(of: Sequence[tuple[str, Sequence[tuple[str, Sequence[str]]]]]) -> Code:
+    return Code(f"list({', '.join(f'{r_literal(name)} = {_r_treatments(parents)}' for name, parents in of)})")
+
+
+def _r_applied(factors: Sequence[str]) -> Code:
+    """Return which runs a factor applies to."""
+    return Code(f"every[[{r_literal(factors[0])}]] != {r_literal(IDLE)}")
 
 
 def _r_table(reported: Reported) -> Code:
@@ -93,10 +113,23 @@ def cells_of(study: StudyFacts) -> list[tuple[str, str]]:
         mapping=_mapping,
         levels=_levels,
         terms=lambda it: Code(f"[{', '.join(_names(effect.factors) for effect in it.effects)}]"),
+        treatments=lambda of: _mapping(dict(of)),
+        conditions=lambda of: Code(
+            f"{{{', '.join(f'{python_literal(name)}: {_mapping(dict(parents))}' for name, parents in of)}}}"
+        ),
+        applied=lambda study, factors: Code(
+            f"every[{_applied(factors)}]" if study.is_conditional(factors) else "every"
+        ),
+        where_applied=lambda factors: Code(f"({_applied(factors)}).to_numpy()"),
     )
     _, *parts = _CELL.split(text)
     found = [("markdown" if mark else "code", source) for mark, source in zip(parts[::2], parts[1::2], strict=True)]
     return [(kind, _BLANK_LINES.sub("\n\n\n", source).strip()) for kind, source in found if source.strip()]
+
+
+def _applied(factors: Sequence[str]) -> str:
+    """Return which runs a factor applies to."""
+    return f"every[{python_literal(factors[0])}] != {python_literal(IDLE)}"
 
 
 def _cell(place: int, kind: str, source: str) -> dict[str, Any]:

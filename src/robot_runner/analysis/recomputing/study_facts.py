@@ -88,6 +88,7 @@ class TestedEffect:
         test, check: names of procedures; empty where there is none.
         drawn: the p-value of the report, where it comes from a bootstrap.
         check_is_drawn: whether that of the check does.
+        levels: the treatments of its factors where all of them apply; of designs with conditional factors alone.
     """
 
     key: str
@@ -97,14 +98,20 @@ class TestedEffect:
     check: str
     drawn: Number
     check_is_drawn: bool
+    levels: tuple[tuple[str, tuple[str, ...]], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """All pairs of the treatments of one factor, or of the combinations of several."""
+    """All pairs of the treatments of one factor, or of the combinations of several.
+
+    Attributes:
+        others: the factors in which runs are alike that are compared.
+    """
 
     key: str
     factors: tuple[str, ...]
+    others: tuple[str, ...]
     reported: Reported
     adjusted: Reported
 
@@ -145,6 +152,7 @@ class Compared:
         d_name: what differences in standard deviations are called.
         is_uniform: whether all combinations vary.
         terms: where some combinations have no run, the effects that are estimated, each as whether a factor is in it.
+        nested: where factors apply that do not apply everywhere: the treatments of others, by factor.
     """
 
     kind: str
@@ -164,6 +172,7 @@ class Compared:
     has_check: bool
     is_uniform: bool
     terms: tuple[tuple[bool, ...], ...] = ()
+    nested: tuple[tuple[str, tuple[tuple[str, tuple[str, ...]], ...]], ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -270,6 +279,8 @@ class StudyFacts:
         families: the tests among which errors are controlled together.
         adjusted: p-values after adjustment.
         correlated: the measures that are correlated, two by two, each with its factors.
+        conditional: the factors that apply to some runs only.
+        possible: how many combinations there can be, where there are such.
     """
 
     name: str
@@ -291,6 +302,12 @@ class StudyFacts:
     correlated: tuple[tuple[tuple[str, tuple[str, ...]], ...], ...]
     correlations: Reported
     without_within: int
+    conditional: tuple[str, ...] = ()
+    possible: int | None = None
+
+    def is_conditional(self, factors: Sequence[str]) -> bool:
+        """Return whether the groups of a factor are of some runs only."""
+        return len(factors) == 1 and factors[0] in self.conditional
 
     @property
     def skipped(self) -> int:
@@ -326,6 +343,11 @@ class StudyFacts:
     def has_gaps(self) -> bool:
         """Whether some combinations have no run, though their effects are estimated."""
         return any(each.terms for each in self.compared)
+
+    @property
+    def has_nested(self) -> bool:
+        """Whether some measure is compared whose factors apply to some runs only."""
+        return any(each.nested for each in self.compared)
 
     @property
     def has_trimmed(self) -> bool:

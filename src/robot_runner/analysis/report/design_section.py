@@ -12,6 +12,8 @@ from robot_runner.analysis.report.charts import points_chart
 from robot_runner.analysis.report.material import JOINT, correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
 from robot_runner.analysis.statistics.known_precision import repeated_interval
+from robot_runner.analysis.statistics.nested_factors import IDLE
+from robot_runner.analysis.statistics.tested import named_within
 from robot_runner.analysis.wording import ALPHA, MINUS, about_intervals, listed, sentence, with_unit
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import STATUS
@@ -141,13 +143,15 @@ def _executions(executions: list[Mapping[str, Any]]) -> str:
 def _factor_table(material: Material) -> Table:
     repetition = material.results.repetition
     names = [*material.results.factors, *([repetition] if repetition else [])]
+    within = material.statistics.design.within
 
     def treatments(name: str) -> list[Any]:
         values = material.runs[name]
-        return list(values.cat.categories if hasattr(values, "cat") else sorted(values.dropna().unique()))
+        found = list(values.cat.categories if hasattr(values, "cat") else sorted(values.dropna().unique()))
+        return [each for each in found if name not in within or str(each) != IDLE]
 
     fields = (
-        text("Factor", str),
+        text("Factor", lambda name: named_within(name, within.get(name, ""))),
         text("Treatments", lambda name: listed(treatments(name), shown=12)),
         number("How many", lambda name: len(treatments(name))),
     )

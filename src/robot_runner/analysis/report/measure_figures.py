@@ -17,6 +17,7 @@ from robot_runner.analysis.figures.effects import draw_interaction
 from robot_runner.analysis.report.blocks import Block, FigureBlock, Gallery, Paragraph, Part, Section, Tone
 from robot_runner.analysis.report.material import JOINT, origin_in_words
 from robot_runner.analysis.report.mission_figures import mission_parts, stills_part, trajectory_part
+from robot_runner.analysis.statistics.nested_factors import IDLE
 from robot_runner.analysis.wording import RHO, difference_unit, shown_number, with_unit
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated
@@ -144,9 +145,12 @@ def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, 
     labels = material.labels_by(factors)
     described = {JOINT.join(each.treatments.values()): each for each in _descriptions(measure, factors)}
     runs = material.described(measure)
-    members: dict[str, list[tuple[float, str]]] = {label: [] for label in material.order_by(factors)}
+    within = material.statistics.design.within
+    order = [label for label in material.order_by(factors) if label != IDLE or not within.keys() >= {*factors}]
+    members: dict[str, list[tuple[float, str]]] = {label: [] for label in order}
     for run_id, value in zip(runs[RUN_ID], runs[measure.name], strict=True):
-        members[labels[run_id]].append((float(value), str(run_id)))
+        if labels[run_id] in members:
+            members[labels[run_id]].append((float(value), str(run_id)))
     groups = []
     for label, pairs in members.items():
         description = described.get(label)
@@ -162,7 +166,10 @@ def _interactions(material: Material, measure: MeasureStatistics) -> Iterator[Fi
         return
     varied, is_full = material.statistics.design.factors, material.statistics.design.kind == "full_factorial"
     tested = {effect.factors for effect in measure.test.effects} if measure.test is not None else set()
+    nested = material.statistics.design.within
     for along, across in combinations(varied, 2):
+        if (along, across) not in tested and not nested.keys().isdisjoint((along, across)):
+            continue  # they do not apply together
         if not is_full and (measure.surface is not None or (along, across) not in tested):
             continue  # the design does not tell it, or a surface shows it
         if material.done[along].nunique() < material.done[across].nunique():
@@ -173,16 +180,18 @@ def _interactions(material: Material, measure: MeasureStatistics) -> Iterator[Fi
 
 def _interaction(material: Material, measure: MeasureStatistics, along: str, across: str) -> FigureBlock:
     groups = {group.label: group for group in _groups(material, measure, (along, across)) if group.size}
-    treatments = [str(each) for each in material.runs[along].cat.categories]
+    treatments = _applied(material, along)
     by_second = {
         second: {first: groups[key] for first in treatments if (key := f"{first}{JOINT}{second}") in groups}
-        for second in map(str, material.runs[across].cat.categories)
+        for second in _applied(material, across)
     }
     lines = {second: members for second, members in by_second.items() if members}
+    effects = measure.test.effects if measure.test is not None else ()
+    within = "".join(f" within {each.within}" for each in effects if each.within and {*each.factors} == {along, across})
     return FigureBlock(
         f"interaction {measure.name} {along} {across}",
-        f"Mean {material.results.label(measure.name)} of each combination of {along} and {across}. Lines that are not "
-        f"parallel hint at an interaction.{origin_in_words(measure.origin)}",
+        f"Mean {material.results.label(measure.name)} of each combination of {along} and {across}{within}. Lines that "
+        f"are not parallel hint at an interaction.{origin_in_words(measure.origin)}",
         f"Interaction of {along} and {across} on {measure.name}.",
         partial(
             draw_interaction,
@@ -193,6 +202,12 @@ def _interaction(material: Material, measure: MeasureStatistics, along: str, acr
             across=across,
         ),
     )
+
+
+def _applied(material: Material, factor: str) -> list[str]:
+    """Return the treatments of a factor: where it does not apply, it has none."""
+    texts = [str(each) for each in material.runs[factor].cat.categories]
+    return [text for text in texts if text != IDLE or factor not in material.statistics.design.within]
 
 
 def figures_section(material: Material) -> Section:

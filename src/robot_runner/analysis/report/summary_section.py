@@ -66,7 +66,8 @@ def _cards(material: Material, threats: Sequence[Remark]) -> Iterator[Card]:
     design = material.statistics.design
     factors = [name for name in material.results.factors if name in {*design.factors, *design.constant_factors}]
     if factors:
-        sizes = f" {TIMES} ".join(str(material.runs[name].nunique()) for name in factors)
+        counts = [material.runs[name].nunique() - (name in design.within) for name in factors]
+        sizes = f" {TIMES} ".join(map(str, counts))
         yield Card(sizes, _plural(sizes, "treatment"), f"of {listed(factors, shown=3)}")
     if design.used:
         least, most = design.smallest_group, design.largest_group

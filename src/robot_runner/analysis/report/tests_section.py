@@ -26,6 +26,7 @@ from robot_runner.analysis.report.plan_part import besides, planned_parts, stand
 from robot_runner.analysis.report.surface_part import surface_parts
 from robot_runner.analysis.report.tables import Field, build_table, field, interval, number, p_value, text
 from robot_runner.analysis.statistics.proportions import PROPORTION, QUANTITY
+from robot_runner.analysis.statistics.tested import named_within
 from robot_runner.analysis.wording import (
     ALPHA,
     MISSING,
@@ -245,7 +246,10 @@ def _pair_table(measure: MeasureStatistics, label: str, post_hoc: PostHoc) -> Ta
         p_value("Adjusted p", "adjusted_p_value", "is_significant"),
         p_value(f"p of {'means' if post_hoc.quantity.endswith('ranks') else 'ranks'}", "check_p_value"),
     ]
-    name, caption = f"pairs {measure.name} {' '.join(post_hoc.factors)}", f"all pairs of {' / '.join(post_hoc.factors)}"
+    name, caption = (
+        f"pairs {measure.name} {' '.join(post_hoc.factors)}",
+        f"all pairs of {named_within(' / '.join(post_hoc.factors), post_hoc.within)}",
+    )
     note = (
         f"{post_hoc.method}; {_about_brackets(post_hoc)} Adjusted after "
         f"{correction_in_words(post_hoc.correction)}, and no smaller than the p-value of the effect."

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from robot_runner.analysis.statistics.effect_coding import coded_columns
+from robot_runner.analysis.statistics.nested_factors import columns_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.effect_coding import Term
+    from robot_runner.analysis.statistics.nested_factors import NestedFactors
 
     Floats = NDArray[np.float64]
     Numbers = NDArray[np.intp]
@@ -48,13 +50,20 @@ class Aliasing(NamedTuple):
     mixed: frozenset[Term]
 
 
-def aliasing_of(codes: Mapping[str, Numbers], *, main_only: bool = False, together: int = 1) -> Aliasing:
+def aliasing_of(
+    codes: Mapping[str, Numbers],
+    *,
+    main_only: bool = False,
+    together: int = 1,
+    nested: NestedFactors | None = None,
+) -> Aliasing:
     """Return what combinations can tell.
 
     Args:
         codes: the number of the treatment of each combination, by factor; each combination once.
         main_only: whether interactions are left out, as of designs that are made for main effects.
         together: effects of so many factors are estimated together where they are not orthogonal.
+        nested: the factors, where some apply to some runs only.
 
     Example:
         >>> a, b = np.array([0, 1, 0, 1]), np.array([0, 0, 1, 1])
@@ -68,8 +77,11 @@ def aliasing_of(codes: Mapping[str, Numbers], *, main_only: bool = False, togeth
     basis: Floats = np.full((count, 1), count**-0.5)
     aliases: dict[Term, list[Term]] = {}
     mixed: set[Term] = set()
+    possible = None if nested is None else set(nested.terms(_MOST_FACTORS))
     for term in _candidates(tuple(codes), main_only=main_only):
-        columns = coded_columns(codes, sizes, term)
+        if possible is not None and term not in possible:
+            continue
+        columns = coded_columns(codes, sizes, term) if nested is None else columns_of(nested, codes, [term])[term]
         told = basis.T @ columns
         share = float(np.sum(told**2) / np.sum(columns**2))
         if share < _ROUNDING or (len(term) <= together and _leaves_all(basis, columns)):

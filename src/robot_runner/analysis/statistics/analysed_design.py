@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,14 +10,16 @@ import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.design_structure import are_complete, treatments_before, with_structure
+from robot_runner.analysis.statistics.grouped_runs import Group, group_of, numbered
 from robot_runner.analysis.statistics.known_design import PLAIN, KnownDesign, role_column
+from robot_runner.analysis.statistics.nested_factors import IDLE, Conditions, NestedFactors, conditions_of
 from robot_runner.analysis.statistics.outcome import DesignSummary
 from robot_runner.core.design.analysis_plan import ELAPSED, ORDER
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 VALUE = " value"
 PLACE = " place"
 _BLOCK = " block"
+#: How the schema of a run table describes a factor that applies to all runs.
+EVERYWHERE = "A factor."
 BATCH = " batch"
 _STAMP = "start_measurement_at"
 
@@ -35,48 +38,6 @@ _STAMP = "start_measurement_at"
 def covariate_column(name: str) -> str:
     """Return the column that a covariate has in the data of each measure."""
     return f" covariate {name}"
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """The runs of one treatment, or of one combination, that have a value.
-
-    Attributes:
-        treatments: which treatment of which factor, as texts.
-        missing: how many of its runs have no value.
-        units: the number of the unit of each run, which varies as a whole: its block, whole plot or subject; None where
-            runs stand by themselves.
-        unit: what such a unit is called.
-    """
-
-    treatments: dict[str, str]
-    values: NDArray[np.float64]
-    run_ids: tuple[str, ...]
-    missing: int = 0
-    units: NDArray[np.intp] | None = None
-    unit: str = ""
-
-    @property
-    def label(self) -> str:
-        """The group in words."""
-        return " / ".join(self.treatments.values()) or "all runs"
-
-    @property
-    def of_units(self) -> tuple[float, int] | None:
-        """The variance of the mean where runs of a unit vary together, and how many units there are.
-
-        None where no unit has several runs. It is the cluster-robust variance (Liang and Zeger, Biometrika 73, 1986)
-        with J / (J - 1) for J units: with equally many runs in each, that of the mean of the units' means.
-        """
-        if self.units is None or (count := len(np.unique(self.units))) == len(self.units):
-            return None
-        sums = np.bincount(self.units, self.values - np.mean(self.values))  # 0 where a unit has none
-        return (float(count / (count - 1) * (sums @ sums)) / len(self.units) ** 2 if count > 1 else math.nan), count
-
-    @property
-    def in_words(self) -> str:
-        """What an interval has to say where runs of a unit count together."""
-        return f", runs of one {self.unit} counting together"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +55,7 @@ class MeasureData:
         covariates: what values are adjusted for; `frame` has a column of each, and only the runs that have all of them.
         known: the design, beyond factors and blocks.
         block: the column of the blocks.
+        conditions: where factors apply that do not apply everywhere.
     """
 
     name: str
@@ -105,6 +67,7 @@ class MeasureData:
     covariates: tuple[str, ...] = ()
     known: KnownDesign = PLAIN
     block: str = ""
+    conditions: Conditions = field(default_factory=dict)
 
     @property
     def values(self) -> NDArray[np.float64]:
@@ -124,7 +87,7 @@ class MeasureData:
     @property
     def plots(self) -> NDArray[np.intp]:
         """The number of the whole plot of each run that has a value, of a split-plot design."""
-        return _numbered(self.frame, list(map(role_column, self.known.unit_columns)))
+        return numbered(self.frame, list(map(role_column, self.known.unit_columns)))
 
     @property
     def unit_names(self) -> list[str]:
@@ -155,29 +118,70 @@ class MeasureData:
         }
         return {str(run_id): names for run_id, names in found.items() if names}
 
+    @property
+    def treatments(self) -> dict[str, list[str]]:
+        """The treatments of each factor that occur among runs with a value; nested where factors apply to some only."""
+        levels = {name: self.levels(name) for name in self.factors}
+        conditions = {name: of for name in self.factors if (of := self._deciding(name, levels))}
+        for name in set(self.factors) & self.conditions.keys() - conditions.keys():
+            levels[name] += [IDLE] if IDLE in set(self.frame[name]) else []  # it is not tested, see `stranded`
+        return NestedFactors(levels, conditions) if conditions else levels
+
+    def _deciding(self, name: str, levels: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
+        return {
+            parent: wanted
+            for parent, wanted in self.conditions.get(name, {}).items()
+            if parent in levels and (parent in self.conditions or not set(levels[parent]) <= set(wanted))
+        }
+
+    @property
+    def stranded(self) -> list[str]:
+        """The factors that apply to some runs only, though none that is compared decides on that."""
+        return [name for name, levels in self.treatments.items() if name in self.conditions and IDLE in levels]
+
+    def within(self, factors: Sequence[str]) -> str:
+        """Return among which runs an effect is told, as in `Sensor=camera`; nothing where among all."""
+        treatments = self.treatments
+        return treatments.within(factors) if isinstance(treatments, NestedFactors) else ""
+
+    def others(self, factors: Sequence[str]) -> list[str]:
+        """Return the factors in which runs are alike that differ in nothing but these, and in what is nested within."""
+        treatments = self.treatments
+        nested = treatments.nested_in(factors) if isinstance(treatments, NestedFactors) else set()
+        return [name for name in self.factors if name not in {*factors, *nested}]
+
     def strata_columns(self, but: str) -> list[str]:
         """Return the columns in which runs that differ in nothing but one factor are alike, block and batch too."""
-        names = [name for name in self.factors if name != but]
+        names = self.others([but])
         return [*names, *([_BLOCK] if self.is_blocked else []), *([BATCH] if self.is_extended else [])]
 
     def levels(self, factor: str) -> list[str]:
         """Return the treatments of a factor that occur among runs with a value, in their order."""
-        present = set(self.frame[factor])
+        present = set(self.frame[factor]) - ({IDLE} if factor in self.conditions else set())
         return [str(level) for level in self.frame[factor].cat.categories if level in present]
 
     def groups(self, factors: Sequence[str]) -> list[Group]:
         """Return the runs of each combination of treatments of these factors that has a value."""
         return [group for group in self.described_groups(factors) if len(group.values)]
 
+    def applied_groups(self, factors: Sequence[str]) -> list[Group]:
+        """Return the described groups but those in which a factor does not apply."""
+        conditional = [name for name in factors if name in self.conditions]
+        return [
+            group
+            for group in self.described_groups(factors)
+            if all(group.treatments[name] != IDLE for name in conditional)
+        ]
+
     def described_groups(self, factors: Sequence[str]) -> list[Group]:
         """Return the runs of each combination of treatments of these factors that has a run that is done."""
         values = np.asarray(self.every[VALUE], dtype=np.float64)
         run_ids = np.asarray(self.every[RUN_ID], dtype=object)
         columns = [_BLOCK] if self.is_blocked else list(map(role_column, self.known.unit_columns))
-        units = _numbered(self.every, columns) if columns else None
+        units = numbered(self.every, columns) if columns else None
         unit = (self.block or "block") if self.is_blocked else next(iter(self.known.unit_columns), "")
         if not factors:
-            return [_group({}, values, run_ids, units, unit)]
+            return [group_of({}, values, run_ids, units, unit)]
         # By the codes of the treatments, so that groups come in the order of the treatments.
         codes = [np.asarray(self.every[factor].cat.codes) for factor in factors]
         categories = [self.every[factor].cat.categories for factor in factors]
@@ -185,7 +189,7 @@ class MeasureData:
         keys = np.column_stack(codes)[order]
         starts = np.flatnonzero(np.any(np.diff(keys, axis=0), axis=1)) + 1
         return [
-            _group(
+            group_of(
                 {name: str(names[code]) for name, names, code in zip(factors, categories, keys[first], strict=True)},
                 values[rows],
                 run_ids[rows],
@@ -195,23 +199,6 @@ class MeasureData:
             for first, rows in zip((0, *starts), np.split(order, starts), strict=True)
             if len(rows)
         ]
-
-
-def _numbered(frame: pd.DataFrame, columns: Sequence[str]) -> NDArray[np.intp]:
-    """Return the number of what each row has in these columns."""
-    return np.asarray(frame.groupby(list(columns), observed=True, dropna=False).ngroup(), dtype=np.intp)
-
-
-def _group(
-    treatments: dict[str, str],
-    values: NDArray[np.float64],
-    run_ids: NDArray[np.object_],
-    units: NDArray[np.intp] | None,
-    unit: str,
-) -> Group:
-    present = ~np.isnan(values)
-    shared = None if units is None else units[present]
-    return Group(treatments, values[present], tuple(run_ids[present]), int((~present).sum()), shared, unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,6 +214,7 @@ class Design:
         without: runs whose values are not used.
         covariates: what the values of measures are adjusted for; of a covariate itself they are not.
         known: the design, beyond factors and blocks.
+        conditions: where factors apply that do not apply everywhere.
     """
 
     results: Results
@@ -238,6 +226,7 @@ class Design:
     without: frozenset[str] = frozenset()
     covariates: tuple[str, ...] = ()
     known: KnownDesign = PLAIN
+    conditions: Conditions = field(default_factory=dict)
 
     def data(self, measure: str) -> MeasureData | None:
         """Return the data of a measure, or None where its values are no numbers."""
@@ -259,10 +248,11 @@ class Design:
             every = every[~every[RUN_ID].isin(self.without)].reset_index(drop=True)
         known = [column for column in told if every[column].notna().any()]
         frame = every[every[[VALUE, *known]].notna().all(axis="columns")].reset_index(drop=True)
-        factors = tuple(name for name in self.factors if _distinct(frame[name]) > 1)
+        factors = tuple(name for name in self.factors if _several(frame[name], self.conditions))
         is_extended = BATCH in frame and _distinct(frame[BATCH]) > 1
         is_blocked, block = self.block is not None, self.block or ""
-        return MeasureData(measure, frame, every, factors, is_blocked, is_extended, covariates, self.known, block)
+        told_of = (is_blocked, is_extended, covariates, self.known, block, self.conditions)
+        return MeasureData(measure, frame, every, factors, *told_of)
 
     def _numbers(self, measure: str) -> NDArray[np.float64] | None:
         """Return the values of a measure, NaN where there is none; None where they are no numbers."""
@@ -285,7 +275,7 @@ class Design:
         """Return the design in figures and in a sentence."""
         counts = self.frame.groupby(list(self.factors), observed=True).size() if self.factors else None
         found = [len(self.frame)] if counts is None else [int(count) for count in counts]
-        possible = math.prod(_distinct(self.frame[name]) for name in self.factors)
+        possible = self.possible
         return DesignSummary(
             factors=self.factors,
             constant_factors=self.constant,
@@ -298,7 +288,29 @@ class Design:
             largest_group=max(found, default=0),
             sentence=self._sentence(found),
             kind=self.known.kind,
+            within=self._within,
         )
+
+    @property
+    def possible(self) -> int:
+        """How many combinations there can be of the treatments that occur."""
+        return self._nested.count
+
+    @property
+    def _within(self) -> dict[str, str]:
+        return {name: self._nested.within([name]) for name in self._nested.conditions}
+
+    @property
+    def _nested(self) -> NestedFactors:
+        """The factors with the treatments that occur."""
+        levels = {
+            name: [text for text in dict.fromkeys(self.frame[name]) if text != IDLE or name not in self.conditions]
+            for name in self.factors
+        }
+        every = {
+            name: {each: of for each, of in self.conditions.get(name, {}).items() if each in levels} for name in levels
+        }
+        return NestedFactors(levels, {name: of for name, of in every.items() if of})
 
     def _sentence(self, counts: Sequence[int]) -> str:
         if not len(self.frame):
@@ -306,7 +318,8 @@ class Design:
         runs = f"{counted(len(self.frame), 'run')} {'is' if len(self.frame) == 1 else 'are'} done"
         if not self.factors:
             return f"{runs}, all with the same treatments."
-        named = [f"{name} ({counted(_distinct(self.frame[name]), 'treatment')})" for name in self.factors]
+        levels, within = self._nested, {name: f" within {which}" for name, which in self._within.items()}
+        named = [f"{name} ({counted(len(of), 'treatment')}{within.get(name, '')})" for name, of in levels.items()]
         kind = "" if self.known.is_plain else f" ({self.known.in_words})"
         least, most = min(counts), max(counts)
         sizes = counted(least, "run") if least == most else f"{least} to {most} runs"
@@ -345,12 +358,29 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
     if known.period:
         columns |= treatments_before(results, known, names)
     frame = pd.DataFrame(columns)
-    varied = tuple(name for name in names if _distinct(frame[name]) > 1)
+    conditions = _conditions(results, counted_only)
+    varied = tuple(name for name in names if _several(frame[name], conditions))
     constant = tuple(name for name in names if name not in varied)
     has_blocks = column is not None and _distinct(frame[_BLOCK]) > 1
     block = column if has_blocks else None
-    known = with_structure(known, results, frame, varied)
-    return Design(results, frame, varied, constant, block, len(results.runs) - len(done), known=known)
+    known = with_structure(known, results, frame, varied, conditions)
+    left_out = len(results.runs) - len(done)
+    return Design(results, frame, varied, constant, block, left_out, known=known, conditions=conditions)
+
+
+def _conditions(results: Results, blocks: Collection[str | None]) -> Conditions:
+    """Return where factors apply that do not apply everywhere, from the planned runs; rather no block decides."""
+    names = sorted(results.factors, key=lambda name: name not in blocks)
+    planned = results.runs[names].astype("str").drop_duplicates()
+    # A treatment may be called so: the schema of a table of ours says where a factor is conditional.
+    columns = {name: results.columns[name] for name in results.factors if name in results.columns}
+    found = conditions_of(planned)
+    return {name: of for name, of in found.items() if name not in columns or columns[name].description != EVERYWHERE}
+
+
+def _several(treatments: pd.Series, conditions: Conditions) -> bool:
+    """Return whether a factor has several treatments; `inactive` of one that is conditional is none."""
+    return len(set(treatments) - ({IDLE} if treatments.name in conditions else set())) > 1
 
 
 def _distinct(values: pd.Series) -> int:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.analysed_design import Group
+    from robot_runner.analysis.statistics.grouped_runs import Group
 
 SHAPIRO_WILK = "Shapiro-Wilk"
 LEVENE = "Levene"

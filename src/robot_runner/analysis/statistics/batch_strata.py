@@ -95,6 +95,11 @@ def comparable(data: MeasureData) -> Comparable:
         if data.frame.groupby(data.batches)[name].nunique().max() == 1
     ]
     gone = {each.what.removeprefix("the effect of ") for each in missing}
+    for name in data.factors:
+        if gone & set(data.conditions.get(name, ())) and name not in gone:
+            gone.add(name)
+            parents = enumerated(list(data.conditions[name]))
+            missing.append(NotComputed(f"the effect of {name}", f"it applies within {parents} alone, {_UNTOLD}"))
     data = replace(data, factors=tuple(name for name in data.factors if name not in gone))
     if not data.factors:
         return Comparable(data, "", tuple(missing))
@@ -112,6 +117,7 @@ def comparable(data: MeasureData) -> Comparable:
     return Comparable(data, _note(data) + told, tuple(missing))
 
 
+_UNTOLD = "whose treatments lie in different batches: repeat them in one batch."
 _NOT_CONNECTED = (
     "no batch has runs of them beside the others, so that differences cannot be told apart from what changed between "
     "batches; the tests leave these runs out. Add repetitions of the others to the later batch."
@@ -167,6 +173,6 @@ def _without(data: MeasureData, rows: NDArray[np.bool_]) -> MeasureData:
     gone: Iterator[str] = iter(data.frame[RUN_ID][rows])
     names = set(gone)
     frame, every = (each[~each[RUN_ID].isin(names)].reset_index(drop=True) for each in (data.frame, data.every))
-    factors = tuple(name for name in data.factors if len(set(frame[name])) > 1)
-    left = replace(data, frame=frame, every=every, factors=factors)
+    left = replace(data, frame=frame, every=every)
+    left = replace(left, factors=tuple(name for name in data.factors if len(left.levels(name)) > 1))
     return replace(left, is_extended=len(set(left.batches.tolist())) > 1)

@@ -16,8 +16,16 @@ import numpy as np
 from scipy import linalg, stats
 
 from robot_runner.analysis.statistics.batch_strata import batch_shares, run_counts, weights_in_blocks
-from robot_runner.analysis.statistics.contrasts import Moments
+from robot_runner.analysis.statistics.cell_moments import (
+    WINSORISED,
+    left_of,
+    moments_of_runs,
+    moments_of_strata,
+    moments_of_units,
+    winsorised_sizes,
+)
 from robot_runner.analysis.statistics.effect_coding import kron, marginal_row
+from robot_runner.analysis.statistics.nested_factors import NestedFactors, codes_of
 from robot_runner.core.design.analysis_plan import Estimand
 
 if TYPE_CHECKING:
@@ -26,6 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robot_runner.analysis.statistics.analysed_design import MeasureData
+    from robot_runner.analysis.statistics.contrasts import Moments
     from robot_runner.analysis.statistics.effect_coding import Term
 
     Floats = NDArray[np.float64]
@@ -39,13 +48,6 @@ _MOST_CELLS = 500
 
 #: Of the blocks, the share that has to be complete so that the others are left out.
 _COMPLETE = 0.75
-
-#: The standard deviation of normal values in those that are left of them by winsorising a fifth at either end (Algina,
-#: Keselman and Penfield, An alternative to Cohen's standardized mean difference effect size, 2005).
-_WINSORISED = 0.642
-
-#: The share that is cut off at either end for a trimmed mean (Wilcox, Introduction to Robust Estimation, 2012).
-_TRIMMED = 0.2
 
 _PAIR = 2
 
@@ -117,9 +119,11 @@ class Layout:
             estimand: what is estimated of each cell.
         """
         if self.is_blocked:
-            return _of_units(self.units(values, estimand), self.sizes)
+            return moments_of_units(self.units(values, estimand), self.sizes)
         taken, strata = self._taken(values, estimand), self._strata
-        return _of_runs(taken, self.sizes, estimand) if strata is None else _of_strata(taken, *strata, estimand)
+        if strata is None:
+            return moments_of_runs(taken, self.sizes, estimand)
+        return moments_of_strata(taken, *strata, estimand)
 
     def _taken(self, values: Floats, estimand: Estimand) -> Floats:
         taken = values[..., self.rows]
@@ -148,13 +152,13 @@ class Layout:
         """Return what the squared error of each unit's mean is multiplied by, to be the variance of one value."""
         strata = None if self.is_blocked else self._strata
         if strata is None:
-            return _winsorised_sizes(self.sizes) if estimand is Estimand.TRIMMED_MEAN else self.sizes.astype(np.float64)
+            return winsorised_sizes(self.sizes) if estimand is Estimand.TRIMMED_MEAN else self.sizes.astype(np.float64)
         counts, shares = strata
         if estimand is not Estimand.TRIMMED_MEAN:
             return np.asarray(1 / np.sum(shares**2 / counts, axis=1))
-        left = _left(counts)
+        left = left_of(counts)
         ratio = np.sum(left - 1, axis=1) / np.sum(counts - 1, axis=1)
-        return np.asarray(ratio / np.sum(shares**2 / left, axis=1) / _WINSORISED**2)
+        return np.asarray(ratio / np.sum(shares**2 / left, axis=1) / WINSORISED**2)
 
     def weights(self, treatments: dict[str, str]) -> Floats:
         """Return the weights of the cells in the mean of some treatments, each combination counting the same.
@@ -166,6 +170,10 @@ class Layout:
             return np.asarray((marginal_row(self.factors, self.terms, treatments) @ self.inverse)[:, None])
 
         def part(names: Sequence[str]) -> Floats:
+            if isinstance(self.factors, NestedFactors):
+                return self.factors.only(names).weights(
+                    {name: treatments[name] for name in names if name in treatments}
+                )
             rows = [
                 np.array([float(level == treatments[name]) for level in self.factors[name]])
                 if name in treatments
@@ -190,104 +198,23 @@ def relative_ranks(values: Floats, batches: Numbers | None = None) -> Floats:
     return np.asarray((stats.rankdata(values, axis=-1) - 0.5) / values.shape[-1], dtype=np.float64)
 
 
-def trimmed_from(size: int) -> int:
-    """Return how many of so many values are cut off at either end."""
-    return int(_TRIMMED * size)
-
-
-def _of_runs(values: Floats, sizes: Numbers, estimand: Estimand) -> Moments:
-    """Return the moments of independent runs, sorted by cell."""
-    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
-    if estimand is not Estimand.TRIMMED_MEAN:
-        means = np.add.reduceat(values, starts, axis=-1) / sizes
-        squares = np.add.reduceat((values - np.repeat(means, sizes, axis=-1)) ** 2, starts, axis=-1)
-        errors = squares / ((sizes - 1) * sizes)
-        return Moments(means[..., None], errors[..., None, None], np.asarray(sizes - 1.0))
-    found = [_trimmed(values[..., start : start + size]) for start, size in zip(starts, sizes, strict=True)]
-    means, errors = (np.stack([each[part] for each in found], axis=-1) for part in (0, 1))
-    left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes], dtype=np.float64)
-    return Moments(means[..., None], errors[..., None, None], left - 1)
-
-
-def _of_strata(values: Floats, counts: Numbers, shares: Floats, estimand: Estimand) -> Moments:
-    """Return the moments of independent runs, sorted by cell and batch; each cell has one variance in all batches."""
-    ends = np.cumsum(counts).reshape(counts.shape)
-    found = [
-        _stratum(values[..., end - size : end], estimand) for end, size in zip(ends.flat, counts.flat, strict=True)
-    ]
-    centres, squares = (np.stack([each[part] for each in found], axis=-1) for part in (0, 1))
-    shape = (*values.shape[:-1], *counts.shape)
-    is_trimmed = estimand is Estimand.TRIMMED_MEAN
-    left = _left(counts) if is_trimmed else counts
-    freedom = np.sum(left - 1.0, axis=1)
-    means = centres.reshape(shape) @ shares
-    errors = squares.reshape(shape).sum(axis=-1) / freedom * np.sum(shares**2 / left, axis=1)
-    return Moments(means[..., None], errors[..., None, None], freedom)
-
-
-def _left(counts: Numbers) -> Numbers:
-    return np.asarray(counts - 2 * np.vectorize(trimmed_from)(counts), dtype=np.intp)
-
-
-def _stratum(values: Floats, estimand: Estimand) -> tuple[Floats, Floats]:
-    """Return what is estimated of a cell within a batch, and its sum of squares."""
-    size = values.shape[-1]
-    if estimand is Estimand.TRIMMED_MEAN and trimmed_from(size):
-        left = size - 2 * trimmed_from(size)
-        mean, error = _trimmed(values)
-        return mean, error * left * (left - 1)
-    mean = values.mean(axis=-1)
-    return mean, np.sum((values - mean[..., None]) ** 2, axis=-1)
-
-
-def _winsorised_sizes(sizes: Numbers) -> Floats:
-    """Return what squared errors of trimmed means are multiplied by, to be the variance of one normal value."""
-    left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes])
-    return np.asarray(left * (left - 1) / (sizes.astype(np.float64) - 1) / _WINSORISED**2)
-
-
-def _trimmed(values: Floats) -> tuple[Floats, Floats]:
-    """Return the trimmed mean and its squared error (Yuen 1974): of the winsorised values, for what is left."""
-    size = values.shape[-1]
-    cut = trimmed_from(size)
-    ordered = np.sort(values, axis=-1)
-    left = size - 2 * cut
-    winsorised = np.clip(ordered, ordered[..., [cut]], ordered[..., [size - cut - 1]])
-    squares = np.var(winsorised, axis=-1, ddof=1) * (size - 1)
-    return ordered[..., cut : size - cut].mean(axis=-1), squares / (left * (left - 1))
-
-
-def _of_units(values: Floats, sizes: Numbers) -> Moments:
-    """Return the moments of units that hold all cells within, sorted by group: (..., units, cells)."""
-    ends = np.cumsum(sizes)
-    means, errors = [], []
-    for start, end in zip(ends - sizes, ends, strict=True):
-        mine = values[..., start:end, :]
-        mean = mine.mean(axis=-2)
-        rest = mine - mean[..., None, :]
-        means.append(mean)
-        errors.append(np.einsum("...uc,...ud->...cd", rest, rest) / ((end - start - 1) * (end - start)))
-    return Moments(np.stack(means, axis=-2), np.stack(errors, axis=-3), np.asarray(sizes - 1.0))
-
-
 def layout_of(data: MeasureData) -> Layout | None:
     """Return the layout of a measure's runs; None where some means or their spread are not known.
 
     Then a model has to share what is known: of combinations without runs or with a single one, of incomplete blocks.
     """
-    factors = {name: data.levels(name) for name in data.factors}
-    if _size(factors, tuple(factors)) > _MOST_CELLS:
+    factors = data.treatments
+    if (factors.count if isinstance(factors, NestedFactors) else _size(factors, tuple(factors))) > _MOST_CELLS:
         return None
-    codes = {
-        name: data.frame[name].astype(str).map({level: place for place, level in enumerate(levels)}).to_numpy(int)
-        for name, levels in factors.items()
-    }
+    codes = codes_of(data.frame, factors)
     batches = data.batches if data.is_extended else None
     return _blocked(factors, codes, data.blocks, batches) if data.is_blocked else _independent(factors, codes, batches)
 
 
 def _code(factors: dict[str, list[str]], codes: dict[str, Numbers], names: Sequence[str]) -> Numbers:
     """Return the number of each run's combination of some factors, the last one changing fastest."""
+    if isinstance(factors, NestedFactors):
+        return factors.only(names).numbers(codes)
     number = np.zeros(len(next(iter(codes.values()))), dtype=np.intp)
     for name in names:
         number = number * len(factors[name]) + codes[name]
@@ -295,6 +222,8 @@ def _code(factors: dict[str, list[str]], codes: dict[str, Numbers], names: Seque
 
 
 def _size(factors: dict[str, list[str]], names: Sequence[str]) -> int:
+    if isinstance(factors, NestedFactors):
+        return len(factors.only(names).cells)
     return math.prod(len(factors[name]) for name in names)
 
 
@@ -335,6 +264,8 @@ def _blocked(
     count = int(block.max()) + 1
     between = tuple(name for name in factors if _is_constant(codes[name], block, count))
     within = tuple(name for name in factors if name not in between)
+    if isinstance(factors, NestedFactors) and not factors.is_apart(between):
+        return None  # blocks do not hold the same combinations: a model takes them out
     cell, group = _code(factors, codes, within), _code(factors, codes, between)
     if between and batches is not None:
         return None  # units would have to be stratified: a model takes the batches out
@@ -378,6 +309,8 @@ def _effects(factors: dict[str, list[str]], between: Sequence[str]) -> tuple[Eff
     within = [name for name in factors if name not in between]
 
     def matrix(names: Sequence[str], effect: Sequence[str]) -> Floats:
+        if isinstance(factors, NestedFactors):
+            return factors.only(names).contrasts([name for name in effect if name in names])
         parts = [
             linalg.helmert(len(factors[name]))
             if name in effect
@@ -387,8 +320,6 @@ def _effects(factors: dict[str, list[str]], between: Sequence[str]) -> tuple[Eff
         return kron(parts, np.ones((1, 1)))
 
     most = min(len(factors), MOST_FACTORS)
-    return tuple(
-        EffectContrast(effect, matrix(list(between), effect), matrix(within, effect))
-        for size in range(1, most + 1)
-        for effect in combinations(factors, size)
-    )
+    every = (effect for size in range(1, most + 1) for effect in combinations(factors, size))
+    terms = factors.terms(most) if isinstance(factors, NestedFactors) else every
+    return tuple(EffectContrast(effect, matrix(list(between), effect), matrix(within, effect)) for effect in terms)

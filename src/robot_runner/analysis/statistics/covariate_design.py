@@ -93,7 +93,7 @@ class CovariateDesign:
         unknown = [name for name in data.covariates if not np.isfinite(data.covariate(name)).all()]
         if unknown:
             raise AdjustmentError(f"the covariate {enumerated(unknown)} has no number in any run.")
-        factors = {name: data.levels(name) for name in data.factors}
+        factors = data.treatments
         texts = data.frame[list(factors)].astype(str)
         units = np.unique(data.blocks, return_inverse=True)[1] if data.is_blocked else None
         number = data.batches if data.is_extended else np.zeros(len(texts), dtype=np.intp)

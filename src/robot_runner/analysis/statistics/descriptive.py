@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.analysed_design import Group
+    from robot_runner.analysis.statistics.grouped_runs import Group
 
 
 @contextmanager
@@ -78,7 +78,7 @@ def describe(group: Group, *, level: float = 0.95, level_of_looks: float | None 
         level_of_looks: the level of each interval, where runs were added until one was narrow; see `known_precision`.
 
     Example:
-        >>> from robot_runner.analysis.statistics.analysed_design import Group
+        >>> from robot_runner.analysis.statistics.grouped_runs import Group
         >>> describe(Group({"Task": "Video"}, np.array([1.0, 2.0, 3.0]), ("r_1", "r_2", "r_3"))).median
         2.0
     """

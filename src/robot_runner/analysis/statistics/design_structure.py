@@ -9,6 +9,7 @@ import numpy as np
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.aliasing import aliasing_of
 from robot_runner.analysis.statistics.known_design import PLAIN, before_column, role_column
+from robot_runner.analysis.statistics.nested_factors import IDLE, NestedFactors, codes_of
 from robot_runner.core.design.columns import RUN_ID
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
     from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.known_design import KnownDesign
+    from robot_runner.analysis.statistics.nested_factors import Conditions
 
 
 def treatments_before(results: Results, known: KnownDesign, names: Sequence[str]) -> dict[str, pd.Series]:
@@ -41,13 +43,26 @@ def are_complete(known: KnownDesign, results: Results) -> bool:
     return bool((held == len(planned[names].drop_duplicates())).all())
 
 
-def with_structure(known: KnownDesign, results: Results, frame: pd.DataFrame, varied: Sequence[str]) -> KnownDesign:
+def with_structure(
+    known: KnownDesign, results: Results, frame: pd.DataFrame, varied: Sequence[str], conditions: Conditions
+) -> KnownDesign:
     """Return a design with the effects that its planned combinations can tell, and how whole plots are numbered."""
     if known == PLAIN or known.is_surface or not varied:
         return known
     planned = results.runs[list(varied)].astype("str").drop_duplicates()
+    own = {name: conditions[name] for name in varied if set(conditions.get(name, ())) & set(varied)}
     codes = {name: np.unique(planned[name], return_inverse=True)[1] for name in varied}
-    known = known.with_aliasing(aliasing_of(codes, main_only=not known.has_interactions, together=known.together))
+    nested = None
+    if own:
+        levels = {
+            name: [text for text in sorted(set(planned[name])) if name not in own or text != IDLE] for name in varied
+        }
+        nested = NestedFactors(
+            levels, {name: {p: of for p, of in each.items() if p in varied} for name, each in own.items()}
+        )
+        codes = codes_of(planned, nested)
+    only, together = not known.has_interactions, known.together
+    known = known.with_aliasing(aliasing_of(codes, main_only=only, together=together, nested=nested))
     if known.whole_plot:
         plots = frame.groupby(role_column(known.whole_plot), observed=True)
         numbered_anew = tuple(name for name in known.blocks if plots[role_column(name)].nunique().max() > 1)

@@ -10,6 +10,7 @@ import pandas as pd
 
 from robot_runner.analysis.statistics.effect_coding import coded_columns
 from robot_runner.analysis.statistics.known_design import before_column, role_column
+from robot_runner.analysis.statistics.nested_factors import codes_of, columns_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -135,15 +136,13 @@ def _dummies(texts: NDArray[np.str_]) -> Floats:
 def _effects(data: MeasureData, beside: Floats) -> tuple[list[Floats], list[Floats]]:
     """Return the columns of all effects that the model has, and without interactions, for which runs may be too few."""
     frame, known = data.frame, data.known
-    factors = {name: data.levels(name) for name in data.factors}
-    codes = {
-        name: frame[name].astype(str).map({text: place for place, text in enumerate(levels)}).to_numpy(int)
-        for name, levels in factors.items()
-    }
-    sizes = {name: len(levels) for name, levels in factors.items()}
+    factors = data.treatments
+    codes = codes_of(frame, factors)
     numbers = {name: numbers_of_levels(levels) for name, levels in factors.items()}
     parts: list[Floats] = []
-    numeric = {name: np.array(each)[codes[name]] for name, each in numbers.items() if each is not None}
+    # One that applies to some runs only has no number in the others.
+    everywhere = [name for name, levels in factors.items() if codes[name].max() < len(levels)]
+    numeric = {name: np.array(each)[codes[name]] for name in everywhere if (each := numbers[name]) is not None}
     if known.is_surface:
         scaled = {name: (each - each.mean()) / max(float(np.ptp(each)), 1e-300) for name, each in numeric.items()}
         parts += [each[:, None] for each in scaled.values()]
@@ -151,7 +150,7 @@ def _effects(data: MeasureData, beside: Floats) -> tuple[list[Floats], list[Floa
         if 1 + len(scaled) + len(pairs) < len(frame):
             parts += [(scaled[one] * scaled[other])[:, None] for one, other in pairs]
     terms = known.terms or tuple((name,) for name in factors if not (known.is_surface and name in numeric))
-    told = {term: coded_columns(codes, sizes, term) for term in terms if set(term) <= set(factors)}
+    told = columns_of(factors, codes, [term for term in terms if set(term) <= set(factors)])
     main = [each for term, each in told.items() if len(term) == 1]
     before = carried_over(frame, factors, np.column_stack([beside, *main])) if known.carry_over and factors else None
     parts += [] if before is None else [before]

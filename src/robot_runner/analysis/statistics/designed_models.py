@@ -21,6 +21,7 @@ from robot_runner.analysis.statistics.effect_coding import coded_columns, mean_s
 from robot_runner.analysis.statistics.known_design import role_column
 from robot_runner.analysis.statistics.lenth_test import LenthModel, fit_lenth
 from robot_runner.analysis.statistics.listed_cells import listed_layout
+from robot_runner.analysis.statistics.nested_factors import NestedFactors, codes_of, columns_of
 from robot_runner.analysis.statistics.strata_model import Hypothesis, StrataModel, fit_strata
 from robot_runner.analysis.statistics.surface_model import SurfaceModel, fit_surface
 from robot_runner.analysis.statistics.tested import NotComputed, TestMethod
@@ -95,15 +96,11 @@ class _Fitting:
 
     def model(self, estimand: Estimand, statistic: Statistic) -> CellMeans | DesignedModel | NotComputed | None:
         known = self.data.known
+        problem = self._problem
+        if problem:
+            return NotComputed("the test", problem)
         if known.is_surface:
             return self._surface()
-        told = {*known.terms, *(term for several in known.aliases.values() for term in several)}
-        mixed = [name for name in self.factors if told and (name,) not in told]
-        if mixed:
-            # A model without them would give what they do to the factors that they change with.
-            alike = "cannot be told apart from what other factors do: in part they change together."
-            fix = "More combinations would tell, or one factor in place of those that change together."
-            return NotComputed("the test", f"what {enumerated(mixed)} does {alike} {fix}")
         if known.whole_plot:
             return self._split_plot()
         if not known.columns and not self.data.is_extended and not self.data.covariates:
@@ -117,19 +114,31 @@ class _Fitting:
                 return single
         return self._beside_blocks()
 
+    @property
+    def _problem(self) -> str:
+        """Why factors cannot be tested in this design; empty where they can."""
+        known = self.data.known
+        if isinstance(self.factors, NestedFactors) and (known.is_surface or known.is_one_at_a_time):
+            names = enumerated(list(self.factors.conditions))
+            one, other = ("applies", "it") if len(self.factors.conditions) == 1 else ("apply", "them")
+            why = f"{names} {one} to some runs only, which a design of this kind ({known.in_words}) does not allow for."
+            return f"{why} A full factorial or DOptimal can test {other}."
+        told = {*known.terms, *(term for several in known.aliases.values() for term in several)}
+        mixed = [] if known.is_surface else [name for name in self.factors if told and (name,) not in told]
+        if not mixed:
+            return ""
+        # A model without them would give what they do to the factors that they change with.
+        alike = "cannot be told apart from what other factors do: in part they change together."
+        fix = "More combinations would tell, or one factor in place of those that change together."
+        return f"what {enumerated(mixed)} does {alike} {fix}"
+
     @cached_property
     def factors(self) -> dict[str, list[str]]:
-        return {name: self.data.levels(name) for name in self.data.factors}
+        return self.data.treatments
 
     @cached_property
     def _codes(self) -> dict[str, Numbers]:
-        return {
-            name: self.data.frame[name]
-            .astype(str)
-            .map({text: place for place, text in enumerate(levels)})
-            .to_numpy(int)
-            for name, levels in self.factors.items()
-        }
+        return codes_of(self.data.frame, self.factors)
 
     @property
     def _terms(self) -> tuple[Term, ...]:
@@ -138,13 +147,14 @@ class _Fitting:
         if known.terms:
             return tuple(term for term in known.terms if set(term) <= set(self.factors))
         most = min(len(self.factors), MOST_FACTORS)
+        if isinstance(self.factors, NestedFactors):
+            return self.factors.terms(most)
         return tuple(term for size in range(1, most + 1) for term in combinations(self.factors, size))
 
     def _hypotheses(self, terms: tuple[Term, ...]) -> dict[Term, Hypothesis]:
-        sizes = {name: len(levels) for name, levels in self.factors.items()}
         return {
-            term: Hypothesis(coded_columns(self._codes, sizes, term), mean_squares(self.factors, term))
-            for term in terms
+            term: Hypothesis(columns, mean_squares(self.factors, term))
+            for term, columns in columns_of(self.factors, self._codes, terms).items()
         }
 
     def _dummies(self, name: str) -> Floats:

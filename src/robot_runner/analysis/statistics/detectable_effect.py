@@ -19,7 +19,7 @@ from robot_runner.analysis.statistics.tested import NotComputed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from robot_runner.analysis.statistics.analysed_design import Group
+    from robot_runner.analysis.statistics.grouped_runs import Group
 
 _TARGET = 0.8
 _MOST_REPETITIONS = 100_000

@@ -7,7 +7,7 @@ a marginal mean takes no list of all combinations: what it leaves open sums up t
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,6 +23,20 @@ if TYPE_CHECKING:
 Term = tuple[str, ...]
 
 
+@runtime_checkable
+class Coded(Protocol):
+    """Factors that are coded in a way of their own, as some of them apply under a condition only."""
+
+    def row(self, terms: Sequence[Sequence[str]], treatments: Mapping[str, str]) -> Floats:
+        """Return 1 and the columns of each effect."""
+
+    def size(self, term: Sequence[str]) -> int:
+        """Return how many degrees of freedom an effect has."""
+
+    def squares(self, term: Sequence[str]) -> Floats:
+        """Return the mean of the products of the columns of an effect."""
+
+
 def kron(parts: Sequence[Floats], start: Floats) -> Floats:
     """Return the Kronecker product of several arrays, the last one's index changing fastest."""
     for part in parts:
@@ -32,6 +46,8 @@ def kron(parts: Sequence[Floats], start: Floats) -> Floats:
 
 def term_size(factors: Mapping[str, Sequence[str]], term: Sequence[str]) -> int:
     """Return how many columns, or degrees of freedom, an effect has."""
+    if isinstance(factors, Coded):
+        return factors.size(term)
     return math.prod(len(factors[name]) - 1 for name in term)
 
 
@@ -49,7 +65,9 @@ def marginal_row(
         >>> marginal_row({"A": ["x", "y"], "B": ["p", "q"]}, [("A",), ("B",), ("A", "B")], {"A": "x"}).tolist()
         [1.0, 1.0, 0.0, 0.0]
     """
-    coded = {name: _coding(len(factors[name]))[list(factors[name]).index(text)] for name, text in treatments.items()}
+    if isinstance(factors, Coded):
+        return factors.row(terms, treatments)
+    coded = {name: sum_coding(len(factors[name]))[list(factors[name]).index(text)] for name, text in treatments.items()}
     parts = [
         kron([coded[name] for name in term], np.ones(1))
         if set(term) <= set(coded)
@@ -69,17 +87,19 @@ def coded_columns(codes: Mapping[str, Numbers], sizes: Mapping[str, int], term: 
     """
     columns = np.ones((len(codes[term[0]]), 1))
     for name in term:
-        mine = _coding(sizes[name])[codes[name]]
+        mine = sum_coding(sizes[name])[codes[name]]
         columns = (columns[:, :, None] * mine[:, None, :]).reshape(len(columns), -1)
     return columns
 
 
 def mean_squares(factors: Mapping[str, Sequence[str]], term: Sequence[str]) -> Floats:
     """Return the mean over all combinations of the products of the columns of an effect."""
-    parts = [_coding(len(factors[name])).T @ _coding(len(factors[name])) / len(factors[name]) for name in term]
+    if isinstance(factors, Coded):
+        return factors.squares(term)
+    parts = [sum_coding(len(factors[name])).T @ sum_coding(len(factors[name])) / len(factors[name]) for name in term]
     return kron(parts, np.ones((1, 1)))
 
 
-def _coding(count: int) -> Floats:
+def sum_coding(count: int) -> Floats:
     """Return a row for each treatment of a factor, (treatments, treatments - 1)."""
     return np.vstack([np.eye(count - 1), np.full(count - 1, -1.0)])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.statistics.outcome import HypothesisOutcome
 from robot_runner.analysis.statistics.post_hoc import adjusted
-from robot_runner.analysis.statistics.tested import TestMethod
+from robot_runner.analysis.statistics.tested import TestMethod, named_within
 from robot_runner.analysis.wording import (
     difference_unit,
     listed,
@@ -196,26 +196,29 @@ def _worded(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs
         why = "too few runs vary beside it, so that chance has no measure."
         if test.method is TestMethod.PROPORTIONS:
             why = "no runs with different answers differ in nothing else."
-        return replace(effect, conclusion=f"The effect of {enumerated(effect.factors)} was not computed: {why}")
+        what = named_within(enumerated(effect.factors), effect.within)
+        return replace(effect, conclusion=f"The effect of {what} was not computed: {why}")
     words = _claim(measure, test, effect, pairs)
     return replace(effect, conclusion=f"{words}{_beside(effect, is_corrected=test.family_size > 1)}")
 
 
 def _claim(measure: MeasureStatistics, test: MeasureTest, effect: Effect, pairs: Sequence[Comparison]) -> str:
-    figures = _figures(effect)
+    figures, within = _figures(effect), f" within {effect.within}" if effect.within else ""
     aliases = f", aliased with {listed([' x '.join(each) for each in effect.aliases])}," if effect.aliases else ""
     named = f"{effect.factors[0]}{aliases}" if len(effect.factors) == 1 else ""
     if not effect.is_significant:
         what = f"an effect of {named}" if named else f"an interaction of {enumerated(effect.factors)}{aliases}"
-        return f"The data do not show {what} on {measure.name} ({figures}); that is no proof that there is none."
+        return (
+            f"The data do not show {what} on {measure.name}{within} ({figures}); that is no proof that there is none."
+        )
     size = next(iter(effect.effect_sizes), None)
     sized = "" if size is None else f"; the effect is {size.magnitude.value}, {size.name} = {size.value:.2f}"
     if not named and aliases:
-        return f"{' x '.join(effect.factors)}{aliases} has an effect on {measure.name} ({figures}{sized})."
+        return f"{' x '.join(effect.factors)}{aliases} has an effect on {measure.name}{within} ({figures}{sized})."
     if not named:
         others = enumerated(effect.factors[1:])
-        return f"The effect of {effect.factors[0]} on {measure.name} depends on {others} ({figures}{sized})."
-    return f"{named} has an effect on {measure.name}{_difference(measure, test, pairs)} ({figures}{sized})."
+        return f"The effect of {effect.factors[0]} on {measure.name}{within} depends on {others} ({figures}{sized})."
+    return f"{named} has an effect on {measure.name}{within}{_difference(measure, test, pairs)} ({figures}{sized})."
 
 
 def _figures(effect: Effect) -> str:
@@ -313,4 +316,10 @@ def _reason(hypothesis: Hypothesis, measure: MeasureStatistics | None) -> str:
     if measure.test.method is TestMethod.PROPORTIONS and len(hypothesis.factors) > 1:
         return "interactions of proportions are not tested: compare the proportions of the combinations."
     missed = [each.why for each in measure.not_computed if repr(hypothesis.statement) in each.what]
-    return missed[0] if missed else f"the test has no effect of {' x '.join(hypothesis.factors)}."
+    nested = [
+        f": {name} is tested within {each.within}"
+        for name in hypothesis.factors
+        for each in measure.test.effects
+        if each.within and each.factors == (name,)
+    ]
+    return missed[0] if missed else f"the test has no effect of {' x '.join(hypothesis.factors)}{''.join(nested[:1])}."

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.analysed_design import Design, Group
+    from robot_runner.analysis.statistics.analysed_design import Design
+    from robot_runner.analysis.statistics.grouped_runs import Group
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
     Floats = NDArray[np.float64]

@@ -21,6 +21,7 @@ import numpy as np
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_coding import marginal_row
+from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
 if TYPE_CHECKING:
@@ -154,7 +155,11 @@ def fit_lenth(
 ) -> LenthModel | NotComputed | None:
     """Return the effects of a fraction whose combinations have one value each; None where that is not what it is."""
     count = values.shape[-1]
-    if any(len(levels) != _TWO for levels in factors.values()) or count - 1 < max(_LEAST, len(terms)):
+    if (
+        isinstance(factors, NestedFactors)
+        or any(len(levels) != _TWO for levels in factors.values())
+        or count - 1 < max(_LEAST, len(terms))
+    ):
         return None
     signs = {name: 1.0 - 2.0 * codes[name] for name in factors}
     every = (each for size in range(1, len(factors) + 1) for each in combinations(factors, size))

@@ -20,6 +20,7 @@ from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE
 from robot_runner.analysis.statistics.cell_layout import MOST_FACTORS
 from robot_runner.analysis.statistics.contrasts import Contrast, rounding_of
 from robot_runner.analysis.statistics.effect_coding import marginal_row, mean_squares, term_size
+from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.tested import EffectTest, NotComputed, TestMethod
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def fit_model(data: MeasureData, response: Floats | None = None) -> FittedModel 
         response: takes the place of the values, as their ranks.
     """
     frame = _means_in_blocks(data, response if response is not None else data.values)  # noqa: PD011 - no data frame
-    factors = {name: data.levels(name) for name in data.factors}
+    factors = data.treatments
     blocks = frame[_BLOCK].to_numpy(dtype=str) if data.is_blocked else None
     batches = pd.get_dummies(frame[BATCH], drop_first=True).to_numpy(dtype=np.float64) if data.is_extended else None
     shifts = 0 if batches is None else batches.shape[1]
@@ -239,10 +240,13 @@ def estimable_terms(
     """Return the effects that the values suffice to estimate, and why others are left out."""
     names = tuple(factors)
     cells = frame.groupby(list(names)).ngroups
-    possible = math.prod(map(len, factors.values()))
+    nested = factors if isinstance(factors, NestedFactors) else None
+    possible = math.prod(map(len, factors.values())) if nested is None else nested.count
     if cells == possible <= _MOST_CELLS and len(frame) - blocks > cells:
         most = min(len(names), MOST_FACTORS)
         note = "" if most == len(names) else f"Interactions of more than {most} factors are left out."
+        if nested is not None:
+            return nested.terms(most), note
         return tuple(effect for size in range(1, most + 1) for effect in combinations(names, size)), note
     if len(frame) - blocks <= 1 + sum(len(levels) - 1 for levels in factors.values()):
         return (), ""

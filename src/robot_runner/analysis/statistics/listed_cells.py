@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_runner.analysis.statistics.cell_layout import EffectContrast, Layout
-from robot_runner.analysis.statistics.effect_coding import coded_columns
+from robot_runner.analysis.statistics.nested_factors import NestedFactors, codes_of, columns_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -44,8 +44,7 @@ def listed_layout(
     if sizes.min() < _PAIR:
         return None
     of_cells = {name: cells[:, place] for place, name in enumerate(factors)}
-    counts = {name: len(levels) for name, levels in factors.items()}
-    parts = [coded_columns(of_cells, counts, term) for term in terms]
+    parts = list(columns_of(factors, of_cells, terms).values())
     exog = np.column_stack([np.ones(len(cells)), *parts])
     if np.linalg.matrix_rank(exog) < exog.shape[1]:
         return None
@@ -58,7 +57,7 @@ def listed_layout(
         # The sign of a rotation is arbitrary; that of t is to be that of the first treatment less the second.
         effects.append(EffectContrast(term, (turned * np.sign(np.diag(triangle))).T, _ALONE))
     return Layout(
-        {name: list(levels) for name, levels in factors.items()},
+        factors if isinstance(factors, NestedFactors) else {name: list(levels) for name, levels in factors.items()},
         tuple(factors),
         is_blocked=False,
         rows=np.argsort(cell.ravel(), kind="stable"),
@@ -80,11 +79,9 @@ def incomplete_layout(data: MeasureData) -> Layout | None:
     """
     if data.is_blocked or data.is_extended or len(data.factors) < _PAIR:
         return None
-    factors = {name: data.levels(name) for name in data.factors}
-    codes = {
-        name: data.frame[name].astype(str).map({level: place for place, level in enumerate(levels)}).to_numpy(np.intp)
-        for name, levels in factors.items()
-    }
+    factors = data.treatments
+    codes = codes_of(data.frame, factors)
     main = tuple((name,) for name in factors)
-    with_pairs = listed_layout(factors, codes, (*main, *combinations(factors, _PAIR)))
+    pairs = factors.terms(_PAIR)[len(main) :] if isinstance(factors, NestedFactors) else combinations(factors, _PAIR)
+    with_pairs = listed_layout(factors, codes, (*main, *pairs))
     return with_pairs or listed_layout(factors, codes, main)

@@ -34,7 +34,8 @@ from robot_runner.core.words import enumerated, listed
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from robot_runner.analysis.statistics.analysed_design import Design, Group, MeasureData
+    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
+    from robot_runner.analysis.statistics.grouped_runs import Group
     from robot_runner.analysis.statistics.outcome import Description, Power
     from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest
     from robot_runner.core.design.analysis_plan import AnalysisPlan
@@ -194,7 +195,7 @@ def _is_contrast(hypothesis: Hypothesis, measure: str) -> bool:
 def _described(
     gathered: _Gathered, data: MeasureData, factors: tuple[str, ...], looks: float | None
 ) -> tuple[Description, ...]:
-    groups = data.described_groups(factors)
+    groups = data.described_groups(factors) if len(factors) > 1 else data.applied_groups(factors)
     if len(groups) > _MOST_DESCRIBED:
         why = f"there are {len(groups):,} groups, more than {_MOST_DESCRIBED}."
         gathered.missing.append(NotComputed(f"descriptions by {' x '.join(factors)}", why))

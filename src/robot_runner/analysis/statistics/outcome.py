@@ -269,6 +269,7 @@ class DesignSummary:
         smallest_group, largest_group: runs a combination.
         sentence: all this in one sentence.
         kind: of the design, as the manifest names it.
+        within: the factors that apply to some runs only, each with which: as in `Sensor=camera`.
     """
 
     factors: tuple[str, ...]
@@ -282,6 +283,7 @@ class DesignSummary:
     largest_group: int
     sentence: str
     kind: str = "full_factorial"
+    within: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def is_balanced(self) -> bool:

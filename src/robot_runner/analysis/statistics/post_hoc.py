@@ -71,7 +71,7 @@ def compare_pairs(
     found: list[PostHoc] = []
     missing: list[NotComputed] = []
     for factors in _compared(data, test, choices.alpha):
-        groups = [group.treatments for group in data.groups(factors)]
+        groups = [group.treatments for group in data.applied_groups(factors) if len(group.values)]
         chosen = list(_chosen_pairs(data, groups))
         pairs = len(chosen)
         if pairs > MOST_PAIRS:
@@ -85,7 +85,8 @@ def compare_pairs(
             each if each.p_value is None else _with_adjusted(each, next(after), choices.alpha) for each in every
         )
         method = _PAIRED[model.method] if len(data.factors) > 1 else _PAIRED[model.method].removesuffix(_MARGINAL)
-        found.append(PostHoc(factors, method, choices.correction, _QUANTITIES[choices.estimand], compared))
+        quantity, within = _QUANTITIES[choices.estimand], data.within(factors)
+        found.append(PostHoc(factors, method, choices.correction, quantity, compared, within))
     return tuple(found), tuple(missing)
 
 
@@ -273,8 +274,13 @@ def _within_blocks(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str
 def _strata(
     data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str, str]]
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Yield the values of both, for each combination of the other factors, in each batch by itself."""
-    factors = (*data.factors, BATCH) if data.is_extended else data.factors
+    """Yield the values of both, for each combination of the other factors, in each batch by itself.
+
+    Runs of all treatments of what is nested within are put together.
+    """
+    named = data.others(tuple(pair[0]))
+    compared = [name for name in data.factors if name in pair[0] or name in named]
+    factors = (*compared, BATCH) if data.is_extended else tuple(compared)
     groups = data.groups(factors)  # those that have runs: all combinations of many factors are too many to be looked at
     by_treatments = {tuple(group.treatments.values()): group.values for group in groups}
     for group in groups:

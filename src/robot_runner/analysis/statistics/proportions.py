@@ -19,6 +19,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from robot_runner.analysis.statistics.analysed_design import VALUE
+from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.outcome import Proportion, Proportions
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import (
@@ -29,7 +30,9 @@ from robot_runner.analysis.statistics.tested import (
     NotComputed,
     PostHoc,
     TestMethod,
+    named_within,
 )
+from robot_runner.analysis.statistics.tests import stranded_in_words
 from robot_runner.core.words import counted, enumerated, listed
 
 if TYPE_CHECKING:
@@ -37,7 +40,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from robot_runner.analysis.statistics.analysed_design import Group, MeasureData
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
+    from robot_runner.analysis.statistics.grouped_runs import Group
     from robot_runner.analysis.statistics.tests import Choices
 
     Integers = NDArray[np.int64]
@@ -68,7 +72,7 @@ def proportions_of(data: MeasureData, most_groups: int) -> Proportions:
     """
 
     def by(factors: tuple[str, ...]) -> tuple[Proportion, ...]:
-        groups = data.described_groups(factors)
+        groups = data.described_groups(factors) if len(factors) > 1 else data.applied_groups(factors)
         return tuple(map(_proportion, groups)) if len(groups) <= most_groups else ()
 
     return Proportions(
@@ -143,6 +147,8 @@ def _problem(data: MeasureData) -> str:
         return "all runs with a value have the same treatments, so that there is nothing to compare."
     if np.ptp(data.values) == 0:
         return f"all runs say {'yes' if data.values[0] else 'no'}."
+    if data.stranded:
+        return stranded_in_words(data)
     if not data.known.is_plain:
         fit = "proportions are tested in factorials, of runs by themselves or in blocks"
         return f"{fit}, and this is another design ({data.known.in_words})."
@@ -150,6 +156,13 @@ def _problem(data: MeasureData) -> str:
 
 
 def _notes(data: MeasureData, effects: Sequence[Effect]) -> Iterator[str]:
+    if isinstance(treatments := data.treatments, NestedFactors):
+        told = [named_within(name, treatments.within([name])) for name in treatments.conditions]
+        parents = dict.fromkeys(parent for of in treatments.conditions.values() for parent in of)
+        yield (
+            f"Some factors apply to some runs only, and are tested among these: {enumerated(told)}. In a proportion of "
+            f"{enumerated(list(parents))}, each run counts the same, whatever it has of a factor that is nested within."
+        )
     if len(data.factors) > 1:
         yield "Interactions of proportions are not tested: compare the proportions of the combinations."
     unknown = [each.factors[0] for each in effects if each.p_value is None]
@@ -176,6 +189,7 @@ def _effect(data: MeasureData, factor: str, alpha: float) -> Effect:
         effect_sizes=(),
         check=None,
         conclusion="",
+        within=data.within([factor]),
     )
 
 
@@ -298,7 +312,7 @@ def compare_proportions(data: MeasureData, choices: Choices, most_pairs: int) ->
             for pair, each, value in zip(known, p_values, after, strict=True)
         )
         if told:
-            yield PostHoc((factor,), _METHOD, choices.correction, QUANTITY, told)
+            yield PostHoc((factor,), _METHOD, choices.correction, QUANTITY, told, data.within([factor]))
         if apart := [" and ".join(pair) for pair in pairs if pair not in known]:
             why = f"no run of one differs from a run of the other in nothing but {factor}."
             yield NotComputed(f"comparisons of {listed(apart)}", why)

@@ -14,6 +14,16 @@ if TYPE_CHECKING:
     from robot_runner.core.design.analysis_plan import Correction
 
 
+def named_within(name: str, within: str) -> str:
+    """Return an effect with the runs among which it is told.
+
+    Example:
+        >>> named_within("Resolution", "Sensor=camera")
+        'Resolution within Sensor=camera'
+    """
+    return f"{name} within {within}" if within else name
+
+
 @dataclass(frozen=True, slots=True)
 class NotComputed:
     """Something that could not be computed.
@@ -209,6 +219,7 @@ class Effect:
         conclusion: one plain sentence, or two.
         parts: the tests whose p-values are combined; none where there is a single test.
         aliases: the effects that the design cannot tell apart from it, by their factors.
+        within: among which runs it is told, as in `Sensor=camera`, where a factor applies to some only.
     """
 
     factors: tuple[str, ...]
@@ -224,11 +235,12 @@ class Effect:
     conclusion: str
     parts: tuple[TestPart, ...] = ()
     aliases: tuple[tuple[str, ...], ...] = ()
+    within: str = ""
 
     @property
     def label(self) -> str:
         """The effect in words, as in `Task` or `Task x Speed`; with what it cannot be told apart from."""
-        name = " x ".join(self.factors)
+        name = named_within(" x ".join(self.factors), self.within)
         return f"{name} (aliased with {listed([' x '.join(each) for each in self.aliases])})" if self.aliases else name
 
 
@@ -296,6 +308,7 @@ class PostHoc:
         method: the test of each pair, in words.
         correction: how p-values were adjusted.
         quantity: what differences are of: `means`, `trimmed means`, `relative ranks`, or `proportions`.
+        within: among which runs, where a factor applies to some only.
     """
 
     factors: tuple[str, ...]
@@ -303,6 +316,12 @@ class PostHoc:
     correction: Correction
     quantity: str
     comparisons: tuple[Comparison, ...]
+    within: str = ""
+
+    @property
+    def label(self) -> str:
+        """Whose treatments are compared, in words."""
+        return named_within(" x ".join(self.factors), self.within)
 
 
 @dataclass(frozen=True, slots=True)

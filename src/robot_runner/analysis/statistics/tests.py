@@ -19,13 +19,14 @@ from robot_runner.analysis.statistics.effect_sizes import omega_squared
 from robot_runner.analysis.statistics.lenth_test import LenthModel
 from robot_runner.analysis.statistics.linear_model import FittedModel, fit_model
 from robot_runner.analysis.statistics.listed_cells import incomplete_layout
+from robot_runner.analysis.statistics.nested_factors import NestedFactors
 from robot_runner.analysis.statistics.strata_model import StrataModel
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
 from robot_runner.analysis.statistics.tested import Check, Effect, MeasureTest, NotComputed, TestMethod, TestPart
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand, Statistic
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -128,6 +129,7 @@ def carry_out(data: MeasureData, model: AnyModel, choices: Choices) -> MeasureTe
             replace(
                 _effect(model, each, checks.get(each.factors), choices),
                 aliases=data.known.aliases.get(each.factors, ()),
+                within=data.within(each.factors),
             )
             for each in model.effects()
         )
@@ -142,7 +144,7 @@ def carry_out(data: MeasureData, model: AnyModel, choices: Choices) -> MeasureTe
         if choices.estimand is not Estimand.RANK and model.method is not _NO_SPREAD
         else None,
         library=f"scipy {version('scipy')}",
-        notes=tuple(_notes(data, model)),
+        notes=(*_nested_notes(data), *_notes(data, model)),
     )
 
 
@@ -203,9 +205,20 @@ def _problem(data: MeasureData) -> str:
         return "all runs with a value have the same treatments, so that there is nothing to compare."
     if np.ptp(data.values) == 0:
         return "all values are equal."
+    if data.stranded:
+        return stranded_in_words(data)
     if max(len(group.values) for group in data.groups(data.factors)) < _PAIR and len(data.factors) == 1:
         return "each treatment has a single run, so that chance has no measure: repeat the runs."
     return ""
+
+
+def stranded_in_words(data: MeasureData) -> str:
+    """Return why factors that apply to some runs only cannot be tested where no factor tells to which."""
+    parents = enumerated(list(dict.fromkeys(parent for name in data.stranded for parent in data.conditions[name])))
+    return (
+        f"what {enumerated(data.stranded)} does shows within {parents} alone, which is not compared here. Compare it, "
+        f"with other blocks or with runs of all its treatments in each batch."
+    )
 
 
 #: Single runs tell no standard deviation.
@@ -266,6 +279,11 @@ _CONTAINMENT = (
     "Degrees of freedom are those between blocks for effects that only differences between blocks tell, else those "
     "within (containment). All blocks are taken to vary alike."
 )
+
+
+def _nested_notes(data: MeasureData) -> Iterator[str]:
+    if isinstance(treatments := data.treatments, NestedFactors):
+        yield treatments.in_words
 
 
 def _notes(data: MeasureData, model: AnyModel) -> Iterator[str]:

@@ -1,0 +1,104 @@
+"""What is known of the mean of each cell of a layout: means, or trimmed means, with their errors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_runner.analysis.statistics.contrasts import Moments
+from robot_runner.core.design.analysis_plan import Estimand
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+    Numbers = NDArray[np.intp]
+
+#: The standard deviation of normal values in those that are left of them by winsorising a fifth at either end (Algina,
+#: Keselman and Penfield, An alternative to Cohen's standardized mean difference effect size, 2005).
+WINSORISED = 0.642
+
+#: The share that is cut off at either end for a trimmed mean (Wilcox, Introduction to Robust Estimation, 2012).
+_TRIMMED = 0.2
+
+
+def trimmed_from(size: int) -> int:
+    """Return how many of so many values are cut off at either end."""
+    return int(_TRIMMED * size)
+
+
+def moments_of_runs(values: Floats, sizes: Numbers, estimand: Estimand) -> Moments:
+    """Return the moments of independent runs, sorted by cell."""
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    if estimand is not Estimand.TRIMMED_MEAN:
+        means = np.add.reduceat(values, starts, axis=-1) / sizes
+        squares = np.add.reduceat((values - np.repeat(means, sizes, axis=-1)) ** 2, starts, axis=-1)
+        errors = squares / ((sizes - 1) * sizes)
+        return Moments(means[..., None], errors[..., None, None], np.asarray(sizes - 1.0))
+    found = [_trimmed(values[..., start : start + size]) for start, size in zip(starts, sizes, strict=True)]
+    means, errors = (np.stack([each[part] for each in found], axis=-1) for part in (0, 1))
+    left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes], dtype=np.float64)
+    return Moments(means[..., None], errors[..., None, None], left - 1)
+
+
+def moments_of_strata(values: Floats, counts: Numbers, shares: Floats, estimand: Estimand) -> Moments:
+    """Return the moments of independent runs, sorted by cell and batch; each cell has one variance in all batches."""
+    ends = np.cumsum(counts).reshape(counts.shape)
+    found = [
+        _stratum(values[..., end - size : end], estimand) for end, size in zip(ends.flat, counts.flat, strict=True)
+    ]
+    centres, squares = (np.stack([each[part] for each in found], axis=-1) for part in (0, 1))
+    shape = (*values.shape[:-1], *counts.shape)
+    is_trimmed = estimand is Estimand.TRIMMED_MEAN
+    left = left_of(counts) if is_trimmed else counts
+    freedom = np.sum(left - 1.0, axis=1)
+    means = centres.reshape(shape) @ shares
+    errors = squares.reshape(shape).sum(axis=-1) / freedom * np.sum(shares**2 / left, axis=1)
+    return Moments(means[..., None], errors[..., None, None], freedom)
+
+
+def left_of(counts: Numbers) -> Numbers:
+    """Return how many of so many values are left."""
+    return np.asarray(counts - 2 * np.vectorize(trimmed_from)(counts), dtype=np.intp)
+
+
+def _stratum(values: Floats, estimand: Estimand) -> tuple[Floats, Floats]:
+    """Return what is estimated of a cell within a batch, and its sum of squares."""
+    size = values.shape[-1]
+    if estimand is Estimand.TRIMMED_MEAN and trimmed_from(size):
+        left = size - 2 * trimmed_from(size)
+        mean, error = _trimmed(values)
+        return mean, error * left * (left - 1)
+    mean = values.mean(axis=-1)
+    return mean, np.sum((values - mean[..., None]) ** 2, axis=-1)
+
+
+def winsorised_sizes(sizes: Numbers) -> Floats:
+    """Return what squared errors of trimmed means are multiplied by, to be the variance of one normal value."""
+    left = np.array([size - 2 * trimmed_from(int(size)) for size in sizes])
+    return np.asarray(left * (left - 1) / (sizes.astype(np.float64) - 1) / WINSORISED**2)
+
+
+def _trimmed(values: Floats) -> tuple[Floats, Floats]:
+    """Return the trimmed mean and its squared error (Yuen 1974): of the winsorised values, for what is left."""
+    size = values.shape[-1]
+    cut = trimmed_from(size)
+    ordered = np.sort(values, axis=-1)
+    left = size - 2 * cut
+    winsorised = np.clip(ordered, ordered[..., [cut]], ordered[..., [size - cut - 1]])
+    squares = np.var(winsorised, axis=-1, ddof=1) * (size - 1)
+    return ordered[..., cut : size - cut].mean(axis=-1), squares / (left * (left - 1))
+
+
+def moments_of_units(values: Floats, sizes: Numbers) -> Moments:
+    """Return the moments of units that hold all cells within, sorted by group: (..., units, cells)."""
+    ends = np.cumsum(sizes)
+    means, errors = [], []
+    for start, end in zip(ends - sizes, ends, strict=True):
+        mine = values[..., start:end, :]
+        mean = mine.mean(axis=-2)
+        rest = mine - mean[..., None, :]
+        means.append(mean)
+        errors.append(np.einsum("...uc,...ud->...cd", rest, rest) / ((end - start - 1) * (end - start)))
+    return Moments(np.stack(means, axis=-2), np.stack(errors, axis=-3), np.asarray(sizes - 1.0))
