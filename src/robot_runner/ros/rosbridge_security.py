@@ -103,6 +103,8 @@ class RosbridgeSecurity:
         """Return what a server's certificate is checked by; one with a fingerprint is checked by that alone."""
         try:
             context = ssl.create_default_context(cafile=self.ca)
+            if self.ca is not None:  # from Python 3.13 on, an authority that a lab has made with few options is refused
+                context.verify_flags &= ~ssl.VERIFY_X509_STRICT
             if self.cert is not None:
                 context.load_cert_chain(self.cert, self.key, password=_no_passphrase)
         except (OSError, ValueError) as error:
