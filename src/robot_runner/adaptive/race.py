@@ -13,6 +13,7 @@ from robot_runner.adaptive.explored import (
     best_of,
     confirmation,
     count_findings,
+    decided,
     direction_findings,
     explored,
     in_direction,
@@ -20,10 +21,9 @@ from robot_runner.adaptive.explored import (
     shown,
     without_values,
 )
-from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import DesignedRuns
-from robot_runner.core.design.factor import full_factorial
+from robot_runner.core.design.factor import full_factorial, full_size
 from robot_runner.core.design.planned_runs import RunOrder, planned_runs
 from robot_runner.core.design.precision import LEAST_REPETITIONS
 from robot_runner.core.design.repeated_intervals import half_width_of, level_at_each_look
@@ -33,7 +33,7 @@ from robot_runner.core.words import counted, listed
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from robot_runner.core.design.asking import Told
+    from robot_runner.core.design.asking import Decision, Told
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.planned_runs import PlannedRun
@@ -96,7 +96,7 @@ class Race:
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say why the race cannot be: too many or too few combinations or repetitions."""
         where = f"Race({self.measures[0]})"
-        many = math.prod(len(factor.treatments) for factor in factors)
+        many = full_size(factors)
         if many == 1:
             problem = "no factor has two treatments, so that nothing can be dropped"
             yield Finding.error(where, problem, "Give a factor the treatments to choose from.")
@@ -169,11 +169,11 @@ class _Racing:
         """Return the next repetition of those that are left, then the runs that confirm them, then nothing."""
         design = self._design
         points, odd = explored(told, self.measures)
-        raced = {key_of(each.run.combination) for each in told if each.run.batch == 1}
-        now = max(each.run.repetition for each in told if each.run.batch == 1)
-        there = {key_of(each.run.combination) for each in told if each.run.batch == 1 and each.run.repetition == now}
+        raced = [each.run for each in told if each.run.batch == 1]
+        now = max(run.repetition for run in raced)
+        there = {key_of(run.combination) for run in raced if run.repetition == now}
         runners = [each for each in points if key_of(each.combination) in there]
-        worse = self._worse(runners, len(raced))
+        worse = self._worse(runners, len(points))
         # Where runs failed, each may be worse than another in the repetitions that they share.
         left = [each for each in runners if id(each) not in worse] or runners
         words = self._in_words(left, runners, worse, now)
@@ -187,11 +187,10 @@ class _Racing:
         elif len(left) > 1 and now < design.at_most:
             words = f"{words}. Next: repetition {now + 1} of {counted(len(left), 'combination')}"
             runs = [(each.combination, now + 1) for each in left]
-            name = f"repetition {now + 1}"
-            return Decision(name=name, in_words=words, runs=runs, blocks=REPETITION, facts={"why": words, **facts})
+            return decided(f"repetition {now + 1}", words, facts, runs=runs, blocks=REPETITION)
         elif design.confirm:
             return confirmation(left, design.confirm, words, facts)
-        return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
+        return decided("end", words, facts, findings=odd)
 
     def _worse(self, runners: Sequence[Explored], raced: int) -> dict[int, str]:
         """Return those that are clearly worse than another one, by their identity, and than which.

@@ -9,6 +9,7 @@ from robot_runner.cli.console import Column, aligned, fitting, width_of
 from robot_runner.core.design.columns import BATCH, REPETITION
 from robot_runner.core.design.factor import full_size
 from robot_runner.core.design.listed_runs import ListedRunTableModel
+from robot_runner.core.inactive import INACTIVE
 from robot_runner.core.words import counted, enumerated, listed, plain, shown_treatment
 
 if TYPE_CHECKING:
@@ -94,6 +95,9 @@ def in_words(model: RunTableModel) -> str:
         >>> from robot_runner.core.design.run_table_model import RunTableModel
         >>> in_words(RunTableModel([Factor("Task", ["Video", "Network"]), Factor("Speed", [1])], repetitions=3))
         '6 runs: Task (2) x Speed (1) x 3 repetitions'
+        >>> factors = [Factor("Sensor", ["camera", "lidar"]), Factor("Pixels", [720, 1080], when={"Sensor": "camera"})]
+        >>> in_words(RunTableModel(factors))
+        '3 runs: Sensor (2) x Pixels (2, where Sensor=camera)'
     """
     parts = [f"{factor.name} ({_treatments_in_words(factor)})" for factor in model.factors]
     if isinstance(model, ListedRunTableModel):
@@ -170,7 +174,10 @@ def _aliases_in_words(facts: Mapping[str, Any]) -> str:
 
 def _treatments_in_words(factor: Factor) -> str:
     span = factor.range
-    return f"{len(factor.treatments):,}" if span is None else f"{span.lower} to {span.upper} {span.unit}".rstrip()
+    count = sum(each is not INACTIVE for each in factor.treatments)
+    told = f"{count:,}" if span is None else f"{span.lower} to {span.upper} {span.unit}".rstrip()
+    where = (f"{name}={' or '.join(map(shown_treatment, wanted))}" for name, wanted in (factor.when or {}).items())
+    return f"{told}, where {' and '.join(where)}" if factor.when else told
 
 
 def warm_ups_in_words(model: RunTableModel, runs: Sequence[PlannedRun]) -> str:

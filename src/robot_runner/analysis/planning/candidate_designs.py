@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.design.columns import REPETITION
 from robot_runner.core.design.design import FullFactorial
-from robot_runner.core.design.factor import Factor, treatment_text
+from robot_runner.core.design.factor import Factor, full_size, treatment_text
 from robot_runner.core.errors import DesignError
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.designs.covering import CoveringArray
@@ -88,7 +88,7 @@ def candidates_of(model: RunTableModel, hard: Sequence[str]) -> Iterator[Candida
     if hard:
         yield Candidate(f"split plot, {' x '.join(hard)} in whole plots", partial(_split_plot, model, tuple(hard)))
     if all(len(factor.treatments) == 2 for factor in model.factors):  # noqa: PLR2004 - what fractions are of
-        least = math.prod(len(factor.treatments) for factor in model.factors)
+        least = full_size(model.factors)
         for resolution in (5, 4, 3):
             design = FractionalFactorial(resolution=resolution)
             size = _count(model, design)
@@ -101,7 +101,7 @@ def candidates_of(model: RunTableModel, hard: Sequence[str]) -> Iterator[Candida
         }
         yield Candidate("one factor at a time", partial(_designed, model, OneFactorAtATime(base=base)))
         yield Candidate("covering array of pairs", partial(_designed, model, CoveringArray(strength=2)))
-        full = math.prod(len(factor.treatments) for factor in model.factors)
+        full = full_size(model.factors)
         for words, kind, parameters in _models(model.factors):
             size = math.ceil(_COMBINATIONS_A_PARAMETER * parameters)
             if size < full:
