@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
@@ -22,6 +24,24 @@ class ScriptedMeter(ElectricalProfiler):
 
     def close(self):
         pass
+
+
+def test_what_the_energy_was_taken_from_is_told_of_the_mission_and_not_of_the_time_around_it(tmp_path):
+    clock = FakeClock()
+    plugin = ScriptedMeter(lambda time: ElectricalReading(8.0, wobbling(time), joules=8.0 * (time % 15.0)))
+    context = make_context(tmp_path, plugin, robot=None, clock=clock)
+    clock.sleep(14.0)
+    plugin.start_run(context)
+    plugin.start_measurement(context)
+    clock.sleep(2.0)  # the counter is set back before the mission
+    context.times.begin()
+    clock.sleep(10.0)
+    context.times.end()
+    plugin.stop_measurement(context)
+    plugin.populate_run_data(context)
+    facts = json.loads((context.raw_data_folder / "quality.json").read_text())
+    assert [finding.problem for finding in context.broker.findings] == []
+    assert facts["energy_from"] == {"": "counter"}
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot import Encoding
 from robot_runner.ros.ros1_link import open_ros1_link
 from robot_runner.simulator import camera as camera_module
-from robot_runner.simulator.graph_robot import GraphRobot
+from robot_runner.simulator.graph_robot import GraphRobot, SimulatedPlace
 from robot_runner.simulator.rooms import Cylinder, Room
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
@@ -72,7 +72,7 @@ def test_its_information_is_that_of_a_pinhole(simulation):
 @needs_rendering
 def test_on_a_graph_it_renders_only_while_somebody_else_looks(simulation):
     link = FakeRobotLink(FakeClock(), is_simulated=True)
-    robot = GraphRobot(link, simulation, has_camera=True)
+    robot = GraphRobot(link, simulation, SimulatedPlace(link="dds", has_camera=True))
     of_camera = lambda: [each for each in link.publications if each.topic == "camera/image_raw"]  # noqa: E731
     assert len(of_camera()) == 1
     link.known_subscribers["/camera/image_raw"] = []
@@ -103,7 +103,7 @@ def test_on_ros1_its_information_has_the_matrices_in_capitals(simulation, master
     ):
         infos = []
         own.subscribe("camera/camera_info", "sensor_msgs/CameraInfo", infos.append)
-        robot = GraphRobot(its, simulation, has_camera=True)
+        robot = GraphRobot(its, simulation, SimulatedPlace(link="ros1", has_camera=True))
         deadline = time.monotonic() + 30.0
         while not infos and time.monotonic() < deadline:
             robot.watch_camera()

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from robot_runner.simulator.drive import DifferentialDrive
-from robot_runner.simulator.model import burger_model
+from robot_runner.simulator.model import Body, burger_model
+from robot_runner.simulator.physics import Physics
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
@@ -19,7 +20,7 @@ RADII = (PARAMETERS.wheel_radius, PARAMETERS.wheel_radius)
 
 @pytest.fixture
 def drive():
-    return DifferentialDrive(PARAMETERS, RADII)
+    return DifferentialDrive(PARAMETERS, Physics(PARAMETERS, [Body(RADII)]))
 
 
 def go(drive, seconds, linear=0.0, angular=0.0):
@@ -115,7 +116,7 @@ def test_a_wall_stops_it(drive):
 
 
 def test_advancing_in_pieces_is_advancing_at_once(drive):
-    other = DifferentialDrive(PARAMETERS, RADII)
+    other = DifferentialDrive(PARAMETERS, Physics(PARAMETERS, [Body(RADII)]))
     for one in (drive, other):
         one.command(0.2, 0.3)
     drive.advance(1000)

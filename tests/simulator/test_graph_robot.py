@@ -10,7 +10,8 @@ import pytest
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.robot import Qos
 from robot_runner.simulator import graph_robot, graph_simulation
-from robot_runner.simulator.graph_simulation import GraphSimulation, SimulatedPlace, check_pace, on_graph
+from robot_runner.simulator.graph_robot import SimulatedPlace
+from robot_runner.simulator.graph_simulation import GraphSimulation, check_pace, on_graph
 from robot_runner.simulator.rooms import Pose, Room
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
@@ -93,8 +94,9 @@ def link():
 def make(link, simulation):
     made = []
 
-    def make_robot(**options):
-        made.append(GraphSimulation({"": link}, lambda seed: simulation, **{"real_time_factor": 100.0, **options}))
+    def make_robot(*, has_meter=False, **options):
+        place = SimulatedPlace(link="dds", **{"real_time_factor": 100.0, **options})
+        made.append(GraphSimulation({"": link}, lambda seed: simulation, place, has_meter=has_meter))
         return made[-1]
 
     yield make_robot
@@ -226,7 +228,7 @@ def test_a_robot_that_is_closed_hears_and_offers_nothing(link, make):
 def test_two_robots_of_one_name_are_refused_and_nothing_is_left_behind(simulation):
     link = GraphOfOne(taken=("robot_runner/watchdog/release",))
     with pytest.raises(LinkError, match="somebody offers it already"):
-        GraphSimulation({"": link}, lambda seed: simulation)
+        GraphSimulation({"": link}, lambda seed: simulation, SimulatedPlace(link="dds"))
     assert link.heard_by == link.offers == {}
 
 
@@ -260,7 +262,8 @@ def test_it_lives_without_its_transform_where_tf2_is_not_installed(link, make, m
 
 
 def test_a_reset_is_another_run_of_the_same_robot_from_the_beginning(link):
-    graph = GraphSimulation({"": link}, Simulation, seed=4, is_clock=True, real_time_factor=100.0, has_meter=True)
+    place = SimulatedPlace(link="dds", seed=4, is_clock=True, real_time_factor=100.0)
+    graph = GraphSimulation({"": link}, Simulation, place, has_meter=True)
     try:
         link.heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
         graph.live(seconds=2.0)
@@ -317,7 +320,8 @@ def test_while_it_is_paused_its_time_stands_still_and_nothing_is_said(link, make
 def test_robots_of_one_room_live_on_one_graph_in_one_world():
     links = {"/alice": GraphOfOne(), "/bob": GraphOfOne()}
     room = Room((), {"/alice": Pose(0, 0, 0), "/bob": Pose(0.4, 0, 0)})
-    graph = GraphSimulation(links, lambda seed: Simulation(seed, room=room), real_time_factor=100.0)
+    place = SimulatedPlace(link="dds", real_time_factor=100.0)
+    graph = GraphSimulation(links, lambda seed: Simulation(seed, room=room), place)
     links["/alice"].heard_by["cmd_vel"]({"linear": {"x": 0.2}, "angular": {"z": 0.0}})
     graph.live(seconds=4.0)
     assert min(links["/bob"].messages("scan")[0]["ranges"]) < 0.5

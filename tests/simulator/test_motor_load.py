@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from robot_runner.simulator.drive import DifferentialDrive
+from robot_runner.simulator.model import Body
+from robot_runner.simulator.physics import Physics
 from robot_runner.simulator.simulated_turtlebot3 import Simulation
 from robot_runner.simulator.supply import motor_power
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
@@ -80,7 +82,7 @@ def test_the_motors_cost_what_a_calculation_by_hand_says():
 def test_the_torque_is_that_of_rolling_resistance_and_slope():
     for mass, slope in ((1.0, 0.0), (3.0, 0.0), (1.5, 10.0), (3.0, -10.0)):
         parameters = Turtlebot3Parameters(mass=mass, floor_slope=slope)
-        drive = DifferentialDrive(parameters, (RADIUS, RADIUS))
+        drive = DifferentialDrive(parameters, Physics(parameters, [Body((RADIUS, RADIUS))]))
         drive.command(SPEED, 0.0)
         drive.advance(1600)
         angle = math.atan(slope / 100)
@@ -125,7 +127,8 @@ def test_on_a_floor_without_grip_a_slope_cannot_be_climbed():
 
 
 def test_an_imu_on_a_slope_tells_of_it():
-    drive = DifferentialDrive(Turtlebot3Parameters(floor_slope=10.0), (RADIUS, RADIUS))
+    parameters = Turtlebot3Parameters(floor_slope=10.0)
+    drive = DifferentialDrive(parameters, Physics(parameters, [Body((RADIUS, RADIUS))]))
     drive.advance(200)
     angle = math.atan(0.1)
     assert drive.acceleration == pytest.approx([9.81 * math.sin(angle), 0, 9.81 * math.cos(angle)], abs=0.05)

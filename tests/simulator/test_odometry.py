@@ -7,6 +7,8 @@ import math
 import pytest
 
 from robot_runner.simulator.drive import DifferentialDrive, WheelOdometry
+from robot_runner.simulator.model import Body
+from robot_runner.simulator.physics import Physics
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
 PARAMETERS = Turtlebot3Parameters()
@@ -16,7 +18,7 @@ TICK = 2 * math.pi * PARAMETERS.wheel_radius / PARAMETERS.encoder_ticks
 
 @pytest.fixture
 def drive():
-    return DifferentialDrive(PARAMETERS, RADII)
+    return DifferentialDrive(PARAMETERS, Physics(PARAMETERS, [Body(RADII)]))
 
 
 def odometry_of(drive, phases=(0.3, 0.7)):
@@ -64,7 +66,7 @@ def test_it_does_not_depend_on_when_somebody_looks(drive):
 
 
 def test_larger_wheels_go_farther_than_the_odometry_says():
-    drive = DifferentialDrive(PARAMETERS, (0.0335, 0.0335))
+    drive = DifferentialDrive(PARAMETERS, Physics(PARAMETERS, [Body((0.0335, 0.0335))]))
     odometry = odometry_of(drive)
     drive.command(0.2, 0.0)
     drive.advance(2000)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
@@ -77,26 +77,6 @@ def placed_cores(counters: Mapping[int, CoreCounters]) -> tuple[CoreCounters | N
     return tuple(map(counters.get, range(max(counters, default=-1) + 1)))
 
 
-@dataclass(slots=True)
-class _Ledger:
-    """The CPU time of the processes that selectors matched, added up over their comings and goings."""
-
-    seen: dict[tuple[int, str], float] = field(default_factory=dict)
-    is_first: bool = True
-
-    def spent(self, sample: CounterSample, selector: int) -> float:
-        """Return the CPU time since the look before, s; a process that was not there then was started since."""
-        spent = 0.0
-        for process in sample.processes:
-            if process.selector == selector:
-                key = (process.pid, process.started)
-                before = self.seen.get(key, process.cpu if self.is_first else 0.0)
-                spent += max(0.0, process.cpu - before)
-                self.seen[key] = process.cpu
-        self.is_first = False
-        return spent
-
-
 def utilisation_of(
     samples: Iterable[CounterSample], *, cores: int, selectors: int = 0, to_run: ClockMap | None = None
 ) -> list[UtilisationSample]:
@@ -118,14 +98,15 @@ def utilisation_of(
         [(None, 25.0), (25.0, 25.0)]
     """
     found: list[UtilisationSample] = []
-    ledgers = [_Ledger() for _ in range(selectors)]
+    seen: dict[tuple[int, int, str], float] = {}
     spent = [0.0] * selectors
     before: CounterSample | None = None
     for sample in samples:
-        spent = [
-            sofar + ledger.spent(sample, place)
-            for place, (sofar, ledger) in enumerate(zip(spent, ledgers, strict=True))
-        ]
+        for process in sample.processes:
+            key = (process.selector, process.pid, process.started)
+            # One that was not there at the look before was started since.
+            spent[process.selector] += max(0.0, process.cpu - seen.get(key, process.cpu if before is None else 0.0))
+            seen[key] = process.cpu
         cpu = None if before is None else _busy(before.whole, sample.whole)
         seconds = None if cpu is None or before is None else (sample.time - before.time) * cores
         found.append(
@@ -144,11 +125,10 @@ def utilisation_of(
 
 
 def _busy(before: CoreCounters | None, after: CoreCounters | None) -> float | None:
-    total = 0.0 if before is None or after is None else after.total - before.total
-    if before is None or after is None or total <= 0:
+    if before is None or after is None or after.total <= before.total:
         return None
     # The counter of idle time of some kernels goes back by a step now and then.
-    return min(100.0, max(0.0, 100.0 * (1.0 - (after.idle - before.idle) / total)))
+    return min(100.0, max(0.0, 100.0 * (1.0 - (after.idle - before.idle) / (after.total - before.total))))
 
 
 def _cores(before: CounterSample | None, sample: CounterSample) -> tuple[float | None, ...]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.measuring.clock_offset import ClockRecord
@@ -81,52 +82,40 @@ def file_sample(fields: Sequence[str], to_run: ClockMap, *, files: int) -> FileS
 S_co = TypeVar("S_co", covariant=True)
 
 
-class Quantity(Protocol[S_co]):
-    """What is sampled: how it is asked for, and what the lines that come back say."""
+@dataclass(frozen=True, slots=True)
+class Quantity(Generic[S_co]):
+    """What is sampled.
 
-    @property
-    def question(self) -> tuple[str, Sequence[str]]:
-        """What the on-board loop calls it, and what it is to look at."""
-        ...
+    Attributes:
+        kind: what the on-board loop calls it.
+        about: what the loop is to look at.
+        understood: from the lines that come back, the computer's clock and how many cores it has to the samples, placed
+            on the run's clock; damaged lines are left out.
+    """
 
-    def understood(self, lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int) -> Sequence[S_co]:
-        """Return the samples of some lines, placed on the run's clock; damaged lines are left out."""
-        ...
+    kind: str
+    about: Sequence[str]
+    understood: Callable[[Sequence[Sequence[str]], ClockRecord, int], Sequence[S_co]]
 
 
-class UtilisationCounters:
-    """CPU and memory of the computer, and of the processes that selectors match."""
+def utilisation_counters(processes: Sequence[str]) -> Quantity[UtilisationSample]:
+    """Return the utilisation of the computer, and of the processes that selectors match."""
 
-    def __init__(self, processes: Sequence[str]) -> None:
-        self._processes = tuple(processes)
-
-    @property
-    def question(self) -> tuple[str, Sequence[str]]:
-        """What the on-board loop calls it, and the selectors."""
-        return "utilisation", self._processes
-
-    def understood(self, lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int) -> Sequence[UtilisationSample]:
-        """Return the utilisation between each two lines."""
+    def understood(lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int) -> Sequence[UtilisationSample]:
         counters = [sample for line in lines if (sample := counter_sample(line[1:])) is not None]
-        return utilisation_of(counters, cores=cores, selectors=len(self._processes), to_run=clock.to_run)
+        return utilisation_of(counters, cores=cores, selectors=len(processes), to_run=clock.to_run)
+
+    return Quantity("utilisation", processes, understood)
 
 
-class FileLines:
-    """The first line of each of some files."""
+def file_lines(paths: Sequence[str]) -> Quantity[FileSample]:
+    """Return what stands in the first line of each of some files."""
 
-    def __init__(self, paths: Sequence[str]) -> None:
-        self._paths = tuple(paths)
+    def understood(lines: Sequence[Sequence[str]], clock: ClockRecord, _cores: int) -> Sequence[FileSample]:
+        to_run = clock.to_run
+        return [one for line in lines if (one := file_sample(line[1:], to_run, files=len(paths))) is not None]
 
-    @property
-    def question(self) -> tuple[str, Sequence[str]]:
-        """What the on-board loop calls it, and the paths."""
-        return "files", self._paths
-
-    def understood(self, lines: Sequence[Sequence[str]], clock: ClockRecord, cores: int) -> Sequence[FileSample]:
-        """Return what stood in the files."""
-        del cores
-        to_run, count = clock.to_run, len(self._paths)
-        return [one for line in lines if (one := file_sample(line[1:], to_run, files=count)) is not None]
+    return Quantity("files", paths, understood)
 
 
 class OnBoardSampler(Generic[S_co]):
@@ -163,8 +152,7 @@ class OnBoardSampler(Generic[S_co]):
         self._clock = ClockRecord(session.where, session.clock_offset())
         session.samples = []
         token = "-" if is_streamed else new_token()
-        kind, about = quantity.question
-        path, cores, actual = session.ask(kind, rate, token, *about, answer="begun")
+        path, cores, actual = session.ask(quantity.kind, rate, token, *quantity.about, answer="begun")
         self._path = None if path == "-" else path
         self._cores = int(cores)
         self._rate = float(actual)

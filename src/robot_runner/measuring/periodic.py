@@ -1,4 +1,4 @@
-"""Readings at a fixed rate: absolute deadlines on the clock, so that the rate does not drift."""
+"""Readings at a fixed rate: of a meter, by absolute deadlines on the clock, or of a computer's files."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import math
 import threading
 import time
 from array import array
-from bisect import bisect_left, bisect_right
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from robot_runner.core.errors import PluginError
 from robot_runner.core.events.window import Window
+from robot_runner.measuring.host import ReportingSampler, SamplingReport, TellingSampler
 from robot_runner.measuring.quality import quality_of
-from robot_runner.measuring.series import Series
+from robot_runner.measuring.series import Series, within
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from robot_runner.core.events.context import Clock
     from robot_runner.core.events.resources import Closable
+    from robot_runner.measuring.host import FileHost, FileSample, FileSampler
     from robot_runner.measuring.quality import SampleQuality
 
 
@@ -52,7 +54,7 @@ class Sampling(Generic[R]):
         rate: the nominal rate, Hz.
         failed_at: when readings raised an exception instead, s on the run's clock.
         first_failure: what the first of those said.
-        cpu_seconds: CPU time that reading took on this machine, s.
+        cpu_seconds: CPU time that reading took on the machine that is read, s; None if not known.
         sampled_seconds: how long the sampler worked, s.
 
     Example:
@@ -67,7 +69,7 @@ class Sampling(Generic[R]):
     rate: float
     failed_at: Sequence[float] = ()
     first_failure: str = ""
-    cpu_seconds: float = 0.0
+    cpu_seconds: float | None = 0.0
     sampled_seconds: float = 0.0
 
     @property
@@ -81,8 +83,8 @@ class Sampling(Generic[R]):
 
     def within(self) -> Sampling[R]:
         """Return the readings that were taken in the window, for what counts readings instead of integrating them."""
-        first, last = bisect_left(self.times, self.window.start), bisect_right(self.times, self.window.end)
-        return replace(self, times=self.times[first:last], readings=self.readings[first:last])
+        seen = within(self.times, self.window)
+        return replace(self, times=self.times[seen], readings=self.readings[seen])
 
     def series(self, value: Callable[[R], float] | None = None) -> Series:
         """Return one quantity of the readings; `value` picks it, the reading itself if left out."""
@@ -101,8 +103,10 @@ class Sampling(Generic[R]):
             **counts,
         )
 
-    def _own_seconds(self) -> float:
+    def _own_seconds(self) -> float | None:
         """Return the CPU time of the window, from that of all the time that was sampled."""
+        if self.cpu_seconds is None:
+            return None
         return self.cpu_seconds * self.window.duration / self.sampled_seconds if self.sampled_seconds else 0.0
 
 
@@ -248,3 +252,92 @@ class PeriodicSampler(Generic[R]):
     def _note_failure(self, what: str, at: float) -> None:
         self._failed_at.append(at)
         self._first_failure = self._first_failure or what
+
+
+class HostSampler(Generic[R]):
+    """Has a computer read the first lines of files from `start` until `stop`, which are fetched then.
+
+    Args:
+        host: the computer.
+        paths: the files.
+        understood: from the lines of the files, None for one that could not be read, to one reading; a ValueError costs
+            that reading, as in a `PeriodicSampler`.
+        rate: readings a second, Hz.
+        clock: that the computer's samples are stamped by.
+    """
+
+    def __init__(
+        self,
+        host: FileHost,
+        paths: Sequence[str],
+        understood: Callable[[Sequence[str | None]], R],
+        *,
+        rate: float,
+        clock: Clock,
+    ) -> None:
+        self._host = host
+        self._paths = paths
+        self._understood = understood
+        self._rate = rate
+        self._clock = clock
+        self._begun = clock.now()
+        self._files: FileSampler | None = None
+        self._latest: Callable[[], FileSample] | None = None
+        self._sampling: Sampling[R] | None = None
+
+    def start(self) -> None:
+        """Begin to sample.
+
+        Raises:
+            LinkError: the computer cannot be reached.
+        """
+        self._files = self._host.sample_files(self._rate, self._paths)
+        if isinstance(self._files, TellingSampler):
+            self._files.tell(self._take_latest)
+        self._begun = self._clock.now()
+
+    def take_now(self) -> None:
+        """Do nothing: the computer reads on its own, and the edges lie between two of its readings."""
+
+    def latest(self) -> R | None:
+        """Return the last reading; None where there is none: most computers tell at the end."""
+        with suppress(ValueError):
+            return None if self._latest is None else self._understood(self._latest().lines)
+        return None
+
+    def stop(self) -> Sampling[R]:
+        """Fetch what was sampled; a second call returns the same."""
+        if self._sampling is None:
+            window = Window(self._begun, self._clock.now())
+            samples = self._files.stop() if self._files is not None else ()
+            self._sampling = self._sampled(samples, window)
+        return self._sampling
+
+    def report(self) -> SamplingReport:
+        """Return what the computer says of its sampling; to be asked after `stop`."""
+        return self._files.report() if isinstance(self._files, ReportingSampler) else SamplingReport(rate=self._rate)
+
+    def _take_latest(self, sample: Callable[[], FileSample]) -> None:
+        self._latest = sample
+
+    def _sampled(self, samples: Sequence[FileSample], window: Window) -> Sampling[R]:
+        times, readings, failed_at, first_failure = [], [], [], ""
+        for sample in samples:
+            try:
+                readings.append(self._understood(sample.lines))
+            except ValueError as error:
+                failed_at.append(sample.time)
+                first_failure = first_failure or str(error)
+            else:
+                times.append(sample.time)
+        report = self.report()
+        return Sampling(
+            times,
+            readings,
+            window,
+            report.rate,
+            failed_at=failed_at,
+            first_failure=first_failure,
+            cpu_seconds=report.cpu_seconds,
+            sampled_seconds=window.duration,
+        )

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import io
 import json
-from array import array
 from bisect import bisect_left, bisect_right
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.guarded_files import open_to_fill
+from robot_runner.measuring.series import Series, within
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.events.context import RobotRunnerContext
@@ -38,18 +38,9 @@ class Column:
     values: Sequence[float] | Sequence[float | None]
     form: str = "%.6f"
 
-    def cells(self) -> Iterable[Any]:
-        """Return what is written by `cell_form`."""
-        return self.values if self._is_complete else ["" if one is None else self.form % one for one in self.values]
-
-    @property
-    def cell_form(self) -> str:
-        """The printf form of `cells`: that of numbers where none is missing, which is far quicker for many."""
-        return self.form if self._is_complete else "%s"
-
-    @property
-    def _is_complete(self) -> bool:
-        return isinstance(self.values, array) or None not in self.values
+    def cells(self) -> list[str]:
+        """Return the cells below the heading."""
+        return ["" if one is None else self.form % one for one in self.values]
 
 
 def write_samples(path: Path, columns: Sequence[Column]) -> None:
@@ -58,11 +49,10 @@ def write_samples(path: Path, columns: Sequence[Column]) -> None:
     Raises:
         ValueError: the columns are not equally long.
     """
-    line = ",".join(column.cell_form for column in columns) + "\n"
     rows = zip(*(column.cells() for column in columns), strict=True)
     with io.TextIOWrapper(open_to_fill(path), encoding="ascii", newline="") as file:
         file.write(",".join(column.name for column in columns) + "\n")
-        file.writelines(map(line.__mod__, rows))
+        file.writelines(f"{','.join(row)}\n" for row in rows)
 
 
 def write_quality(
@@ -229,13 +219,13 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         >>> quality_of([0.5, 1.5, 2.5, 9.5], Window(0.0, 10.0), rate=1.0).warnings()[0]
         '4 samples arrived of 10 expected'
     """
-    within = times[bisect_left(times, window.start) : bisect_right(times, window.end)]
-    gaps = [later - sooner for sooner, later in pairwise((window.start, *within, window.end))]
+    seen = times[within(times, window)]
+    gaps = [later - sooner for sooner, later in pairwise((window.start, *seen, window.end))]
     period = 1.0 / rate
     unseen = sum(gap for gap in gaps if gap > _GAP_PERIODS * period)
     return SampleQuality(
         expected=round(window.duration * rate),
-        got=len(within),
+        got=len(seen),
         period=period,
         largest_gap=max(gaps),
         coverage=100.0 * (1.0 - unseen / window.duration) if window.duration else 0.0,
@@ -252,6 +242,11 @@ def quality_of(  # noqa: PLR0913 - each is one thing that a sensor may know of i
         cpu_seconds=cpu_seconds,
         duration=window.duration,
     )
+
+
+def sufficient(series: Series, window: Window, rate: float) -> Series:
+    """Return the samples where they cover enough of the window for a value to be computed from them, else none."""
+    return series if quality_of(series.times, window, rate).is_sufficient else Series([], [])
 
 
 def _is_bracketed(times: Sequence[float], window: Window, period: float) -> bool:

@@ -52,6 +52,11 @@ class Series:
         return len(self.times)
 
 
+def within(times: Sequence[float], window: Window) -> slice:
+    """Return which of the samples lie in a window, by the times at which they were taken."""
+    return slice(bisect_left(times, window.start), bisect_right(times, window.end))
+
+
 def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
     """Return the samples of the window, with a sample on each edge.
 
@@ -64,8 +69,8 @@ def cut(series: Series, window: Window, *, reach: float = 0.0) -> Series:
         >>> cut(Series([0.0, 1.0, 2.0], [0.0, 10.0, 20.0]), Window(0.5, 1.5)).values
         [5.0, 10.0, 15.0]
     """
-    low, high = bisect_left(series.times, window.start), bisect_right(series.times, window.end)
-    times, values = list(series.times[low:high]), list(series.values[low:high])
+    seen = within(series.times, window)
+    times, values = list(series.times[seen]), list(series.values[seen])
     if not times or times[0] > window.start:
         first = _value_at(series, window.start, reach)
         if first is not None:
@@ -177,5 +182,5 @@ def energy_from_mean_power(power: Series, window: Window) -> float | None:
     Source: Swanborn and Malavolta, Robot Runner (ICSE 2021), section II.C. It equals the integral for evenly
     spaced samples; where samples are missing, it takes it that power was as on average.
     """
-    within = power.values[bisect_left(power.times, window.start) : bisect_right(power.times, window.end)]
-    return math.fsum(within) / len(within) * window.duration if len(within) else None
+    seen = power.values[within(power.times, window)]
+    return math.fsum(seen) / len(seen) * window.duration if len(seen) else None

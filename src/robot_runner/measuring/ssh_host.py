@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from robot_runner.core.errors import LinkError
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
 from robot_runner.measuring.host import checked_words
-from robot_runner.measuring.on_board_sampler import FileLines, OnBoardSampler, UtilisationCounters, file_line
+from robot_runner.measuring.on_board_sampler import OnBoardSampler, file_line, file_lines, utilisation_counters
 from robot_runner.measuring.on_board_session import REMOTE_COMMAND, OnBoardSession, remove_leftovers
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class SshHost:
         Raises:
             LinkError: the computer cannot be reached or sampled, or the rate is not positive.
         """
-        return self._sampler(UtilisationCounters(checked_words(processes)), rate, is_streamed=is_streamed)
+        return self._sampler(utilisation_counters(checked_words(processes)), rate, is_streamed=is_streamed)
 
     def sample_files(
         self, rate: float, paths: Sequence[str], *, is_streamed: bool = False
@@ -104,7 +104,7 @@ class SshHost:
         Raises:
             LinkError: as `sample_processes`.
         """
-        return self._sampler(FileLines(checked_words(paths)), rate, is_streamed=is_streamed)
+        return self._sampler(file_lines(checked_words(paths)), rate, is_streamed=is_streamed)
 
     def read_files(self, paths: Sequence[str]) -> list[str | None]:
         """Return the first line of each file, without the line's end; None for one that cannot be read.

@@ -13,7 +13,7 @@ from robot_runner.core.events.window import Window
 from robot_runner.core.links.connect import connect_robot, is_simulation, robot_namespace
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.evaluation import publish_measures
-from robot_runner.measuring.quality import Column, quality_of, report_quality, write_samples
+from robot_runner.measuring.quality import Column, quality_of, report_quality, sufficient, write_samples
 from robot_runner.measuring.series import Series, cut, growth, integrate, mean
 from robot_runner.meters.parameter_checks import check_positive
 
@@ -195,7 +195,7 @@ class Battery(Profiler):
         )
         is_sufficient = quality_of(heard.times, window, self.rate_hz).is_sufficient
         for quantity, series, names in told:
-            if is_sufficient and len(series) and not len(self._sufficient(series, window)):
+            if is_sufficient and len(series) and not len(sufficient(series, window, self.rate_hz)):
                 missing = len(heard.times) - len(series)
                 yield f"the battery's {quantity} was NaN in {missing} of {len(heard.times)} messages: no value", names
         fullest = max(heard.series(heard.charge).values, default=0.0) / 100
@@ -211,20 +211,16 @@ class Battery(Profiler):
                 ("Energy",),
             )
 
-    def _sufficient(self, series: Series, window: Window) -> Series:
-        """Return the samples where they cover enough of the window, else none."""
-        return series if quality_of(series.times, window, self.rate_hz).is_sufficient else Series([], [])
-
     def _values(self, heard: _Heard, window: Window) -> Mapping[str, float | None]:
         """Return the measures over a part of the mission, at whose edges the nearest messages within stand for it."""
         if not quality_of(heard.times, window, self.rate_hz).is_sufficient:
             return {}
         voltage, power = (
-            cut(self._sufficient(series, window), window, reach=window.duration)
+            cut(sufficient(series, window, self.rate_hz), window, reach=window.duration)
             for series in (heard.series(heard.voltage), heard.power())
         )
         # Beyond the outermost messages it goes on as on average: what is used until the first one counts, too.
-        charged = growth(self._sufficient(heard.series(heard.charge), window), window)
+        charged = growth(sufficient(heard.series(heard.charge), window, self.rate_hz), window)
         return {
             "MeanVoltage": mean(voltage),
             "MinVoltage": min(voltage.values, default=None),

@@ -5,8 +5,26 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
+from robot_runner.meters.polled import Meter
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
+
+#: Several counters at one moment.
+Counters = tuple[int, ...]
+
+
+class FileCounters(Meter[Counters]):
+    """Counters that stand in files of the kernel, which can be read from the beginning on."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._paths = paths
+        self.read()
+
+    def read(self) -> Counters:
+        """Return the counters of this moment."""
+        return tuple(int(path.read_bytes()) for path in self._paths)
 
 
 def unwrapped(counts: Sequence[int] | Sequence[float], wraps_at: float | None = None) -> list[float]:

@@ -157,9 +157,9 @@ class ElectricalProfiler(PolledProfiler[Readings]):
 
     def details(self) -> Mapping[str, Any]:
         """Return what the energy of each channel was taken from."""
-        if self._sampling is None:
+        if self._measured is None:
             return {}
-        sources = [self._energy(self._sampling, place)[1] for place in range(len(self.channels))]
+        sources = [self._energy(self._measured, place)[1] for place in range(len(self.channels))]
         return {"energy_from": dict(zip(self.channels, sources, strict=True))}
 
     def _energy(self, sampling: Sampling[Readings], place: int) -> tuple[float | None, str]:

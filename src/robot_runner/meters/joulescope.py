@@ -12,6 +12,7 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.context import SystemClock
 from robot_runner.measuring.measured_machine import machine_clock, simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
+from robot_runner.meters.polled import trial_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -154,14 +155,10 @@ class Joulescope(ElectricalProfiler):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no driver, no instrument, or several of which none is named."""
-        where = f"plugin {self.name}"
         if importlib.util.find_spec("pyjoulescope_driver") is None:
-            return [Finding.error(where, "pyjoulescope_driver is not installed", _INSTALL)]
-        try:
-            _Instrument(self, SystemClock()).close()
-        except PluginError as error:
-            return [Finding.error(where, error.problem, error.fix)]
-        return simulation_findings(self.name, circumstances.robot)
+            return [Finding.error(f"plugin {self.name}", "pyjoulescope_driver is not installed", _INSTALL)]
+        findings = trial_findings(self, lambda: _Instrument(self, SystemClock()))
+        return findings or simulation_findings(self.name, circumstances.robot)
 
     def open(self, context: RobotRunnerContext) -> _Instrument:
         """Return the instrument, which has begun to send statistics.

@@ -6,7 +6,7 @@ import json
 import re
 import signal
 import time
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -15,6 +15,7 @@ from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.plugin import Profiler
 from robot_runner.measuring.measured_machine import clock_details, machine_clock
 from robot_runner.measuring.meter_process import MeterProcess
+from robot_runner.measuring.series import within
 from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.video_recording import Recording, frame_times, missing_programs, take_still, without_secrets
 
@@ -218,10 +219,8 @@ class LabCamera(Profiler):
         if window is None or self._clock is None:
             return
         times = [self._on_run_clock(at) for at in self._frames]
-        within = times[bisect_left(times, window.start) : bisect_right(times, window.end)]
-        unseen = [
-            later - sooner for sooner, later in pairwise((window.start, *within, window.end)) if later - sooner > _GAP
-        ]
+        edges = (window.start, *times[within(times, window)], window.end)
+        unseen = [later - sooner for sooner, later in pairwise(edges) if later - sooner > _GAP]
         if unseen:
             yield f"the video has no frame for {sum(unseen):.1f} s of the mission's {window.duration:.1f} s"
 

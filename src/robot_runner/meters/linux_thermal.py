@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
-from robot_runner.measuring.quality import Column, quality_of
-from robot_runner.measuring.series import Series, cut, mean
+from robot_runner.measuring.quality import Column, sufficient
+from robot_runner.measuring.series import cut, mean
 from robot_runner.meters.machine.machine_state import (
     FIRMWARE,
     HELD_BACK,
@@ -21,6 +21,7 @@ from robot_runner.meters.machine.machine_state import (
     UNDER_VOLTAGE,
     is_measured,
     is_plausible,
+    text_in,
 )
 from robot_runner.meters.parameter_checks import check_list
 from robot_runner.meters.polled import Meter, PolledProfiler, known_series
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
     from robot_runner.measuring.periodic import Sampling
+    from robot_runner.measuring.series import Series
 
 _MILLI = 1e-3
 _KILO = 1e3
@@ -64,7 +66,7 @@ class _Machine(Meter[ThermalReading]):
 
     def __init__(self, root: Path, zones: Sequence[str] | None) -> None:
         thermal, cpus = root / "class" / "thermal", root / "devices" / "system" / "cpu"
-        self.zone_types = {path: _text(path / "type") for path in sorted(thermal.glob("thermal_zone*"))}
+        self.zone_types = {path: text_in(path / "type") for path in sorted(thermal.glob("thermal_zone*"))}
         chosen = [
             path for path, kind in self.zone_types.items() if (is_measured(kind) if zones is None else kind in zones)
         ]
@@ -72,7 +74,7 @@ class _Machine(Meter[ThermalReading]):
         self.frequencies = sorted(cpus.glob("cpu[0-9]*/cpufreq/scaling_cur_freq"), key=_core_number)
         self.counters = sorted(cpus.glob("cpu[0-9]*/thermal_throttle/*_throttle_count"))
         coolers = sorted(thermal.glob("cooling_device*"))
-        self.coolers = [each / "cur_state" for each in coolers if _text(each / "type").startswith(PROCESSOR_COOLERS)]
+        self.coolers = [each / "cur_state" for each in coolers if text_in(each / "type").startswith(PROCESSOR_COOLERS)]
         self.firmware = [path for path in (root / FIRMWARE.removeprefix("/sys/"),) if path.exists()]
 
     @property
@@ -86,7 +88,7 @@ class _Machine(Meter[ThermalReading]):
         frequencies = [clock for clock in clocks if clock is not None]
         counts = _numbers(self.counters)
         states = _numbers(self.coolers)
-        flags = [int(text, 16) for path in self.firmware if (text := _text(path))]
+        flags = [int(text, 16) for path in self.firmware if (text := text_in(path))]
         tells = bool(states or flags)
         return ThermalReading(
             temperature=max(temperatures, default=None),
@@ -104,16 +106,10 @@ def _core_number(path: Path) -> int:
     return int(path.parents[1].name.removeprefix("cpu"))
 
 
-def _text(path: Path) -> str:
-    with suppress(OSError):
-        return path.read_text(encoding="ascii", errors="replace").strip()
-    return ""
-
-
 def _number(path: Path) -> float | None:
     """Return the number in a file; None where a sensor is asleep or gone, as some are."""
     with suppress(ValueError):
-        return float(_text(path))
+        return float(text_in(path))
     return None
 
 
@@ -288,8 +284,7 @@ def _series(sampling: Sampling[ThermalReading], quantity: str) -> Series:
 
 def _sufficient(sampling: Sampling[ThermalReading], quantity: str) -> Series:
     """Return one quantity where it was told for enough of the window, else nothing."""
-    series = _series(sampling, quantity)
-    return series if quality_of(series.times, sampling.window, sampling.rate).is_sufficient else Series([], [])
+    return sufficient(_series(sampling, quantity), sampling.window, sampling.rate)
 
 
 def _silences(sampling: Sampling[ThermalReading]) -> Iterable[str]:

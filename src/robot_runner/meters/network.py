@@ -15,9 +15,9 @@ from robot_runner.measuring.measured_machine import machine_clock, simulation_fi
 from robot_runner.measuring.meter_process import MeterProcess
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
-from robot_runner.meters.counters import fall_count, unwrapped
+from robot_runner.meters.counters import Counters, FileCounters, fall_count, unwrapped
 from robot_runner.meters.parameter_checks import check_list
-from robot_runner.meters.polled import Meter, PolledProfiler
+from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -48,19 +48,6 @@ def wraps_at(counters: Sequence[Sequence[int]]) -> int | None:
     """
     moments = pairwise(zip(*counters, strict=True))
     return None if any(sum(map(gt, sooner, later)) > 1 for sooner, later in moments) else _WORD
-
-
-#: The counters of each interface, one after the other.
-Counters = tuple[int, ...]
-
-
-class _Interfaces(Meter[Counters]):
-    def __init__(self, root: Path, names: Sequence[str]) -> None:
-        self._paths = [root / name / "statistics" / counter for name in names for counter in _COUNTERS]
-        self.read()
-
-    def read(self) -> Counters:
-        return tuple(int(path.read_bytes()) for path in self._paths)
 
 
 class Network(PolledProfiler[Counters]):
@@ -130,7 +117,7 @@ class Network(PolledProfiler[Counters]):
         super().start_run(context)
         self._ending = None
 
-    def open(self, context: RobotRunnerContext) -> _Interfaces:
+    def open(self, context: RobotRunnerContext) -> FileCounters:
         """Return the counters of the interfaces; begin to keep packets, if that was asked for.
 
         Raises:
@@ -139,10 +126,11 @@ class Network(PolledProfiler[Counters]):
         for fault in self._faults():
             raise fault
         self._names = self._chosen()
-        interfaces = _Interfaces(self.root, self._names)
+        interfaces = [self.root / name / "statistics" for name in self._names]
+        counters = FileCounters([interface / counter for interface in interfaces for counter in _COUNTERS])
         if self.capture:
             self._capturing = self._captured(context)
-        return interfaces
+        return counters
 
     def _captured(self, context: RobotRunnerContext) -> MeterProcess:
         """Return tshark once it captures.

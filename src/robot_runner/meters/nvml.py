@@ -14,7 +14,7 @@ from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, cut, energy, growth, mean
 from robot_runner.meters.counters import fall_count
 from robot_runner.meters.parameter_checks import check_list
-from robot_runner.meters.polled import PolledProfiler, known_series
+from robot_runner.meters.polled import PolledProfiler, known_series, trial_findings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -147,14 +147,9 @@ class Nvml(PolledProfiler[tuple[GpuReading, ...]]):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no library, no driver, or no such GPU."""
-        where = f"plugin {self.name}"
         if importlib.util.find_spec("pynvml") is None:
-            return [Finding.error(where, "nvidia-ml-py is not installed", _INSTALL)]
-        try:
-            _Gpus(self.gpus).close()
-        except PluginError as error:
-            return [Finding.error(where, error.problem, error.fix)]
-        return simulation_findings(self.name, circumstances.robot)
+            return [Finding.error(f"plugin {self.name}", "nvidia-ml-py is not installed", _INSTALL)]
+        return trial_findings(self, lambda: _Gpus(self.gpus)) or simulation_findings(self.name, circumstances.robot)
 
     def open(self, context: RobotRunnerContext) -> _Gpus:
         """Return the GPUs.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
+from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Origin
 from robot_runner.core.events.window import Window
 from robot_runner.core.plugin import Profiler
@@ -87,6 +88,7 @@ class PolledProfiler(Profiler, Generic[R]):
         self._meter: Meter[R] | None = None
         self._sampler: Sampler[R] | None = None
         self._sampling: Sampling[R] | None = None
+        self._measured: Sampling[R] | None = None  # the same readings, over the mission
         self._is_written = False
         self._live: LiveSamples | None = None
 
@@ -121,7 +123,7 @@ class PolledProfiler(Profiler, Generic[R]):
     def start_run(self, context: RobotRunnerContext) -> None:
         """Forget the run before."""
         del context
-        self._sampler = self._sampling = None
+        self._sampler = self._sampling = self._measured = None
         self._is_written = False
 
     def sampler(self, context: RobotRunnerContext) -> Sampler[R]:
@@ -168,7 +170,7 @@ class PolledProfiler(Profiler, Generic[R]):
         if sampling is None or window is None:
             context.doubt("nothing was measured: the measurement was never started")
         else:
-            measured = sampling.over(window)
+            measured = self._measured = sampling.over(window)
             details = {**clock_details(context), "rate_hz": self.rate_hz, **self.details()}
             report_quality(context, measured.quality(), window, sampled=sampling.window, details=details)
             for problem in self.doubts(measured):
@@ -178,6 +180,15 @@ class PolledProfiler(Profiler, Generic[R]):
     def _evaluated(self, window: Window) -> Mapping[str, float | None]:
         sampling = self._sampling.over(window) if self._sampling is not None else None
         return self.values(sampling) if sampling is not None and sampling.quality().is_sufficient else {}
+
+
+def trial_findings(plugin: PolledProfiler[Any], opened: Callable[[], Meter[Any]]) -> list[Finding]:
+    """Return why a plugin's meter cannot be opened, which it is for a moment; nothing where it can."""
+    try:
+        opened().close()
+    except (LinkError, PluginError) as error:
+        return [Finding.error(f"plugin {plugin.name}", error.problem, error.fix)]
+    return []
 
 
 def known_series(sampling: Sampling[R], pick: Callable[[R], float | None]) -> Series:

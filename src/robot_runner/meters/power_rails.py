@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.events.window import Window
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.links.ssh_command import ssh_findings
 from robot_runner.measuring.devices import connect_host
-from robot_runner.measuring.host import FileHost, RemoteHost, ReportingSampler, SamplingReport
+from robot_runner.measuring.host import FileHost, RemoteHost, SamplingReport
 from robot_runner.measuring.local_host import LocalHost
 from robot_runner.measuring.measured_machine import Computer, machine_clock, simulation_findings
-from robot_runner.measuring.periodic import Sampling
+from robot_runner.measuring.periodic import HostSampler
 from robot_runner.measuring.ssh_host import SshHost
 from robot_runner.meters.electrical import ElectricalProfiler, Readings
 from robot_runner.meters.polled import Meter
@@ -24,9 +24,9 @@ from robot_runner.meters.sysfs_rails import choose_rails, find_rails
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
+    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.plugin import Circumstances
-    from robot_runner.measuring.host import FileSample, FileSampler
+    from robot_runner.measuring.periodic import Sampling
     from robot_runner.meters.polled import Sampler
     from robot_runner.meters.sysfs_rails import Rail
 
@@ -58,73 +58,6 @@ def _understood(rails: Sequence[Rail], paths: Sequence[str], lines: Sequence[str
     """
     by_path = dict(zip(paths, lines, strict=True))
     return tuple(rail.read(by_path) for rail in rails)
-
-
-class RailSampler:
-    """Has another computer read the files of some rails, and fetches what it read.
-
-    Args:
-        host: the computer.
-        rails: to be read.
-        rate: samples a second, Hz.
-        clock: on which the computer's samples are stamped.
-    """
-
-    def __init__(self, host: FileHost, rails: Sequence[Rail], *, rate: float, clock: Clock) -> None:
-        self._host = host
-        self._rails = rails
-        self._paths = _paths(rails)
-        self._rate = rate
-        self._clock = clock
-        self._files: FileSampler | None = None
-        self._start = 0.0
-        self._sampling: Sampling[Readings] | None = None
-
-    def start(self) -> None:
-        """Begin to sample.
-
-        Raises:
-            LinkError: the computer cannot be reached.
-        """
-        self._files = self._host.sample_files(self._rate, self._paths)
-        self._start = self._clock.now()
-
-    def take_now(self) -> None:
-        """Do nothing: the other computer reads on its own, and the edges lie between two of its readings."""
-
-    def stop(self) -> Sampling[Readings]:
-        """Fetch what was sampled; a second call returns the same."""
-        if self._sampling is None:
-            window = Window(self._start, self._clock.now())
-            samples = self._files.stop() if self._files is not None else ()
-            self._sampling = self._sampled(samples, window)
-        return self._sampling
-
-    def report(self) -> SamplingReport:
-        """Return what the computer says of its sampling; to be asked after `stop`."""
-        return self._files.report() if isinstance(self._files, ReportingSampler) else SamplingReport(rate=self._rate)
-
-    def _sampled(self, samples: Sequence[FileSample], window: Window) -> Sampling[Readings]:
-        times, readings, failed_at, first_failure = [], [], [], ""
-        for sample in samples:
-            try:
-                readings.append(_understood(self._rails, self._paths, sample.lines))
-            except ValueError as error:
-                failed_at.append(sample.time)
-                first_failure = first_failure or str(error)
-            else:
-                times.append(sample.time)
-        report = self.report()
-        return Sampling(
-            times,
-            readings,
-            window,
-            report.rate,
-            failed_at=failed_at,
-            first_failure=first_failure,
-            cpu_seconds=report.cpu_seconds or 0.0,
-            sampled_seconds=window.duration,
-        )
 
 
 class PowerRails(ElectricalProfiler):
@@ -219,13 +152,14 @@ class PowerRails(ElectricalProfiler):
         """Return what has the computer read the rails: this machine a reading at a time, another one on its own."""
         if self.host == LOCAL:
             return super().sampler(context)
-        return RailSampler(self._connected(context), self._rails, rate=self.rate_hz, clock=machine_clock(context))
+        host, paths, clock = self._connected(context), _paths(self._rails), machine_clock(context)
+        return HostSampler(host, paths, partial(_understood, self._rails, paths), rate=self.rate_hz, clock=clock)
 
     def stop_measurement(self, context: RobotRunnerContext) -> None:
         """Fetch what was sampled."""
         is_first = self._sampling is None
         super().stop_measurement(context)
-        if is_first and isinstance(self._sampler, RailSampler):
+        if is_first and isinstance(self._sampler, HostSampler):
             self._report = self._sampler.report()
             if self._report.clock is not None:
                 context.note_clock(self._report.clock.facts())

@@ -12,9 +12,9 @@ from robot_runner.core.events.measure import Measure, Over
 from robot_runner.measuring.measured_machine import THIS_MACHINE, simulation_findings
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.series import Series, growth
-from robot_runner.meters.counters import fall_count, unwrapped
+from robot_runner.meters.counters import Counters, FileCounters, fall_count, unwrapped
 from robot_runner.meters.parameter_checks import check_list
-from robot_runner.meters.polled import Meter, PolledProfiler
+from robot_runner.meters.polled import PolledProfiler
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -31,9 +31,6 @@ _FOLDER = re.compile(r"intel-rapl:\d+(:\d+)?")
 _KINDS = {"core": "the cores", "uncore": "the graphics unit", "dram": "the memory", "psys": "the whole platform"}
 _MAY_REST = "uncore"
 _MICRO = 1e-6
-
-#: The counter of each domain, in microjoules.
-Counters = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,15 +103,6 @@ def _unreadable(where: str, root: Path, domains: Sequence[Domain]) -> list[Findi
     return []
 
 
-class _Counters(Meter[Counters]):
-    def __init__(self, domains: Sequence[Domain]) -> None:
-        self._paths = [domain.counter for domain in domains]
-        self.read()
-
-    def read(self) -> Counters:
-        return tuple(int(path.read_bytes()) for path in self._paths)
-
-
 class Rapl(PolledProfiler[Counters]):
     """Measures the energy of the processor of this machine with its own counters (RAPL, running average power limit).
 
@@ -170,7 +158,7 @@ class Rapl(PolledProfiler[Counters]):
         findings = permission_findings(self.name, self.root, ("package", *self.domains))
         return [*findings, *simulation_findings(self.name, circumstances.robot)]
 
-    def open(self, context: RobotRunnerContext) -> _Counters:
+    def open(self, context: RobotRunnerContext) -> FileCounters:
         """Return the counters.
 
         Raises:
@@ -180,7 +168,7 @@ class Rapl(PolledProfiler[Counters]):
         for finding in permission_findings(self.name, self.root, ("package", *self.domains)):
             raise PluginError(finding.problem, where=self.name, fix=finding.fix)
         self._domains = [each for each in find_domains(self.root) if each.kind in {"package", *self.domains}]
-        return _Counters(self._domains)
+        return FileCounters([each.counter for each in self._domains])
 
     def columns(self, sampling: Sampling[Counters]) -> Sequence[Column]:
         """Return the counters as they were read."""

@@ -9,10 +9,11 @@ from contextlib import suppress
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.measuring.measured_machine import simulation_findings
 from robot_runner.meters.electrical import ElectricalProfiler, ElectricalReading
 from robot_runner.meters.parameter_checks import check_list, check_positive
+from robot_runner.meters.polled import trial_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -232,16 +233,12 @@ class Scpi(ElectricalProfiler):
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
         """Return what stands in the way: no library, no instrument, or a query that it does not understand."""
-        where = f"plugin {self.name}"
         libraries = ("pyvisa", "pyvisa_py") if self.backend.endswith("@py") else ("pyvisa",)
         missing = [each for each in libraries if importlib.util.find_spec(each) is None]
         if missing:
-            return [Finding.error(where, f"{' and '.join(missing)} cannot be imported", _INSTALL)]
-        try:
-            _Instrument(self).close()
-        except (PluginError, LinkError) as error:
-            return [Finding.error(where, error.problem, error.fix)]
-        return simulation_findings(self.name, circumstances.robot)
+            problem = f"{' and '.join(missing)} cannot be imported"
+            return [Finding.error(f"plugin {self.name}", problem, _INSTALL)]
+        return trial_findings(self, lambda: _Instrument(self)) or simulation_findings(self.name, circumstances.robot)
 
     def open(self, context: RobotRunnerContext) -> _Instrument:
         """Return the instrument.

@@ -13,7 +13,7 @@ from robot_runner.meters.http_requests import HttpDevice, Secret, check_url
 from robot_runner.meters.mqtt_requests import MQTT_INSTALL, MqttRequests
 from robot_runner.meters.parameter_checks import check_positive
 from robot_runner.meters.plug_dialects import DIALECTS
-from robot_runner.meters.polled import Meter
+from robot_runner.meters.polled import Meter, trial_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -147,11 +147,7 @@ class SmartPlug(ElectricalProfiler):
             return [Finding.warning(where, problem, "Do not take its values for the robot's.")]
         if self.broker is not None and importlib.util.find_spec("paho") is None:
             return [Finding.error(where, "paho-mqtt is not installed", MQTT_INSTALL)]
-        try:
-            self._opened().close()
-        except (LinkError, PluginError) as error:
-            return [Finding.error(where, error.problem, error.fix)]
-        return []
+        return trial_findings(self, self._opened)
 
     def open(self, context: RobotRunnerContext) -> _HttpPlug | _MqttPlug:
         """Return the plug, which has told its power once.

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from robot_runner.simulator.model import Body, holding_torque, rolling_torque, slope_angle
-from robot_runner.simulator.physics import Physics
+from robot_runner.simulator.model import holding_torque, rolling_torque, slope_angle
 from robot_runner.simulator.rooms import Pose
 from robot_runner.simulator.simulated_clock import STEP_NS, STEPS_PER_SECOND, tick_time
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from robot_runner.simulator.physics import Physics
     from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
     Floats = npt.NDArray[np.float64]
@@ -39,21 +39,13 @@ class DifferentialDrive:
 
     Args:
         parameters: the robot's figures.
-        wheel_radii: the true radii of the left and the right wheel in metres, of a robot in an arena of its own.
-        physics: the world that it shares with others instead.
+        physics: the world that it is in.
         number: which of that world's bodies it is.
     """
 
-    def __init__(
-        self,
-        parameters: Turtlebot3Parameters,
-        wheel_radii: tuple[float, float],
-        *,
-        physics: Physics | None = None,
-        number: int = 0,
-    ) -> None:
+    def __init__(self, parameters: Turtlebot3Parameters, physics: Physics, number: int = 0) -> None:
         self._parameters = parameters
-        self._physics = physics or Physics(parameters, [Body(wheel_radii)])
+        self._physics = physics
         self._number = number
         self._body = self._physics.body(number)
         self._trace = np.empty((_INITIAL_ROWS, 6))
@@ -178,6 +170,18 @@ class OdometryState:
     linear: float = 0.0
     angular: float = 0.0
 
+    def rolled(self, left: float, right: float, separation: float, seconds: float) -> OdometryState:
+        """Return where it is after its wheels, so far (m) apart, have rolled so far (m): it has gone along an arc."""
+        way, turn = (left + right) / 2, (right - left) / separation
+        heading = self.yaw + turn / 2
+        return OdometryState(
+            self.x + way * math.cos(heading),
+            self.y + way * math.sin(heading),
+            math.remainder(self.yaw + turn, _TURN),
+            way / seconds,
+            turn / seconds,
+        )
+
 
 class WheelOdometry:
     """Counts encoder ticks at the odometry's rate and adds up arcs, whether or not anybody listens.
@@ -213,22 +217,10 @@ class WheelOdometry:
         self._state = OdometryState()
 
     def _add(self, step: int) -> None:
-        left, right = self._read(step)
-        left_way = (left - self._ticks[0]) * self._metres_per_tick
-        right_way = (right - self._ticks[1]) * self._metres_per_tick
-        way, turn = (left_way + right_way) / 2, (right_way - left_way) / self._separation
-        seconds = (step - self._step) / STEPS_PER_SECOND
-        before = self._state
-        heading = before.yaw + turn / 2
-        self._state = OdometryState(
-            before.x + way * math.cos(heading),
-            before.y + way * math.sin(heading),
-            math.remainder(before.yaw + turn, _TURN),
-            way / seconds,
-            turn / seconds,
-        )
-        self._ticks = (left, right)
-        self._step = step
+        ticks = self._read(step)
+        left, right = ((now - then) * self._metres_per_tick for now, then in zip(ticks, self._ticks, strict=True))
+        self._state = self._state.rolled(left, right, self._separation, (step - self._step) / STEPS_PER_SECOND)
+        self._ticks, self._step = ticks, step
 
     def _read(self, step: int) -> tuple[int, int]:
         left, right = self._drive.wheel_angles[step].tolist()

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,8 @@ from robot_runner.simulator.camera import CAMERA_TOPICS
 from robot_runner.simulator.simulated_devices import MeterTerminal
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.simulator.sensors import Listening
     from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -41,18 +44,47 @@ def stamp(time_ns: int) -> dict[str, int]:
     return {"sec": seconds, "nanosec": nanoseconds}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedPlace:
+    """Where and how the embedded robot is to live.
+
+    Attributes:
+        link: to the graph, as `robot` in a config has it: `ros1`, `ros2`, `dds`, or `dds:domain=7`.
+        namespace: of the robot: empty, or `/alice`.
+        seed: of the first simulation; each reset takes the next one.
+        real_time_factor: simulated seconds a real second.
+        is_clock: whether its time is published on `/clock`, and is what stamps show; else they show this machine's.
+        has_watchdog: whether it stops once the run that drives it has fallen silent.
+        room: a file that describes where it lives; None for the usual room.
+        model: an MJCF file that describes it; None for a TurtleBot3.
+        has_camera: whether its camera's topics are there; pictures are made while somebody subscribes.
+
+    Example:
+        >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
+        1.0
+    """
+
+    link: str
+    namespace: str = ""
+    seed: int = 1
+    real_time_factor: float = 1.0
+    is_clock: bool = False
+    has_watchdog: bool = True
+    room: Path | None = None
+    model: Path | None = None
+    has_camera: bool = False
+
+
 class GraphRobot:
     """One robot of a simulation on a graph: its topics and services, its transform and its watchdog.
 
     Args:
         link: to the graph, in the robot's namespace; it stays the caller's to close.
         simulation: whose robot of this namespace it is.
+        place: how it lives there.
         namespace: of the robot.
         lock: held while the simulation is used: callbacks come from threads of the link.
-        is_clock: whether stamps show the simulation's time; if not, they show this machine's wall clock.
         has_meter: whether its power meter is opened on a terminal.
-        has_watchdog: whether it stops once the run that drives it has fallen silent.
-        has_camera: whether its camera's topics are there; pictures are made while somebody subscribes.
 
     Attributes:
         meter: its power meter on a terminal, if it has one.
@@ -65,21 +97,18 @@ class GraphRobot:
         self,
         link: RobotLink,
         simulation: Simulation,
+        place: SimulatedPlace,
         *,
         namespace: str = "",
         lock: threading.RLock | None = None,
-        is_clock: bool = False,
         has_meter: bool = False,
-        has_watchdog: bool = True,
-        has_camera: bool = False,
     ) -> None:
         self._link = link
-        self._has_camera = has_camera
+        self._place = place
         self._pictures: dict[str, Listening] = {}
         self._namespace = namespace
-        self._is_clock = is_clock
         self._has_transform = _is_known(link, _TRANSFORM_TYPE)
-        self._watchdog = Watchdog() if has_watchdog else Watchdog(heartbeat_timeout=0.0)
+        self._watchdog = Watchdog() if place.has_watchdog else Watchdog(heartbeat_timeout=0.0)
         self._lock = lock or threading.RLock()
         self._closing = ExitStack()
         self._listening = ExitStack()
@@ -92,7 +121,7 @@ class GraphRobot:
                 self._closing.callback(self.meter.close)
             self._offer()
             self._subscribe()
-            if has_camera:
+            if place.has_camera:
                 self._show_camera()
             self._link.publish(SIMULATION_TOPIC, "std_msgs/String", {"data": "turtlebot3"}, qos=Qos.TRANSIENT_LOCAL)
             undoing.pop_all()
@@ -113,7 +142,7 @@ class GraphRobot:
 
     def watch_camera(self) -> None:
         """Have the camera's pictures made while somebody subscribes to them, and no longer."""
-        if not self._has_camera:
+        if not self._place.has_camera:
             return
         for name in CAMERA_TOPICS:
             topic = self._robot.topics.get(name)
@@ -173,7 +202,7 @@ class GraphRobot:
             self._link.publish("tf", _TRANSFORM_TYPE, {"transforms": [_transform(stamped)]})
 
     def _stamp(self) -> dict[str, int]:
-        return stamp(self._clock.now_ns if self._is_clock else time.time_ns())
+        return stamp(self._clock.now_ns if self._place.is_clock else time.time_ns())
 
     def _command(self, topic: str, message: Message) -> None:
         is_moving = topic != _VELOCITY or bool(message["linear"]["x"] or message["angular"]["z"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import time
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -13,7 +12,7 @@ from robot_runner.core.errors import LinkError, did_you_mean
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.links.robot_name import RobotName
 from robot_runner.ros.graph_links import GRAPH_LINKS
-from robot_runner.simulator.graph_robot import GraphRobot, stamp
+from robot_runner.simulator.graph_robot import GraphRobot, SimulatedPlace, stamp
 from robot_runner.simulator.modelled_robot import RobotModel
 from robot_runner.simulator.room_file import read_room
 from robot_runner.simulator.rooms import DEFAULT_ROOM
@@ -21,7 +20,6 @@ from robot_runner.simulator.simulated_turtlebot3 import Simulation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
 
     from robot_runner.core.links.robot import Message, RobotLink
     from robot_runner.simulator.rooms import Room
@@ -46,12 +44,8 @@ class GraphSimulation:
         links: to the graph, one for each robot, by namespace; they stay the caller's to close. The services are offered
             over the first.
         make: makes a simulation of a seed.
-        seed: of the first simulation; each reset takes the next one.
-        is_clock: whether the simulation's time is published on `/clock` and is what stamps show.
-        real_time_factor: simulated seconds a real second.
+        place: how its robots live there.
         has_meter: whether each robot's power meter is opened on a terminal.
-        has_watchdog: whether a robot stops once the run that drives it has fallen silent.
-        has_camera: whether the topics of the robots' cameras are there; pictures are made while somebody subscribes.
 
     Attributes:
         robots: its robots, by namespace.
@@ -63,7 +57,7 @@ class GraphSimulation:
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
-        >>> graph = GraphSimulation({"": link}, Simulation)  # doctest: +SKIP
+        >>> graph = GraphSimulation({"": link}, Simulation, SimulatedPlace(link="dds"))  # doctest: +SKIP
         >>> graph.live(seconds=10.0)  # doctest: +SKIP
         >>> graph.close()  # doctest: +SKIP
     """
@@ -72,20 +66,15 @@ class GraphSimulation:
         self,
         links: Mapping[str, RobotLink],
         make: Callable[[int], Simulation],
+        place: SimulatedPlace,
         *,
-        seed: int = 1,
-        is_clock: bool = False,
-        real_time_factor: float = 1.0,
         has_meter: bool = False,
-        has_watchdog: bool = True,
-        has_camera: bool = False,
     ) -> None:
         self._make = make
-        self._seed = seed
-        self._simulation = make(seed)
+        self._place = place
+        self._seed = place.seed
+        self._simulation = make(place.seed)
         self._link = next(iter(links.values()))
-        self._is_clock = is_clock
-        self._factor = real_time_factor
         self._lock = threading.RLock()  # callbacks come from threads of the links; the simulation has one at a time
         self._is_reset = False
         self._ticks = 0
@@ -98,14 +87,7 @@ class GraphSimulation:
             self._closing.callback(self._close_simulation)
             for namespace, link in links.items():
                 robot = GraphRobot(
-                    link,
-                    self._simulation,
-                    namespace=namespace,
-                    lock=self._lock,
-                    is_clock=is_clock,
-                    has_meter=has_meter,
-                    has_watchdog=has_watchdog,
-                    has_camera=has_camera,
+                    link, self._simulation, place, namespace=namespace, lock=self._lock, has_meter=has_meter
                 )
                 self.robots[namespace] = robot
                 self._closing.callback(robot.close)
@@ -131,7 +113,7 @@ class GraphSimulation:
                 if is_moving_on:
                     self._tick()
                 is_moving_on, self._is_reset = is_moving_on and not self._is_reset, False
-            ahead = (self.now - begun_at) / self._factor - (time.monotonic() - begun)
+            ahead = (self.now - begun_at) / self._place.real_time_factor - (time.monotonic() - begun)
             if not is_moving_on:
                 time.sleep(_TICK)
                 begun, begun_at = time.monotonic(), self.now
@@ -183,7 +165,7 @@ class GraphSimulation:
         for robot in self.robots.values():
             robot.watch()
         self._simulation.clock.sleep(_TICK)
-        if self._is_clock:
+        if self._place.is_clock:
             clock = {"clock": stamp(self._simulation.clock.now_ns)}
             self._link.publish("/clock", "rosgraph_msgs/Clock", clock)
         self._ticks += 1
@@ -201,37 +183,6 @@ def _answered(act: Callable[[], None], request: Message) -> Message:
 
 
 _USE_SIM_TIME = "/use_sim_time"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SimulatedPlace:
-    """Where and how the embedded robot is to live.
-
-    Attributes:
-        link: to the graph, as `robot` in a config has it: `ros1`, `ros2`, `dds`, or `dds:domain=7`.
-        namespace: of the robot: empty, or `/alice`.
-        seed: of the simulation.
-        real_time_factor: simulated seconds a real second.
-        is_clock: whether its time is published on `/clock`.
-        has_watchdog: whether it stops once the run that drives it has fallen silent.
-        room: a file that describes where it lives; None for the usual room.
-        model: an MJCF file that describes it; None for a TurtleBot3.
-        has_camera: whether its camera's topics are there.
-
-    Example:
-        >>> SimulatedPlace(link="dds:domain=7", namespace="/alice").real_time_factor
-        1.0
-    """
-
-    link: str
-    namespace: str = ""
-    seed: int = 1
-    real_time_factor: float = 1.0
-    is_clock: bool = False
-    has_watchdog: bool = True
-    room: Path | None = None
-    model: Path | None = None
-    has_camera: bool = False
 
 
 def check_pace(place: SimulatedPlace) -> None:
@@ -277,12 +228,8 @@ def on_graph(place: SimulatedPlace) -> Iterator[GraphSimulation]:
         graph = GraphSimulation(
             dict(zip(namespaces, links, strict=True)),
             lambda seed: Simulation(seed, room=room or DEFAULT_ROOM, model=model),
-            seed=place.seed,
-            is_clock=place.is_clock,
-            real_time_factor=place.real_time_factor,
+            place,
             has_meter=model is None,
-            has_watchdog=place.has_watchdog,
-            has_camera=place.has_camera,
         )
         closing.callback(graph.close)
         if place.is_clock:

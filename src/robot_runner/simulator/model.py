@@ -72,21 +72,10 @@ def holding_torque(parameters: Turtlebot3Parameters) -> float:
 
 
 def burger_model(
-    parameters: Turtlebot3Parameters,
-    wheel_radii: tuple[float, float],
-    *,
-    obstacles: Sequence[Obstacle] = ARENA,
-    start: Pose = ORIGIN,
+    parameters: Turtlebot3Parameters, wheel_radii: tuple[float, float], *, obstacles: Sequence[Obstacle] = ARENA
 ) -> str:
-    """Return the MJCF of one robot among obstacles, looking along x from the origin unless it starts elsewhere.
-
-    Args:
-        parameters: the robot's figures.
-        wheel_radii: the true radii of the left and the right wheel in metres.
-        obstacles: that stand around it.
-        start: where it stands.
-    """
-    return world_model(parameters, [Body(wheel_radii, start)], obstacles)
+    """Return the MJCF of one robot among obstacles, looking along x from the origin."""
+    return world_model(parameters, [Body(wheel_radii)], obstacles)
 
 
 def world_model(parameters: Turtlebot3Parameters, bodies: Sequence[Body], obstacles: Sequence[Obstacle]) -> str:

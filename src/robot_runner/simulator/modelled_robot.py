@@ -14,7 +14,7 @@ from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.drive import OdometryState
 from robot_runner.simulator.mjcf_interface import ActuatorKind, read_interface, read_model
 from robot_runner.simulator.physics import MORE_MEMORY, check_physics
-from robot_runner.simulator.sensors import RAYS, PublishedTopic, imu, joint_state, laser_scan, odometry, scan_of
+from robot_runner.simulator.sensors import RAYS, PublishedTopic, imu, joint_state, laser_scan, odometry
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 from robot_runner.simulator.turtlebot3_parameters import NoiseStreams
 
@@ -200,18 +200,10 @@ class ModelledRobot:
 
     def _count_wheels(self, wheels: WheelPair) -> None:
         """Add up the arcs that the wheels roll, as a robot's firmware does."""
-        before, angles = self._odometry, self._wheel_angles()
+        angles = self._wheel_angles()
         left, right = ((now - then) * wheels.radius for now, then in zip(angles, self._angles, strict=True))
-        way, turn = (left + right) / 2, (right - left) / wheels.separation
-        heading = before.yaw + turn / 2
+        self._odometry = self._odometry.rolled(left, right, wheels.separation, 1 / STEPS_PER_SECOND)
         self._angles = angles
-        self._odometry = OdometryState(
-            before.x + way * math.cos(heading),
-            before.y + way * math.sin(heading),
-            math.remainder(before.yaw + turn, 2 * math.pi),
-            way * STEPS_PER_SECOND,
-            turn * STEPS_PER_SECOND,
-        )
 
     # What it publishes.
 
@@ -267,7 +259,6 @@ class ModelledRobot:
 
     def _imu(self) -> dict[str, Any]:
         self._reach()
-        noise, parameters = self._imu_noise.at(self._clock.step).reshape(2, 3), self.parameters
         places = (self._interface.gyroscope or 0, self._interface.accelerometer or 0)
         angular, linear = (self._data.sensordata[place : place + 3] for place in places)
         turned = np.empty(4)
@@ -275,23 +266,17 @@ class ModelledRobot:
         w, x, y, z = turned.tolist()
         return imu(
             self._clock.now_ns,
-            orientation=(x, y, z, w),
-            angular_velocity=(angular + parameters.gyroscope_deviation * noise[0]).tolist(),
-            acceleration=(linear + parameters.accelerometer_deviation * noise[1]).tolist(),
-            gyroscope_deviation=parameters.gyroscope_deviation,
-            accelerometer_deviation=parameters.accelerometer_deviation,
+            (x, y, z, w),
+            angular,
+            linear,
+            self._imu_noise.at(self._clock.step),
+            self.parameters,
         )
 
     def _scan(self) -> dict[str, Any]:
         self._reach()
         noise = self._scan_noise.at(self._clock.step)[0]
-        return laser_scan(
-            self._clock.now_ns,
-            ranges=scan_of(self._ray_distances(), noise, self.parameters),
-            rate=self.parameters.scan_rate,
-            nearest=self.parameters.scan_minimum,
-            farthest=self.parameters.scan_maximum,
-        )
+        return laser_scan(self._clock.now_ns, self._ray_distances(), noise, self.parameters)
 
     def _ray_distances(self) -> npt.NDArray[np.float64]:
         """Return how far each ray goes, in the plane of the scanner's site; the robot itself is passed through."""

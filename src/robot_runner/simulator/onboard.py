@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from robot_runner.measuring.host import UtilisationSample
 from robot_runner.simulator.drive import MOVING_WHEEL_SPEED
 from robot_runner.simulator.simulated_clock import STEP_NS
 
@@ -93,18 +93,6 @@ _SECOND_NS = 1_000_000_000
 _ROUNDING = 1e-9  # of a sample: the last one falls due at the very moment of the stop
 
 
-@dataclass(frozen=True, slots=True)
-class Utilisation:
-    """Seconds on the simulation's clock, and CPU and memory utilisation in percent (0..100).
-
-    `cpu` is None where no time had gone by since the sample before.
-    """
-
-    time: float
-    cpu: float | None
-    memory: float
-
-
 class OnboardComputer:
     """CPU: the mean since the sample before. Memory: what is in use at the moment of the sample."""
 
@@ -119,10 +107,13 @@ class OnboardComputer:
         self._idle_cpu: float = parameters.cpu_idle + parameters.run_cpu_deviation * cpu
         self._idle_memory: float = parameters.memory_idle + parameters.run_memory_deviation * memory
 
-    def samples(self, *, start_ns: int, stop_ns: int, rate: float, also_ns: Sequence[int] = ()) -> list[Utilisation]:
+    def samples(
+        self, *, start_ns: int, stop_ns: int, rate: float, also_ns: Sequence[int] = ()
+    ) -> list[UtilisationSample]:
         """Return the samples taken `rate` times a second between two moments, and at the other moments.
 
-        Their beat and their noise are those of the clock, whenever sampling began.
+        Their beat and their noise are those of the clock, whenever sampling began. CPU utilisation is None where no
+        time had gone by since the sample before.
         """
         first, last = int(start_ns * rate / _SECOND_NS + _ROUNDING) + 1, int(stop_ns * rate / _SECOND_NS + _ROUNDING)
         beat_ns = np.rint(np.arange(first, last + 1) * (_SECOND_NS / rate)).astype(np.int64)
@@ -134,7 +125,9 @@ class OnboardComputer:
         cpu = self._busy(np.concatenate([[start_ns // STEP_NS], steps])) + self._parameters.cpu_deviation * errors[:, 0]
         memory = self._memory(steps) + self._parameters.memory_deviation * errors[:, 1]
         rows = np.stack([times_ns / _SECOND_NS, np.clip(cpu, 0, 100), np.clip(memory, 0, 100)], axis=1)
-        return [Utilisation(time, None if math.isnan(cpu) else cpu, memory) for time, cpu, memory in rows.tolist()]
+        return [
+            UtilisationSample(time, None if math.isnan(cpu) else cpu, memory) for time, cpu, memory in rows.tolist()
+        ]
 
     def _busy(self, ends: npt.NDArray[np.int64]) -> Floats:
         """Return the mean CPU utilisation between each two of these steps; NaN between a step and itself."""

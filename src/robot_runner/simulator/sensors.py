@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from robot_runner.simulator.supply import PowerSupply
     from robot_runner.simulator.turtlebot3_parameters import NumberedNoise, Turtlebot3Parameters
 
+    Floats = npt.NDArray[np.float64]
     Listener = Callable[[dict[str, Any]], None]
 
 Message = dict[str, Any]
@@ -57,27 +58,35 @@ def odometry(now_ns: int, state: OdometryState) -> Message:
 
 def imu(
     now_ns: int,
-    *,
     orientation: tuple[float, float, float, float],
-    angular_velocity: Sequence[float],
-    acceleration: Sequence[float],
-    gyroscope_deviation: float,
-    accelerometer_deviation: float,
+    angular: Floats,
+    linear: Floats,
+    noise: Floats,
+    parameters: Turtlebot3Parameters,
 ) -> Message:
-    """Return a sensor_msgs/Imu; the deviations become the diagonals of its covariances."""
+    """Return a sensor_msgs/Imu of true velocity (rad/s) and acceleration (m/s²), with its noise (six numbers)."""
+    gyroscope, accelerometer = parameters.gyroscope_deviation, parameters.accelerometer_deviation
+    angular_noise, linear_noise = noise.reshape(2, 3)
     return {
         "header": header(now_ns, "imu_link"),
         "orientation": _quaternion(*orientation),
         "orientation_covariance": _diagonal(0.0),
-        "angular_velocity": _vector(*angular_velocity),
-        "angular_velocity_covariance": _diagonal(gyroscope_deviation**2),
-        "linear_acceleration": _vector(*acceleration),
-        "linear_acceleration_covariance": _diagonal(accelerometer_deviation**2),
+        "angular_velocity": _vector(*(angular + gyroscope * angular_noise).tolist()),
+        "angular_velocity_covariance": _diagonal(gyroscope**2),
+        "linear_acceleration": _vector(*(linear + accelerometer * linear_noise).tolist()),
+        "linear_acceleration_covariance": _diagonal(accelerometer**2),
     }
 
 
-def laser_scan(now_ns: int, *, ranges: list[float], rate: int, nearest: float, farthest: float) -> Message:
-    """Return a sensor_msgs/LaserScan of a whole turn, counter-clockwise from straight ahead."""
+def laser_scan(now_ns: int, true: Floats, noise: Floats, parameters: Turtlebot3Parameters) -> Message:
+    """Return a sensor_msgs/LaserScan of true distances (m) all around, counter-clockwise from straight ahead.
+
+    As REP 117 has it, a distance is infinite where nothing is in range, and minus infinity where something is too near
+    to be measured.
+    """
+    ranges = true * (1 + parameters.scan_deviation / 100 * noise)
+    ranges[ranges > parameters.scan_maximum] = np.inf
+    ranges[ranges < parameters.scan_minimum] = -np.inf
     increment = 2 * math.pi / len(ranges)
     return {
         "header": header(now_ns, "base_scan"),
@@ -85,45 +94,11 @@ def laser_scan(now_ns: int, *, ranges: list[float], rate: int, nearest: float, f
         "angle_max": increment * (len(ranges) - 1),
         "angle_increment": increment,
         "time_increment": 0.0,  # the simulated turn happens in one moment
-        "scan_time": 1 / rate,
-        "range_min": nearest,
-        "range_max": farthest,
-        "ranges": ranges,
+        "scan_time": 1 / parameters.scan_rate,
+        "range_min": parameters.scan_minimum,
+        "range_max": parameters.scan_maximum,
+        "ranges": ranges.tolist(),
         "intensities": [],
-    }
-
-
-def battery_state(
-    now_ns: int, *, voltage: float, current: float, charge: float, capacity: float, cells: int, is_dead: bool = False
-) -> Message:
-    """Return a sensor_msgs/BatteryState; as ROS has it, discharging is negative and the unmeasured is NaN.
-
-    Args:
-        now_ns: the moment, in ns.
-        voltage: at the terminals, in volts.
-        current: drawn, in amperes.
-        charge: state of charge, 0..1.
-        capacity: in ampere hours.
-        cells: how many cells there are in series.
-        is_dead: whether it fell below its cut-off voltage.
-    """
-    return {
-        "header": header(now_ns, ""),
-        "voltage": voltage,
-        "temperature": math.nan,
-        "current": -current,
-        "charge": charge * capacity,
-        "capacity": capacity,
-        "design_capacity": capacity,
-        "percentage": charge,
-        "power_supply_status": _DISCHARGING,
-        "power_supply_health": _HEALTH_DEAD if is_dead else _HEALTH_GOOD,
-        "power_supply_technology": _TECHNOLOGY_LIPO,
-        "present": True,
-        "cell_voltage": [math.nan] * cells,
-        "cell_temperature": [math.nan] * cells,
-        "location": "",
-        "serial_number": "",
     }
 
 
@@ -235,20 +210,6 @@ _SCANNER_X = -0.032  # ROBOTIS' URDF: scan_joint
 _SCANNER_HEIGHT = 0.182  # above the floor (ROBOTIS' URDF: base_joint and scan_joint)
 
 
-def scan_of(
-    true: npt.NDArray[np.float64], noise: npt.NDArray[np.float64], parameters: Turtlebot3Parameters
-) -> list[float]:
-    """Return what a scanner reads of true distances (m), with its noise, as REP 117 has it.
-
-    Infinite where nothing is in range, and minus infinity where something is too near to be measured.
-    """
-    read = true * (1 + parameters.scan_deviation / 100 * noise)
-    read[read > parameters.scan_maximum] = np.inf
-    read[read < parameters.scan_minimum] = -np.inf
-    ranges: list[float] = read.tolist()
-    return ranges
-
-
 def seen_by_scanner(obstacles: Sequence[Obstacle]) -> tuple[Obstacle, ...]:
     """Return the obstacles that are high enough for the scanner's level."""
     return tuple(each for each in obstacles if each.height >= _SCANNER_HEIGHT)
@@ -282,47 +243,43 @@ class SensorBoard:
     def imu(self) -> dict[str, Any]:
         """Return angular velocity and acceleration with the noise of the sensor."""
         self.powered.reach(self.clock.step)
-        noise = self.imu_noise.at(self.clock.step).reshape(2, 3)
-        angular = self.drive.angular_velocity + self.parameters.gyroscope_deviation * noise[0]
-        linear = self.drive.acceleration + self.parameters.accelerometer_deviation * noise[1]
+        drive, noise = self.drive, self.imu_noise.at(self.clock.step)
         return imu(
-            self.clock.now_ns,
-            orientation=self.drive.orientation,
-            angular_velocity=angular.tolist(),
-            acceleration=linear.tolist(),
-            gyroscope_deviation=self.parameters.gyroscope_deviation,
-            accelerometer_deviation=self.parameters.accelerometer_deviation,
+            self.clock.now_ns, drive.orientation, drive.angular_velocity, drive.acceleration, noise, self.parameters
         )
 
     def scan(self) -> dict[str, Any]:
-        """Return the distances to what stands all around, as `scan_of` gives them."""
+        """Return the distances to what stands all around."""
         self.powered.reach(self.clock.step)
-        pose, parameters = self.drive.pose, self.parameters
+        pose = self.drive.pose
         x = pose.x + _SCANNER_X * math.cos(pose.yaw)
         y = pose.y + _SCANNER_X * math.sin(pose.yaw)
         true = ray_distances(self.surroundings(), x, y, pose.yaw + _RAY_ANGLES)
-        noise = self.scan_noise.at(self.clock.step)[0]
-        return laser_scan(
-            self.clock.now_ns,
-            ranges=scan_of(true, noise, parameters),
-            rate=parameters.scan_rate,
-            nearest=parameters.scan_minimum,
-            farthest=parameters.scan_maximum,
-        )
+        return laser_scan(self.clock.now_ns, true, self.scan_noise.at(self.clock.step)[0], self.parameters)
 
     def battery_state(self) -> dict[str, Any]:
-        """Return voltage, current and charge of the battery."""
+        """Return a sensor_msgs/BatteryState; as ROS has it, discharging is negative and the unmeasured is NaN."""
         step = self.clock.step
         self.powered.extend(step)
-        return battery_state(
-            self.clock.now_ns,
-            voltage=float(self.supply.terminal_voltage(np.array([step]))[0]),
-            current=float(self.supply.current[step]),
-            charge=self.supply.charge(step),
-            capacity=self.parameters.battery_capacity,
-            cells=CELLS,
-            is_dead=self.powered.cut_off is not None,
-        )
+        charge, capacity = self.supply.charge(step), self.parameters.battery_capacity
+        return {
+            "header": header(self.clock.now_ns, ""),
+            "voltage": float(self.supply.terminal_voltage(np.array([step]))[0]),
+            "temperature": math.nan,
+            "current": -float(self.supply.current[step]),
+            "charge": charge * capacity,
+            "capacity": capacity,
+            "design_capacity": capacity,
+            "percentage": charge,
+            "power_supply_status": _DISCHARGING,
+            "power_supply_health": _HEALTH_GOOD if self.powered.cut_off is None else _HEALTH_DEAD,
+            "power_supply_technology": _TECHNOLOGY_LIPO,
+            "present": True,
+            "cell_voltage": [math.nan] * CELLS,
+            "cell_temperature": [math.nan] * CELLS,
+            "location": "",
+            "serial_number": "",
+        }
 
     def joint_states(self) -> dict[str, Any]:
         """Return angles and speeds of the wheels."""

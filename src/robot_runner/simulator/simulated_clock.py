@@ -31,57 +31,38 @@ def tick_time(number: int, rate: int) -> int:
 
 
 class Ticker:
-    """Something that happens at a rate on a simulated clock until it is closed."""
+    """Something that happens again and again on a simulated clock until it is closed.
 
-    def __init__(self, rate: int, callback: Callable[[], None], *, now_ns: int) -> None:
-        self.callback = callback
-        self.is_closed = False
-        self._rate = rate
-        self._number = now_ns * rate // _SECOND_NS
+    Args:
+        clock: that it happens on.
+        due: returns when (ns) it happens for the n-th time.
+        callback: called each time.
+        number: the first time that may be in the future.
+    """
 
-    def due_after(self, now_ns: int) -> int:
-        """Move on to the first tick after this moment and return its time in ns."""
-        while (due := tick_time(self._number, self._rate)) <= now_ns:
-            self._number += 1
-        return due
+    def __init__(
+        self, clock: SimulatedClock, due: Callable[[int], int], callback: Callable[[], None], *, number: int
+    ) -> None:
+        self._clock = clock
+        self._due = due
+        self._callback = callback
+        self._number = number
+        self._is_closed = False
+        self._schedule()
 
     def close(self) -> None:
         """Tick no more; closing twice does nothing."""
-        self.is_closed = True
+        self._is_closed = True
 
-
-class _PeriodTicker(Ticker):
-    """Something that happens once a period, counted from now, wherever on the grid that falls."""
-
-    def __init__(self, period: float, callback: Callable[[], None], *, now_ns: int) -> None:
-        super().__init__(1, callback, now_ns=0)
-        self._begun_ns = now_ns
-        self._period = period
-        self._number = 1
-
-    def due_after(self, now_ns: int) -> int:
-        """Move on to the first tick after this moment and return its time in ns."""
-        while (due := self._begun_ns + round(self._number * self._period * _SECOND_NS)) <= now_ns:
+    def _schedule(self) -> None:
+        while (due_ns := self._due(self._number)) <= self._clock.now_ns:
             self._number += 1
-        return due
+        self._clock.schedule(due_ns, self._tick)
 
-
-class _OnceTicker(Ticker):
-    """Something that happens once."""
-
-    def __init__(self, due_ns: int, callback: Callable[[], None]) -> None:
-        super().__init__(1, self._call, now_ns=due_ns)
-        self._due_ns = due_ns
-        self._once = callback
-
-    def due_after(self, now_ns: int) -> int:
-        """Return its one time in ns."""
-        del now_ns
-        return self._due_ns
-
-    def _call(self) -> None:
-        self.close()
-        self._once()
+    def _tick(self) -> None:
+        if not self._is_closed:
+            self._schedule()
+            self._callback()
 
 
 class ClockWorker:
@@ -161,7 +142,7 @@ class SimulatedClock:
     def __init__(self, real_time_factor: float | None = None) -> None:
         self._real_time_factor = real_time_factor
         self._now_ns = 0
-        self._due: list[tuple[int, int, Ticker]] = []
+        self._due: list[tuple[int, int, Callable[[], None]]] = []
         self._scheduled = 0
         self._is_moving_on = False
 
@@ -205,19 +186,21 @@ class SimulatedClock:
 
     def every(self, rate: int, callback: Callable[[], None]) -> Ticker:
         """Have `callback` called `rate` times a second, on the grid, as time passes."""
-        ticker = Ticker(rate, callback, now_ns=self._now_ns)
-        self._schedule(ticker)
-        return ticker
+        return Ticker(self, lambda number: tick_time(number, rate), callback, number=self._now_ns * rate // _SECOND_NS)
 
     def call_every(self, period: float, callback: Callable[[], None]) -> Ticker:
-        """Have `callback` called every `period` seconds from now on, as time passes."""
-        ticker = _PeriodTicker(period, callback, now_ns=self._now_ns)
-        self._schedule(ticker)
-        return ticker
+        """Have `callback` called every `period` seconds from now on, wherever on the grid that falls."""
+        begun_ns = self._now_ns
+        return Ticker(self, lambda number: begun_ns + round(number * period * _SECOND_NS), callback, number=1)
 
     def after(self, seconds: float, callback: Callable[[], None]) -> None:
         """Have `callback` called once, in so many seconds; where that is zero, as soon as time is to pass."""
-        self._schedule(_OnceTicker(self._now_ns + max(0, round(seconds * _SECOND_NS)), callback))
+        self.schedule(self._now_ns + max(0, round(seconds * _SECOND_NS)), callback)
+
+    def schedule(self, due_ns: int, callback: Callable[[], None]) -> None:
+        """Have `callback` called once, at this time; those due at one moment in the order in which they came here."""
+        self._scheduled += 1
+        heapq.heappush(self._due, (due_ns, self._scheduled, callback))
 
     def work(self, work: Callable[[], None]) -> ClockWorker:
         """Begin to do work in a thread that may sleep on this clock, from the next moment that passes."""
@@ -233,13 +216,6 @@ class SimulatedClock:
 
     def _move_to(self, target_ns: int) -> None:
         while self._due and self._due[0][0] <= target_ns:
-            due_ns, _, ticker = heapq.heappop(self._due)
-            self._now_ns = due_ns
-            if not ticker.is_closed:
-                self._schedule(ticker)
-                ticker.callback()
+            self._now_ns, _, callback = heapq.heappop(self._due)
+            callback()
         self._now_ns = target_ns
-
-    def _schedule(self, ticker: Ticker) -> None:
-        self._scheduled += 1  # those due at the same moment come in the order in which they were scheduled
-        heapq.heappush(self._due, (ticker.due_after(self._now_ns), self._scheduled, ticker))

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.measuring.host import UtilisationSample
 from robot_runner.measuring.serial_line import SIMULATED_PORT
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from robot_runner.measuring.host import UtilisationSample
     from robot_runner.measuring.serial_line import Chunk
     from robot_runner.simulator.simulated_clock import SimulatedClock, Ticker
     from robot_runner.simulator.simulated_turtlebot3 import SimulatedTurtlebot3, Simulation
@@ -31,7 +31,7 @@ _TOLD_EVERY = 0.5
 class SimulatedSerialLine:
     """The serial line of a robot's power meter, which is switched on when the line is opened.
 
-    Bytes come in pieces of up to 64, as a USB adapter hands them over, stamped with the simulation's time.
+    Each sample comes as a piece of its own, stamped with the simulation's time; a hello comes with that behind it.
 
     Example:
         >>> from robot_runner.simulator.simulated_turtlebot3 import Simulation
@@ -101,8 +101,7 @@ class SimulatedUtilisationSampler:
     def _latest(self) -> UtilisationSample:
         now_ns = self._clock.now_ns
         since_ns = max(self._started_ns, now_ns - round(_TOLD_EVERY * _SECOND_NS))
-        taken = self._robot.utilisation(start_ns=since_ns, stop_ns=now_ns, rate=1 / _TOLD_EVERY, also_ns=[now_ns])[-1]
-        return UtilisationSample(taken.time, taken.cpu, taken.memory)
+        return self._robot.utilisation(start_ns=since_ns, stop_ns=now_ns, rate=1 / _TOLD_EVERY, also_ns=[now_ns])[-1]
 
     def take_now(self) -> None:
         """Take one more sample at once, out of turn."""
@@ -114,10 +113,9 @@ class SimulatedUtilisationSampler:
             self._ticker.close()
         if self._samples is None:
             stop_ns = self._clock.now_ns
-            taken = self._robot.utilisation(
+            self._samples = self._robot.utilisation(
                 start_ns=self._started_ns, stop_ns=stop_ns, rate=self._rate, also_ns=self._also_ns
             )
-            self._samples = [UtilisationSample(one.time, one.cpu, one.memory) for one in taken]
         return list(self._samples)
 
 

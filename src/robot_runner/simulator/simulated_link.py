@@ -138,7 +138,7 @@ class SimulatedTransport:
             return _Subscription(published.listen(listener).close)
         subscribers, key = self._simulation.command_subscribers.setdefault(topic, {}), object()
         subscribers[key] = listener
-        return _Subscription(lambda: _forget(subscribers, key))
+        return _Subscription(partial(subscribers.pop, key, None))  # the simulation may have been closed before
 
     def call(self, service: str, service_type: str, request: Message, timeout: float) -> Message:
         """Call a service of the robot, or an offered one; it answers at once, so `timeout` never runs out."""
@@ -159,7 +159,7 @@ class SimulatedTransport:
         if service in self.services():
             raise already_offered(service, "the simulation")
         self._simulation.offers[service] = (service_type, answer)
-        return _Subscription(lambda: _withdraw(self._simulation, service))
+        return _Subscription(partial(self._simulation.offers.pop, service, None))
 
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic of each robot of the simulation."""
@@ -287,8 +287,11 @@ class _CommandPublisher:
 class _Subscription:
     """A subscription or an offer, which closes itself."""
 
-    def __init__(self, close: Callable[[], None]) -> None:
-        self.close = close
+    def __init__(self, close: Callable[[], object]) -> None:
+        self._close = close
+
+    def close(self) -> None:
+        self._close()
 
     def explain(self) -> str:
         """Say what to do where no message came: the robot publishes all of its topics all the time."""
@@ -314,14 +317,6 @@ class _Reception:
 def _tell(subscribers: Mapping[object, Callable[[Message], None]], key: object, message: Message) -> None:
     if key in subscribers:  # else it was closed meanwhile
         subscribers[key](message)
-
-
-def _forget(subscribers: dict[object, Callable[[Message], None]], key: object) -> None:
-    subscribers.pop(key, None)  # the simulation may have been closed before
-
-
-def _withdraw(simulation: Simulation, service: str) -> None:
-    simulation.offers.pop(service, None)  # none is left where the simulation was closed before
 
 
 def _check_service_type(service: str, given: str, true: str) -> None:

@@ -12,7 +12,7 @@ from robot_runner.simulator.camera import Camera, camera_topics
 from robot_runner.simulator.cut_off import CutOff, ProtectedDrive
 from robot_runner.simulator.drive import DifferentialDrive, WheelOdometry
 from robot_runner.simulator.model import Body
-from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner, Utilisation
+from robot_runner.simulator.onboard import OnboardComputer, Task, TaskRunner
 from robot_runner.simulator.physics import Physics
 from robot_runner.simulator.power_meter import Ina219Meter
 from robot_runner.simulator.rooms import DEFAULT_ROOM
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     import mujoco
 
+    from robot_runner.measuring.host import UtilisationSample
     from robot_runner.simulator.modelled_robot import ModelledRobot, RobotModel
     from robot_runner.simulator.rooms import Obstacle, Pose, Room
     from robot_runner.simulator.simulated_actions import SimulatedAction
@@ -50,7 +51,6 @@ class _World:
         names = namespaces if len(namespaces) > 1 else [""]
         starts = [room.start(each) for each in namespaces]
         bodies = [Body(*each) for each in zip(radii, starts, names, strict=True)]
-        self.wheel_radii = dict(zip(namespaces, radii, strict=True))
         self.physics = Physics(parameters, bodies, room.obstacles)
         self.numbers = {namespace: number for number, namespace in enumerate(namespaces)}
         self.protected: list[ProtectedDrive] = []
@@ -60,9 +60,7 @@ class _World:
 
     def drive(self, namespace: str) -> DifferentialDrive:
         """Return the body of the robot of this namespace."""
-        number, radii = self.numbers[namespace], self.wheel_radii[namespace]
-        made = DifferentialDrive(self._parameters, radii, physics=self.physics, number=number)
-        self._drives[namespace] = made
+        made = self._drives[namespace] = DifferentialDrive(self._parameters, self.physics, self.numbers[namespace])
         return made
 
     def surroundings(self, namespace: str) -> Sequence[Obstacle]:
@@ -106,9 +104,8 @@ class SimulatedTurtlebot3:
         self._tasks = TaskRunner(streams.named("tasks"), deviation=parameters.task_power_deviation)
         self._drive = world.drive(namespace)
         model = PowerModel(parameters, self._drive, self._tasks, streams)
-        battery = Battery(parameters)
-        self._supply = PowerSupply(model, battery, shunt=parameters.meter_shunt)
-        self._powered = ProtectedDrive(parameters, self._drive, model, battery, self._supply, world.protected)
+        self._supply = PowerSupply(model, Battery(parameters), shunt=parameters.meter_shunt)
+        self._powered = ProtectedDrive(parameters, self._drive, model, self._supply, world.protected)
         self._computer = OnboardComputer(parameters, self._drive, self._tasks, streams)
         self._meter_noise = streams.numbered("ina219", width=2)
         left, right = streams.named("encoders").random(2).tolist()
@@ -193,7 +190,7 @@ class SimulatedTurtlebot3:
 
     def utilisation(
         self, *, start_ns: int, stop_ns: int, rate: float, also_ns: Sequence[int] = ()
-    ) -> list[Utilisation]:
+    ) -> list[UtilisationSample]:
         """Return what the on-board computer sampled `rate` times a second (200 at most) between two past moments.
 
         It did so at the other moments, too.

@@ -7,6 +7,7 @@ from tests.meters.scripted_meter import frame, hello, mark, recording, sample
 
 from robot_runner.core.errors import LinkError
 from robot_runner.meters.ina219.card import read_card
+from robot_runner.meters.ina219.sample_stream import Trouble
 from robot_runner.plugins import Window
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.testing import FakeClock, make_context, rehearse
@@ -47,7 +48,7 @@ def test_what_the_power_cut_off_is_left_out(tmp_path):
     cut = recording(100)[:1024]
     (found,) = read_card(written(tmp_path, cut))
     assert len(found.times) == (1024 - 20) // 16
-    assert found.stream.lost == 0
+    assert found.stream.troubles()[Trouble.LOST] == 0
 
 
 def test_marked_spans_are_those_between_the_marks(tmp_path):
@@ -168,4 +169,4 @@ def test_a_mark_that_lasted_much_longer_than_the_run_is_doubted(tmp_path):
 def test_unknown_frames_in_a_recording_are_left_out(tmp_path):
     whole = hello(0, 5000) + sample(0, 5000) + frame(0x17, 1, b"future") + sample(1, 10_000)
     (found,) = read_card(written(tmp_path, whole))
-    assert (len(found.times), found.stream.lost) == (2, 0)
+    assert (len(found.times), found.stream.troubles()[Trouble.LOST]) == (2, 0)

@@ -146,7 +146,7 @@ def test_counts_are_those_of_the_window():
     stream.take(steady(left_out={50, 51, 300}, damaged={60, 310, 350}).chunks(start=0.0, end=3.0))
     times = stream.times()
     late = stream.troubles(Window(1.0, 1.7), times)
-    assert (stream.lost, stream.counts.corrupt) == (6, 3)
+    assert (stream.troubles()[Trouble.LOST], stream.counts.corrupt) == (6, 3)
     assert (late[Trouble.LOST], late[Trouble.CORRUPT]) == (2, 1)
     assert stream.troubles(Window(2.0, 3.0), times) == {}
 

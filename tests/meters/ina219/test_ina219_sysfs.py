@@ -8,15 +8,17 @@ import json
 
 import pytest
 from tests.core.links.ssh_server import SshServer
-from tests.meters.scripted_driver import HWMON, measured
+from tests.meters.scripted_driver import HWMON, ScriptedFiles, ScriptedSampler, measured
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
+from robot_runner.measuring.host import SamplingReport
 from robot_runner.measuring.local_host import LocalHost
 from robot_runner.meters.ina219 import sysfs
-from robot_runner.meters.ina219.sysfs import find_sensor
+from robot_runner.meters.ina219.sysfs import SysfsMeter, find_sensor
+from robot_runner.plugins import Window
 from robot_runner.plugins.profilers import Ina219
-from robot_runner.testing import ProfilerContract, make_context, rehearse
+from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
 
 IIO = {
     "name": "ina219",
@@ -98,6 +100,24 @@ def test_power_that_flows_back_is_negative_though_the_chips_power_register_has_n
     sensor = found(host)
     reading = sensor.read(host.read_files(sensor.paths), shunt_ohm=0.1)
     assert reading == pytest.approx((-0.613, 12.4, -7.6), rel=1e-3)
+
+
+def test_the_cpu_time_of_sampling_is_told_of_the_window_and_not_of_all_that_was_sampled():
+    clock = FakeClock()
+    host = ScriptedFiles(clock, HWMON, lambda _: ("7600000", "613", "12400"))
+    host.sample_files = lambda rate, paths: BusySampler(host, clock.now(), rate)
+    meter = SysfsMeter(host, clock, folder="auto", shunt_ohm=None, rate_hz=None, where="test")
+    meter.begin()
+    clock.sleep(60.0)
+    meter.end()
+    quality = meter.evaluate(Window(50.0, 60.0)).quality
+    assert quality.cpu_seconds == pytest.approx(0.1)
+    assert not any("of one core busy" in warning for warning in quality.warnings())
+
+
+class BusySampler(ScriptedSampler):
+    def report(self):
+        return SamplingReport(rate=self.rate, cpu_seconds=0.6)
 
 
 def test_of_several_sensors_one_must_be_named(tree, host):

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.meters.scripted_meter import ScriptedMeter, hello, mark, sample
 
-from robot_runner.meters.ina219.sample_stream import SampleStream
+from robot_runner.meters.ina219.sample_stream import SampleStream, Trouble
 from robot_runner.testing import Chunk
 
 
@@ -30,29 +30,29 @@ def test_stamps_are_unwrapped_after_71_minutes():
     stream = streamed(steady(first_stamp=2**32 - 1_000_000).chunks(start=0.0, end=3.0))
     times = stream.times()
     assert times[-1] - times[0] == pytest.approx(3.0)
-    assert (stream.lost, stream.restarts) == (0, 0)
+    assert (stream.troubles()[Trouble.LOST], stream.troubles()[Trouble.RESTART]) == (0, 0)
 
 
 def test_sequence_numbers_begin_anew_after_65535():
-    assert streamed(steady(first_sequence=65_500).chunks(start=0.0, end=1.0)).lost == 0
+    assert streamed(steady(first_sequence=65_500).chunks(start=0.0, end=1.0)).troubles()[Trouble.LOST] == 0
 
 
 @given(left_out=st.sets(st.integers(1, 398), max_size=60))
 def test_lost_samples_are_counted_exactly(left_out):
     stream = streamed(steady(left_out=left_out, first_sequence=65_400).chunks(start=0.0, end=2.0))
-    assert stream.lost == len(left_out)
+    assert stream.troubles()[Trouble.LOST] == len(left_out)
     assert len(stream) == 401 - len(left_out)
 
 
 def test_a_damaged_sample_is_corrupt_and_lost():
     stream = streamed(steady(damaged={10, 20, 30}).chunks(start=0.0, end=1.0))
-    assert (stream.counts.corrupt, stream.lost) == (3, 3)
+    assert (stream.counts.corrupt, stream.troubles()[Trouble.LOST]) == (3, 3)
 
 
 def test_a_sample_that_came_twice_is_held_once():
     chunks = steady().chunks(start=0.0, end=1.0)
     stream = streamed([*chunks[:50], chunks[49], *chunks[50:]])
-    assert (len(stream), stream.duplicates, stream.lost) == (201, 1, 0)
+    assert (len(stream), stream.troubles()[Trouble.DUPLICATE], stream.troubles()[Trouble.LOST]) == (201, 1, 0)
 
 
 @pytest.mark.parametrize("uptime", [5_000_000, 3_000_000_000])
@@ -61,7 +61,7 @@ def test_a_device_that_starts_anew_goes_on_in_the_runs_time(uptime):
     after = steady().chunks(start=54.0, end=56.0)
     stream = streamed([*before, *after])
     times = stream.times()
-    assert (stream.restarts, stream.lost) == (1, 0)
+    assert (stream.troubles()[Trouble.RESTART], stream.troubles()[Trouble.LOST]) == (1, 0)
     assert times[401] - times[400] == pytest.approx(2.0, abs=0.01)
 
 
@@ -98,7 +98,7 @@ def test_without_arrivals_the_lives_of_a_device_are_laid_end_to_end():
     stream = SampleStream(has_arrivals=False)
     stream.take([Chunk(0.0, sample(0, 4_000_000) + sample(1, 4_005_000) + sample(0, 5000) + sample(1, 10_000))])
     assert list(stream.device_seconds) == pytest.approx([0.0, 0.005, 0.005, 0.010])
-    assert stream.restarts == 1
+    assert stream.troubles()[Trouble.RESTART] == 1
 
 
 def test_nothing_gives_no_times():

@@ -22,8 +22,7 @@ class ComputerCopy:
             policy = f"{CPU}/cpufreq/policy{core}"
             self.write(f"{policy}/scaling_governor", "powersave")
             self.write(f"{policy}/scaling_available_governors", "performance powersave")
-            self.write(f"{policy}/scaling_cur_freq", frequency)
-            self.write(f"{policy}/scaling_max_freq", 2_400_000)
+            self.clock(core, frequency, 2_400_000)
             self.write(f"{CPU}/cpu{core}/thermal_throttle/core_throttle_count", core + 1)
         self.write(f"{CPU}/intel_pstate/no_turbo", 0)
         thermal = "sys/class/thermal"
@@ -35,6 +34,11 @@ class ComputerCopy:
         self.write(f"{thermal}/cooling_device0/cur_state", 0)
         self.write(f"{thermal}/cooling_device1/type", "Fan")
         self.write(f"{thermal}/cooling_device1/cur_state", 2)
+
+    def clock(self, core: int, frequency: int, limit: int) -> None:
+        """Show the frequency of a core, kHz, and the highest that is allowed."""
+        for name, content in (("governor", "powersave"), ("cur_freq", frequency), ("max_freq", limit)):
+            self.write(f"{CPU}/cpu{core}/cpufreq/scaling_{name}", content)
 
     def write(self, path: str, content: object) -> Path:
         file = self.root / path

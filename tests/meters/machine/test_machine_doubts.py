@@ -16,7 +16,7 @@ CALM = Conditions(
     frequency=1.5e9,
     limit=1.5e9,
     temperature=55.0,
-    throttle_count=4,
+    throttle_counts=(4, 0),
     is_held_back=False,
     is_under_voltage=False,
 )
@@ -34,6 +34,15 @@ def problems(
 
 def conditions(**changed: object) -> MachineState:
     return replace(LAST, conditions=replace(CALM, **changed))
+
+
+def test_a_package_that_was_throttled_is_not_counted_once_for_each_of_its_cores() -> None:
+    # Each core has a counter of its package, too; here the package was throttled twice, and one core once more.
+    before = replace(FIRST, conditions=replace(CALM, throttle_counts=(4, 9, 0, 9)))
+    after = conditions(throttle_counts=(7, 11, 2, 11))
+    report = MachineReport("", "r_7", before, after, QUIET, (before.conditions,), Thresholds())
+    assert report.problems()[0].startswith("the processor was throttled for heat 3 times during r_7")
+    assert report.facts()["throttlings"] == 3
 
 
 def test_a_quiet_computer_is_not_worth_a_word() -> None:
@@ -65,7 +74,7 @@ def test_ticks_of_a_very_short_run_are_no_load() -> None:
         (replace(LAST, swapped=1300), "1.2 MB went to swap or came from there during r_7"),
         (replace(LAST, stalled=1.25), "processes waited 0.75 s of 10.0 s for memory during r_7"),
         (
-            conditions(throttle_count=7, temperature=97.0),
+            conditions(throttle_counts=(7, 0), temperature=97.0),
             "the processor was throttled for heat 3 times during r_7 (the hottest zone had 97 °C)",
         ),
         (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from typing import TYPE_CHECKING
 
 import pytest
@@ -31,9 +32,24 @@ def test_a_whole_computer_is_understood(tmp_path: Path) -> None:
     assert found.frequency == pytest.approx(1.5e9)
     assert found.limit == pytest.approx(2.4e9)
     assert found.temperature == pytest.approx(61.5)
-    assert found.throttle_count == 3
+    assert found.throttle_counts == (1, 2)
     assert found.is_held_back is False
     assert found.is_under_voltage is None  # no firmware tells
+
+
+def test_a_frequency_counts_for_as_many_cores_as_share_it(tmp_path: Path) -> None:
+    copy = ComputerCopy(tmp_path)
+    cpu = tmp_path / "sys/devices/system/cpu"
+    for policy, cores, frequency in ((0, range(4), 1_400_000), (4, (4, 5), 2_000_000)):
+        for name in ("cur_freq", "max_freq"):
+            copy.write(f"sys/devices/system/cpu/cpufreq/policy{policy}/scaling_{name}", frequency)
+        for core in cores:  # as Linux lays it out: each core has a link to its policy
+            shutil.rmtree(cpu / f"cpu{core}" / "cpufreq", ignore_errors=True)
+            (cpu / f"cpu{core}").mkdir(exist_ok=True)
+            (cpu / f"cpu{core}" / "cpufreq").symlink_to(f"../cpufreq/policy{policy}")
+    conditions = MachineFiles(SystemFiles(tmp_path)).conditions()
+    assert conditions.frequency == pytest.approx((4 * 1.4e9 + 2 * 2.0e9) / 6)
+    assert conditions.limit == pytest.approx((4 * 1.4e9 + 2 * 2.0e9) / 6)
 
 
 def test_a_zone_that_measures_nothing_is_not_the_hottest(tmp_path: Path) -> None:

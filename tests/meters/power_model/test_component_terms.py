@@ -10,9 +10,8 @@ from tests.meters.power_model.test_power_model import PHASES, write_run
 
 from robot_runner.core.errors import AnalysisError
 from robot_runner.measuring.quality import Column, write_samples
-from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.linear_power_model import term_value
-from robot_runner.meters.power_model.states import read_states
+from robot_runner.meters.power_model.states import Sources, read_states
 from robot_runner.plugins import Circumstances, Window
 from robot_runner.plugins.profilers import Nvml, PowerModel, PsUtil, RobotState
 
@@ -75,13 +74,8 @@ def test_without_these_plugins_the_terms_are_those_of_before(experiment):
 
 
 def test_states_tell_of_the_parts(experiment):
-    states = read_states(
-        experiment / "runs" / "r_1",
-        Window(0.0, 10.0),
-        utilisation="PsUtil",
-        phases=None,
-        components=ComponentSources(**SOURCES),
-    )
+    sources = Sources(utilisation="PsUtil", **SOURCES)
+    states = read_states(experiment / "runs" / "r_1", Window(0.0, 10.0), sources)
     assert len(states) == 100
     assert {clock for state in states for clock, _ in state.cores} == {600, 1500}
     assert 0 < states[50].network < 4

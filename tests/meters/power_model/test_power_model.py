@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 from robot_runner.core.errors import AnalysisError, PluginError
 from robot_runner.core.events.measure import Origin
 from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
-from robot_runner.meters.power_model.states import read_states
+from robot_runner.meters.power_model.states import Sources, read_states
 from robot_runner.plugins import Circumstances, Window
 from robot_runner.plugins.profilers import Ina219, PowerModel, PsUtil, RobotState
 from robot_runner.plugins.systems import BasicTurtlebot3
 from robot_runner.testing import FakeClock, ProfilerContract, make_context, rehearse
 
 STEADY = {"constant": 8.0}
+SOURCES = Sources(utilisation="PsUtil", phases="BasicTurtlebot3")
 
 
 class TestPowerModelOfASteadyRobot(ProfilerContract):
@@ -192,7 +193,7 @@ def test_a_model_file_that_is_not_there_is_told(tmp_path):
 
 def test_states_are_cut_where_a_sample_or_a_phase_ends(tmp_path):
     write_run(tmp_path, phases=PHASES)
-    states = read_states(tmp_path, Window(1.0, 7.0), utilisation="PsUtil", phases="BasicTurtlebot3")
+    states = read_states(tmp_path, Window(1.0, 7.0), SOURCES)
     assert [(state.start, state.end) for state in states] == [(1, 2), (2, 4), (4, 5), (5, 6), (6, 7)]
     assert [state.cpu for state in states] == [10.0, 10.0, 10.0, 50.0, 50.0]
     assert [state.motion for state in states] == ["", "forward", "", "", ""]
@@ -225,7 +226,7 @@ class TestFitting:
                 cpu = [(t / 10, 10.0 + (7 * t * number) % 40) for t in range(101)]
                 folder = tmp_path / "known" / "runs" / f"r_{number}"
                 write_run(folder, cpu=cpu, phases=PHASES)
-                states = read_states(folder, Window(0.0, 10.0), utilisation="PsUtil", phases="BasicTurtlebot3")
+                states = read_states(folder, Window(0.0, 10.0), SOURCES)
                 model = LinearModel(TRUE)
                 watts = []
                 for place, state in enumerate(states):
@@ -315,6 +316,14 @@ class TestFitting:
             "r_2": "there is no such file",
             "r_3": "the power samples cover 60 % of the measured window",
         }
+
+    def test_a_run_in_which_nothing_of_the_terms_was_sampled_is_left_out_and_told(self, experiment):
+        folder = experiment()
+        (folder / "runs" / "r_2" / "PsUtil" / "samples.csv").write_text("time_s,cpu_percent,memory_percent\n")
+        model = PowerModel.fit(folder, ["r_1", "r_2", "r_3"])
+        assert model["coefficients_W"] == pytest.approx(TRUE, abs=1e-6)
+        assert model["fit"]["runs"] == list(model["fit"]["energy_errors"]) == ["r_1", "r_3"]
+        assert model["fit"]["left_out"] == {"r_2": "nothing was sampled that explains power"}
 
     def test_an_experiment_without_a_meter_is_refused(self, experiment):
         with pytest.raises(AnalysisError, match="no run can be used: there is no such file"):

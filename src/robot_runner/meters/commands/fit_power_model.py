@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any
 
 from rich.text import Text
 
@@ -18,12 +18,12 @@ from robot_runner.cli.parser import UsageError, add_json, add_set, add_target
 from robot_runner.cli.target import folder_of_target
 from robot_runner.cli.templating import write_new_file
 from robot_runner.core.errors import did_you_mean
-from robot_runner.core.plugin import find_plugin
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import counted, listed, shown_duration
+from robot_runner.meters.power_model.power_model import PowerModel
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -33,31 +33,15 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.layout import ExperimentFolder
 
 _NONE = "none"
-#: What further plugins may have sampled, by the option that names the plugin.
-_COMPONENTS = {
-    "frequency": "the frequency of each core, such as LinuxThermal",
-    "network": "what went over the network, such as Network",
-    "gpu": "the GPUs, such as Nvml",
+#: What the plugins did that tell what power is explained by, and which of them is usual, by the option that names one.
+_PLUGINS = {
+    "utilisation": ("sampled CPU and memory", "PsUtil"),
+    "phases": ("recorded the phases of the mission", "BasicTurtlebot3"),
+    "frequency": ("sampled the frequency of each core, such as LinuxThermal", _NONE),
+    "network": ("sampled what went over the network, such as Network", _NONE),
+    "gpu": ("sampled the GPUs, such as Nvml", _NONE),
 }
 _UNITS = {"cpu": "W per %", "memory": "W per %", "gpu": "W per %", "network": "W per MB/s", "cycles": "W per GHz"}
-
-
-class _Fitting(Protocol):
-    """The part of the profiler PowerModel that is called here; it comes in through an entry point, as any plugin."""
-
-    def fit(  # noqa: PLR0913 - as the profiler has it
-        self,
-        experiment: Path,
-        run_ids: Sequence[str],
-        *,
-        power: str,
-        utilisation: str | None,
-        phases: str | None,
-        frequency: str | None,
-        network: str | None,
-        gpu: str | None,
-        terms: Sequence[str] | None,
-    ) -> dict[str, Any]: ...
 
 
 def add_arguments(parser: Parser) -> None:
@@ -70,25 +54,9 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--power", metavar="PLUGIN", default="Ina219", help="the plugin that measured power (%(default)s)"
     )
-    parser.add_argument(
-        "--utilisation",
-        metavar="PLUGIN",
-        default="PsUtil",
-        help="the plugin that sampled CPU and memory, or none (%(default)s)",
-    )
-    parser.add_argument(
-        "--phases",
-        metavar="PLUGIN",
-        default="BasicTurtlebot3",
-        help="the plugin that recorded the phases of the mission, or none (%(default)s)",
-    )
-    for name, sampled in _COMPONENTS.items():
-        parser.add_argument(
-            f"--{name}",
-            metavar="PLUGIN",
-            default=_NONE,
-            help=f"the plugin that sampled {sampled}, or none (%(default)s)",
-        )
+    for name, (does, usual) in _PLUGINS.items():
+        told = f"the plugin that {does}, or none (%(default)s)"
+        parser.add_argument(f"--{name}", metavar="PLUGIN", default=usual, help=told)
     parser.add_argument(
         "--terms",
         metavar="TERMS",
@@ -104,18 +72,9 @@ def add_arguments(parser: Parser) -> None:
 def execute(arguments: Namespace) -> int:
     """Fit the model, print how well it fits, and write it if a file was named."""
     folder = folder_of_target(arguments.target, arguments.set)
-    fitting = cast("_Fitting", find_plugin("profilers", "PowerModel").load())
-    model = fitting.fit(
-        folder.root,
-        _chosen(_done_runs(folder), arguments.runs),
-        power=arguments.power,
-        utilisation=_optional(arguments.utilisation),
-        phases=_optional(arguments.phases),
-        frequency=_optional(arguments.frequency),
-        network=_optional(arguments.network),
-        gpu=_optional(arguments.gpu),
-        terms=_split(arguments.terms) or None,
-    )
+    run_ids, terms = _chosen(_done_runs(folder), arguments.runs), _split(arguments.terms) or None
+    plugins = {name: _optional(getattr(arguments, name)) for name in _PLUGINS}
+    model = PowerModel.fit(folder.root, run_ids, power=arguments.power, terms=terms, **plugins)
     if arguments.out:
         text = json.dumps(model, indent=2, ensure_ascii=False) + "\n"
         write_new_file(Path(arguments.out).expanduser(), text, instead="Choose another name, or remove the old model.")

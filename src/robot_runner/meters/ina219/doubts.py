@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
 from itertools import groupby
 from statistics import fmean
 from typing import TYPE_CHECKING
 
+from robot_runner.measuring.series import within
 from robot_runner.meters.ina219.sample_stream import Trouble
 
 if TYPE_CHECKING:
@@ -28,11 +28,6 @@ _LARGEST_DRIFT = 0.01
 #: A supply below this is none, V: the INA219 itself needs 3 V, and no robot lives on less.
 _LOWEST_VOLTAGE = 0.5
 _LOOK = "look at the four wires between them"
-
-
-def within(times: Sequence[float], window: Window) -> slice:
-    """Return which of the samples lie in a window."""
-    return slice(bisect_left(times, window.start), bisect_right(times, window.end))
 
 
 def stuck_doubts(readings: Iterable[object], seconds: float, count: int) -> Iterator[str]:

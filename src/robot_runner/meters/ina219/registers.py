@@ -8,8 +8,8 @@ from operator import mul
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.measuring.quality import Column, quality_of, write_quality, write_samples
-from robot_runner.measuring.series import Series, energy, energy_from_mean_power
-from robot_runner.meters.ina219.doubts import power_doubts, settings_doubts, stream_doubts, within
+from robot_runner.measuring.series import Series, energy, energy_from_mean_power, within
+from robot_runner.meters.ina219.doubts import power_doubts, settings_doubts, stream_doubts
 from robot_runner.meters.ina219.sample_stream import Trouble
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def _details(stream: SampleStream, shunt: float, rate: float) -> dict[str, Any]:
     return {
         "shunt_ohm": shunt,
         "rate_hz": rate,
-        "restarts": stream.restarts,
+        "restarts": stream.troubles()[Trouble.RESTART],
         "clock_drift": stream.drift,
         "bytes": stream.bytes,
         "line": stream.counts._asdict(),

@@ -114,21 +114,6 @@ class SampleStream:
         return self._decoder.counts
 
     @property
-    def lost(self) -> int:
-        """Samples that the sequence numbers say are missing."""
-        return self.troubles()[Trouble.LOST]
-
-    @property
-    def duplicates(self) -> int:
-        """Samples that came twice; only the first is held."""
-        return self.troubles()[Trouble.DUPLICATE]
-
-    @property
-    def restarts(self) -> int:
-        """How often the device started anew."""
-        return self.troubles()[Trouble.RESTART]
-
-    @property
     def lag(self) -> float:
         """How far the middle of what a sample averages lies before its stamp, s; 0 where the device does not say."""
         return self.sensing.lag_s if self.sensing is not None else 0.0

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.window import Window
-from robot_runner.measuring.host import ReportingSampler, TellingSampler
-from robot_runner.measuring.quality import Column, quality_of
-from robot_runner.measuring.series import Series
+from robot_runner.measuring.periodic import HostSampler
+from robot_runner.measuring.quality import Column
 from robot_runner.meters.ina219.doubts import stuck_doubts, voltage_doubts
 from robot_runner.meters.ina219.registers import Evaluation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from robot_runner.core.events.context import Clock
-    from robot_runner.measuring.host import FileHost, FileSample, FileSampler, SamplingReport
+    from robot_runner.core.events.window import Window
+    from robot_runner.measuring.host import FileHost, SamplingReport
 
 #: The name under which the one sensor of a computer is taken, wherever its driver put it.
 AUTO = "auto"
@@ -172,99 +170,70 @@ class SysfsMeter:
     def __init__(
         self, host: FileHost, clock: Clock, *, folder: str, shunt_ohm: float | None, rate_hz: float | None, where: str
     ) -> None:
-        self._host = host
-        self._clock = clock
         self._rate = rate_hz or DEFAULT_SYSFS_RATE
         self._sensor = find_sensor(host, folder, where=where)
         self._shunt_ohm = shunt_ohm or self._sensor.shunt_ohm
-        self._sampler: FileSampler | None = None
-        self._latest: Callable[[], FileSample] | None = None
-        self._start = clock.now()
-        self._window: Window | None = None
+        self._sampler = HostSampler(host, self._sensor.paths, self._read, rate=self._rate, clock=clock)
 
     def begin(self) -> None:
         """Begin to sample."""
-        sampler = self._sampler = self._host.sample_files(self._rate, self._sensor.paths)
-        if isinstance(sampler, TellingSampler):
-            sampler.tell(self._take_latest)
-        self._start = self._clock.now()
-
-    def _take_latest(self, sample: Callable[[], FileSample]) -> None:
-        self._latest = sample
+        self._sampler.start()
 
     def latest_power(self) -> float | None:
         """Return the power of the last sample, W; None where there is none: another computer tells at its end."""
-        if self._latest is None:
-            return None
-        reading = self._sensor.read(self._latest().lines, shunt_ohm=self._shunt_ohm)
+        reading = self._sampler.latest()
         return None if reading is None else reading.power
 
     def end(self) -> None:
         """End sampling; a second call does nothing."""
-        if self._window is None:
-            self._window = Window(self._start, self._clock.now())
-            if self._sampler is not None:
-                self._sampler.stop()
+        self._sampler.stop()
 
     def evaluate(self, window: Window | None, part: Window | None = None) -> Evaluation:
         """Return what was measured in a window; samples that could not be read are left out and counted."""
-        samples = self._sampler.stop() if self._sampler is not None else ()
-        readings = [(each.time, self._sensor.read(each.lines, shunt_ohm=self._shunt_ohm)) for each in samples]
-        good = [(time, reading) for time, reading in readings if reading is not None]
-        times = array("d", [time for time, _ in good])
-        sampled = self._window or Window(self._start, self._clock.now())
-        window = part or window or sampled
-        failed = sum(reading is None and window.start <= time <= window.end for time, reading in readings)
-        seen = [reading for time, reading in good if window.start <= time <= window.end]
-        report = self._report()
+        sampled = self._sampler.stop()
+        measured = sampled.over(part or window or sampled.window)
+        seen, report = measured.within().readings, self._sampler.report()
         return Evaluation(
-            window=window,
-            power=Series(times, array("d", [reading.power for _, reading in good])),
-            quality=quality_of(
-                times,
-                window,
-                report.rate if report else self._rate,
-                failed=failed,
+            window=measured.window,
+            power=measured.series(lambda reading: reading.power),
+            quality=measured.quality(
                 saturated=sum(self._is_clipped(reading) for reading in seen),
-                first_failure="a file of the driver could not be read" if failed else "",
-                cpu_seconds=report.cpu_seconds if report else None,
-                clock_uncertainty=report.clock.uncertainty if report and report.clock else None,
+                clock_uncertainty=report.clock.uncertainty if report.clock else None,
             ),
-            columns=_columns([reading.current for _, reading in good], [reading.voltage for _, reading in good]),
-            details=self._details(report),
+            columns=(
+                Column("current_A", [reading.current for reading in sampled.readings]),
+                Column("voltage_V", [reading.voltage for reading in sampled.readings], "%.3f"),
+            ),
+            details={
+                "shunt_ohm": self._shunt_ohm,
+                "rate_hz": report.rate,
+                "sensor": _facts(self._sensor),
+                "form": report.form,
+            },
             doubts=(
                 *self._doubts(report),
                 *voltage_doubts([reading.voltage for reading in seen]),
-                *stuck_doubts(seen, window.duration, len(seen)),
+                *stuck_doubts(seen, measured.window.duration, len(seen)),
             ),
-            sampled=sampled,
+            sampled=sampled.window,
         )
+
+    def _read(self, lines: Sequence[str | None]) -> Reading:
+        reading = self._sensor.read(lines, shunt_ohm=self._shunt_ohm)
+        if reading is None:
+            raise ValueError("a file of the driver could not be read")
+        return reading
 
     def _is_clipped(self, reading: Reading) -> bool:
         """Whether a reading stands at the end of the shunt's range, but for half a step of hwmon's (1 mA)."""
         largest = _SHUNT_RANGES.get(self._sensor.chip)
         return largest is not None and (abs(reading.current) + 0.0005) * self._shunt_ohm >= largest
 
-    def _report(self) -> SamplingReport | None:
-        return self._sampler.report() if isinstance(self._sampler, ReportingSampler) else None
-
-    def _details(self, report: SamplingReport | None) -> dict[str, Any]:
-        return {
-            "shunt_ohm": self._shunt_ohm,
-            "rate_hz": report.rate if report else self._rate,
-            "sensor": _facts(self._sensor),
-            "form": report.form if report else "",
-        }
-
-    def _doubts(self, report: SamplingReport | None) -> tuple[str, ...]:
+    def _doubts(self, report: SamplingReport) -> tuple[str, ...]:
         told, used = self._sensor.shunt_ohm, self._shunt_ohm
         contradiction = f"the driver was told of a shunt of {told:g} ohm, not {used:g} ohm: {_SETTLE}"
         doubts = [contradiction] if abs(told - used) > 0.001 * used else []
-        return (*doubts, *(report.problems if report else ()))
-
-
-def _columns(current: Sequence[float], voltage: Sequence[float]) -> tuple[Column, ...]:
-    return Column("current_A", current), Column("voltage_V", voltage, "%.3f")
+        return (*doubts, *report.problems)
 
 
 def _facts(sensor: SysfsSensor) -> dict[str, Any]:

@@ -177,8 +177,11 @@ class MachineReport:
 
     @property
     def _throttlings(self) -> int | None:
-        count = _growth(self.before.conditions.throttle_count, self.after.conditions.throttle_count)
-        return None if count is None else int(count)
+        """How often it was throttled, by the counter that rose most: each core tells anew of its package."""
+        before, after = self.before.conditions.throttle_counts, self.after.conditions.throttle_counts
+        if before is None or after is None:
+            return None
+        return max(max(0, later - sooner) for sooner, later in zip(before, after, strict=True))
 
     @property
     def _fresh_flags(self) -> int:

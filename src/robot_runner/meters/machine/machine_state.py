@@ -10,6 +10,7 @@ import math
 import os
 import re
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -86,6 +87,13 @@ def _content(path: str) -> str | None:
         return None
 
 
+def text_in(path: Path) -> str:
+    """Return what stands in a small file of the kernel; nothing where it cannot be read."""
+    with suppress(OSError):
+        return path.read_text(encoding="ascii", errors="replace").strip()
+    return ""
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessTimes:
     """The CPU time of one process.
@@ -141,7 +149,8 @@ class Conditions:
         frequency: mean over the cores, Hz.
         limit: the highest frequency that is allowed, mean over the cores, Hz.
         temperature: of the hottest zone, degC.
-        throttle_count: how often it was throttled for heat since the computer started.
+        throttle_counts: how often each core, and its package, was throttled for heat since the computer started; of a
+            package each of its cores tells. None where there are no such counters, or one does not tell.
         is_held_back: whether the kernel or the firmware holds it back now.
         is_under_voltage: whether the supply voltage is too low now.
         firmware_flags: what has happened since the computer started, by a Raspberry Pi's firmware, or is happening now.
@@ -152,7 +161,7 @@ class Conditions:
     frequency: float | None = None
     limit: float | None = None
     temperature: float | None = None
-    throttle_count: int | None = None
+    throttle_counts: tuple[int, ...] | None = None
     is_held_back: bool | None = None
     is_under_voltage: bool | None = None
     firmware_flags: int = 0
@@ -192,11 +201,12 @@ class MachineFiles:
 
     def __init__(self, files: Files) -> None:
         self._files = files
-        policies = files.list_files(f"{_CPU}/cpufreq/policy*/scaling_*")
+        # Of each core, also where several share a clock, as the small and the large ones of many boards do.
+        clocks = files.list_files(f"{_CPU}/cpu[0-9]*/cpufreq/scaling_*")
         thermal = files.list_files("/sys/class/thermal/*/*")
-        self._governors = _named(policies, "scaling_governor")
-        self._frequencies = _named(policies, "scaling_cur_freq")
-        self._limits = _named(policies, "scaling_max_freq")
+        self._governors = _named(clocks, "scaling_governor")
+        self._frequencies = _named(clocks, "scaling_cur_freq")
+        self._limits = _named(clocks, "scaling_max_freq")
         self._counters = files.list_files(f"{_CPU}/cpu[0-9]*/thermal_throttle/*_throttle_count")
         types = _named(thermal, "type")
         kinds = dict(zip(types, files.read_files(types) if types else (), strict=True))
@@ -269,8 +279,7 @@ class MachineFiles:
             frequency=_mean(numbers(self._frequencies), _KILO),
             limit=_mean(numbers(self._limits), _KILO),
             temperature=max(filter(is_plausible, temperatures), default=None),
-            # Without the counters of a core that is switched off, the sum would rise when it comes back.
-            throttle_count=int(sum(counts)) if counts and len(counts) == len(self._counters) else None,
+            throttle_counts=tuple(map(int, counts)) if counts and len(counts) == len(self._counters) else None,
             is_held_back=any(coolers) or bool(now & HELD_BACK) if tells else None,
             is_under_voltage=None if flags is None else bool(now & UNDER_VOLTAGE),
             firmware_flags=(now | now >> _EVER) & (UNDER_VOLTAGE | HELD_BACK),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.words import enumerated
-from robot_runner.meters.machine.machine_state import ProcessTimes
+from robot_runner.meters.machine.machine_state import ProcessTimes, text_in
 from robot_runner.meters.machine.tuning_state import Change, Kept, state_file
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ class Machine:
         for change in reversed(kept.changes):
             path = self.root / change.path
             try:
-                now = _text(path)
+                now = text_in(path)
                 if now == change.wanted:
                     path.write_text(change.before, encoding="ascii")
                 elif now != change.before:
@@ -147,13 +147,13 @@ class Machine:
 
     def describe(self) -> dict[str, str]:
         """Return how the machine is set up, in words."""
-        governors = dict.fromkeys(_text(path) for path in self._governors())
+        governors = dict.fromkeys(text_in(path) for path in self._governors())
         turbo = self._turbo()
         cores = sorted(_affinity(os.getpid()))
         kept = self._kept()
         return {
             "governor": enumerated(governors) if governors else "not told",
-            "turbo": "not told" if turbo is None else {True: "on", False: "off"}[_text(turbo[0]) == turbo[1]],
+            "turbo": "not told" if turbo is None else {True: "on", False: "off"}[text_in(turbo[0]) == turbo[1]],
             "cores of this process": ", ".join(map(str, cores)) or "not told",
             "set up by robot-runner": "no" if kept is None else kept.who,
         }
@@ -186,7 +186,7 @@ class Machine:
             problem = "this machine lets nobody choose its CPU governor: a virtual machine, or no cpufreq driver"
             yield Finding.error(where, problem, "Leave governor out.")
         for path in governors[:1]:
-            known = _text(path.with_name("scaling_available_governors")).split()
+            known = text_in(path.with_name("scaling_available_governors")).split()
             if wishes.governor not in known:
                 yield Finding.error(
                     where, f"there is no governor {wishes.governor!r}", did_you_mean(wishes.governor, known)
@@ -236,13 +236,13 @@ class Machine:
         )
 
     def _change(self, path: Path, wanted: str) -> Change:
-        return Change(str(path.relative_to(self.root)), _text(path), wanted)
+        return Change(str(path.relative_to(self.root)), text_in(path), wanted)
 
     def _set(self, change: Change, *, is_kept: bool = True) -> None:
         path = self.root / change.path
         try:
             path.write_text(change.wanted, encoding="ascii")
-            found = _text(path) if is_kept else change.wanted
+            found = text_in(path) if is_kept else change.wanted
         except OSError as error:
             problem = f"{path} cannot be set to {change.wanted!r}: {error.strerror}"
             raise PluginError(problem, where=str(path), fix=_AS_ROOT) from error
@@ -287,22 +287,16 @@ class Machine:
         return kept if kept is not None and kept.boot == self._boot() else None
 
     def _boot(self) -> str:
-        return _text(self.root / "proc/sys/kernel/random/boot_id")
+        return text_in(self.root / "proc/sys/kernel/random/boot_id")
 
     @staticmethod
     def _is_alive(owner: tuple[int, str]) -> bool:
         return bool(owner[1]) and _started(Path("/proc") / str(owner[0])) == owner[1]
 
 
-def _text(path: Path) -> str:
-    with suppress(OSError):
-        return path.read_text(encoding="ascii", errors="replace").strip()
-    return ""
-
-
 def _process(folder: Path) -> ProcessTimes | None:
     with suppress(ValueError):
-        return ProcessTimes.of_stat(_text(folder / "stat"))
+        return ProcessTimes.of_stat(text_in(folder / "stat"))
     return None
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import AnalysisError
@@ -11,7 +11,6 @@ from robot_runner.core.storage.guarded_files import MissingFileError, read_json
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.measuring.quality import MINIMUM_COVERAGE
 from robot_runner.measuring.series import Series, cut, mean
-from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.raw_columns import read_numbers
 from robot_runner.meters.power_model.states import read_states
 
@@ -19,27 +18,10 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from robot_runner.meters.power_model.states import RobotState
+    from robot_runner.meters.power_model.states import RobotState, Sources
 
 #: A piece shorter than this, s, holds too few samples of a 200 Hz meter for its mean power to mean much.
 _SHORTEST = 0.02
-
-
-@dataclass(frozen=True, slots=True)
-class Sources:
-    """The plugins whose raw data tell what the robot did and drew.
-
-    Attributes:
-        power: its `samples.csv` holds `power_W`, its `quality.json` the measured window.
-        utilisation: its `samples.csv` holds `cpu_percent` and `memory_percent`; None for none.
-        phases: its `phases.csv` holds `phase` and `task`; None for none.
-        components: those that tell of the parts of the computer.
-    """
-
-    power: str = "Ina219"
-    utilisation: str | None = "PsUtil"
-    phases: str | None = "BasicTurtlebot3"
-    components: ComponentSources = field(default_factory=ComponentSources)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +41,15 @@ class MeasuredRun:
     is_simulated: bool
 
 
-def read_runs(experiment: Path, sources: Sources, run_ids: Sequence[str]) -> tuple[list[MeasuredRun], dict[str, str]]:
+def read_runs(
+    experiment: Path, power: str, sources: Sources, run_ids: Sequence[str]
+) -> tuple[list[MeasuredRun], dict[str, str]]:
     """Return the runs that power was measured in, and for each other one why it is left out.
 
     Args:
         experiment: the experiment's folder.
-        sources: the plugins to read from.
+        power: the plugin whose `samples.csv` holds `power_W`, and its `quality.json` the measured window.
+        sources: the plugins that tell what the robot did.
         run_ids: the runs that are done.
 
     Raises:
@@ -73,7 +58,7 @@ def read_runs(experiment: Path, sources: Sources, run_ids: Sequence[str]) -> tup
     runs, left_out = [], {}
     for run_id in dict.fromkeys(run_ids):  # one that is named twice would be held out from itself
         try:
-            runs.append(_read_run(ExperimentFolder(experiment).run(run_id), sources))
+            runs.append(_read_run(ExperimentFolder(experiment).run(run_id), power, sources))
         except AnalysisError as error:
             left_out[run_id] = str(error.problem)
             first = error
@@ -85,15 +70,12 @@ def read_runs(experiment: Path, sources: Sources, run_ids: Sequence[str]) -> tup
     return runs, left_out
 
 
-def _read_run(folder: Path, sources: Sources) -> MeasuredRun:
-    quality = _read_quality(folder / sources.power / "quality.json")
+def _read_run(folder: Path, meter: str, sources: Sources) -> MeasuredRun:
+    quality = _read_quality(folder / meter / "quality.json")
     window = Window(**quality["window"])
-    power = Series(*read_numbers(folder / sources.power / "samples.csv", ("time_s", "power_W")))
+    power = Series(*read_numbers(folder / meter / "samples.csv", ("time_s", "power_W")))
     states, means = [], []
-    found = read_states(
-        folder, window, utilisation=sources.utilisation, phases=sources.phases, components=sources.components
-    )
-    for state in found:
+    for state in read_states(folder, window, sources):
         watts = mean(cut(power, Window(state.start, state.end))) if state.seconds >= _SHORTEST else None
         if watts is not None:
             states.append(state)

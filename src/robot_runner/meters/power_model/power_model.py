@@ -15,10 +15,9 @@ from robot_runner.core.plugin import Profiler
 from robot_runner.core.storage.input_files import InputFile, input_file
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.quality import MINIMUM_COVERAGE, Column, write_quality, write_samples
-from robot_runner.meters.power_model.components import ComponentSources
 from robot_runner.meters.power_model.linear_power_model import LinearModel, read_model
-from robot_runner.meters.power_model.measured_runs import Sources, read_runs
-from robot_runner.meters.power_model.states import RobotState, read_states
+from robot_runner.meters.power_model.measured_runs import read_runs
+from robot_runner.meters.power_model.states import RobotState, Sources, read_states
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -30,6 +29,14 @@ if TYPE_CHECKING:
 #: From what the robot does to the power that it draws, W.
 PowerFunction = Callable[[RobotState], float | None]
 
+#: The terms for which a model needs each of the plugins that it may read from.
+_TERMS = {
+    "utilisation": ("cpu", "memory", "frequency", "cycles"),
+    "phases": ("has_moved", "motion", "task"),
+    "frequency": ("frequency", "cycles"),
+    "network": ("network",),
+    "gpu": ("gpu",),
+}
 _FIX = "Fit one: robot-runner fit-power-model EXPERIMENT --out power_model.json."
 
 
@@ -125,9 +132,8 @@ class PowerModel(Profiler):
         self._named = None if model is None else Path(model)
         self.model = None if self._named is None else input_file(self._named)
         self.function = function
-        self.utilisation = utilisation
-        self.phases = phases
-        self.components = ComponentSources(frequency=frequency, network=network, gpu=gpu)
+        plugins = (utilisation, phases, frequency, network, gpu)
+        self.plugins: Mapping[str, str | None] = dict(zip(_TERMS, plugins, strict=True))
         self._linear = None if coefficients is None else LinearModel(dict(coefficients))
 
     @classmethod
@@ -168,11 +174,10 @@ class PowerModel(Profiler):
             raise AnalysisError(
                 f"fitting needs {error.name}, which is not installed", where=cls.__name__, fix=fix
             ) from error
-        components = ComponentSources(frequency=frequency, network=network, gpu=gpu)
-        sources = Sources(power, utilisation, phases, components)
-        runs, left_out = read_runs(experiment, sources, run_ids)
+        sources = Sources(utilisation=utilisation, phases=phases, frequency=frequency, network=network, gpu=gpu)
+        runs, left_out = read_runs(experiment, power, sources, run_ids)
         chosen = terms_of(runs, sources) if terms is None else terms
-        fitted = fit_model(runs, chosen, experiment=experiment.name, sources=sources, left_out=left_out)
+        fitted = fit_model(runs, chosen, experiment=experiment.name, power=power, left_out=left_out)
         return fitted.as_json()
 
     def claims(self, robot: str | None) -> Iterable[str]:
@@ -192,9 +197,8 @@ class PowerModel(Profiler):
         except PluginError as error:
             return [Finding.error(where, f"{error.where}: {error.problem}", error.fix)]
         names = [plugin.name for plugin in circumstances.plugins]
-        parts = self._components(linear)
-        sources = (*self._sources(linear), parts.frequency, parts.network, parts.gpu)
-        wanted = [each for each in sources if each is not None and names and each not in names]
+        needed = self._needed(linear).values()
+        wanted = [each for each in needed if each is not None and names and each not in names]
         return [
             Finding.error(
                 where, f"the model reads the samples of {each!r}, which is not among the plugins", _add(each, names)
@@ -227,9 +231,7 @@ class PowerModel(Profiler):
             PluginError: the model cannot be read, or the function returned no power.
         """
         linear = self._read()
-        utilisation, phases = self._sources(linear)
-        components = self._components(linear, context.run_path)
-        states = read_states(context.run_path, window, utilisation=utilisation, phases=phases, components=components)
+        states = read_states(context.run_path, window, Sources(**self._needed(linear, context.run_path)))
         return _Estimate(states, [self._power(linear, state) for state in states], window)
 
     def _report(self, context: RobotRunnerContext, window: Window) -> None:
@@ -239,7 +241,8 @@ class PowerModel(Profiler):
         except (AnalysisError, PluginError) as error:
             context.doubt(f"nothing was estimated: {error.where}: {error.problem}", fix=error.fix)
             return
-        utilisation, phases = self._sources(linear)
+        needed = self._needed(linear)
+        utilisation, phases = needed.get("utilisation"), needed.get("phases")
         estimate.write(context.raw_data_folder)
         details = {"coverage_percent": estimate.coverage, "utilisation": utilisation, "phases": phases}
         write_quality(context.raw_data_folder / "quality.json", None, window, details)
@@ -262,29 +265,16 @@ class PowerModel(Profiler):
         """Return the linear model, or None where a function stands for it."""
         return read_model(self.model) if self.model is not None else self._linear
 
-    def _sources(self, linear: LinearModel | None) -> tuple[str | None, str | None]:
-        """Return the plugins that are needed for utilisation and for phases."""
-        if linear is None:
-            return self.utilisation, self.phases
-        return (
-            self.utilisation if linear.needs("cpu", "memory", "frequency", "cycles") else None,
-            self.phases if linear.needs("has_moved", "motion", "task") else None,
-        )
+    def _needed(self, linear: LinearModel | None, run_folder: Path | None = None) -> dict[str, str | None]:
+        """Return the plugins that are read from; of the computer's parts, a function gets what there is in a run."""
 
-    def _components(self, linear: LinearModel | None, run_folder: Path | None = None) -> ComponentSources:
-        """Return the plugins that are needed for the computer's parts; a function gets what there is in a run."""
-
-        def needed(plugin: str | None, *terms: str) -> str | None:
+        def is_needed(kind: str, plugin: str | None) -> bool:
             if linear is not None:
-                return plugin if linear.needs(*terms) else None
+                return linear.needs(*_TERMS[kind])
             is_there = plugin and run_folder and (run_folder / plugin / "samples.csv").is_file()
-            return plugin if is_there else None
+            return kind in {"utilisation", "phases"} or bool(is_there)
 
-        return ComponentSources(
-            frequency=needed(self.components.frequency, "frequency", "cycles"),
-            network=needed(self.components.network, "network"),
-            gpu=needed(self.components.gpu, "gpu"),
-        )
+        return {kind: plugin for kind, plugin in self.plugins.items() if is_needed(kind, plugin)}
 
     def _power(self, linear: LinearModel | None, state: RobotState) -> float | None:
         if self.function is not None:

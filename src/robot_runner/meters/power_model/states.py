@@ -1,15 +1,18 @@
-"""What the robot did, piece by piece, as other plugins left it in the folder of a run."""
+"""What the robot and its computer did, piece by piece, as other plugins left it in the folder of a run."""
 
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from robot_runner.meters.power_model.components import ComponentSources, read_components
-from robot_runner.meters.power_model.raw_columns import number_of, read_numbers, rows_of
+from robot_runner.core.errors import AnalysisError
+from robot_runner.meters.counters import unwrapped
+from robot_runner.meters.network import wraps_at
+from robot_runner.meters.power_model.raw_columns import heading_of, number_of, read_numbers, rows_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,6 +22,30 @@ if TYPE_CHECKING:
 
 #: Phases in which the robot stands still; every other one is a motion.
 _STILL = frozenset({"", "sleep", "task"})
+_CORE = re.compile(r"cpu_core(\d+)_percent")
+_FREQUENCY = re.compile(r"frequency_cpu(\d+)_Hz")
+_BYTES = re.compile(r".+_[rt]x_bytes")
+_GPU = re.compile(r"gpu\d+_gpu_percent")
+_PERCENT, _MEGA = 100.0, 1e6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sources:
+    """The plugins whose raw data tell what the robot did; None for none.
+
+    Attributes:
+        utilisation: its `samples.csv` holds `cpu_percent` and `memory_percent`, and how busy each core was.
+        phases: its `phases.csv` holds `phase` and `task`.
+        frequency: has `frequency_cpu<n>_Hz`, as LinuxThermal; how busy the cores are comes with the utilisation.
+        network: has `<interface>_rx_bytes` and `<interface>_tx_bytes`, as Network.
+        gpu: has `gpu<n>_gpu_percent`, as Nvml.
+    """
+
+    utilisation: str | None = None
+    phases: str | None = None
+    frequency: str | None = None
+    network: str | None = None
+    gpu: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +92,35 @@ class RobotState:
         return self.end - self.start
 
 
+def read_states(run_folder: Path, window: Window, sources: Sources) -> list[RobotState]:
+    """Return what the robot did in a window of a run, on the run's clock, oldest first, without gaps.
+
+    Raises:
+        AnalysisError: a file is not there, or not as it should be.
+    """
+    mission = _Mission(_read_phases(run_folder / sources.phases / "phases.csv") if sources.phases else ())
+    computer = _Computer(run_folder, sources)
+    edges = {window.start, window.end, *computer.edges()}
+    edges.update(time for phase in mission.phases for time in (phase.start, phase.end))
+    within = sorted(edge for edge in edges if window.start <= edge <= window.end)
+    first_motion = mission.first_motion()
+    states = []
+    for start, end in pairwise(within):
+        middle = (start + end) / 2
+        cpu, memory = computer.utilisation(start, end)
+        phase, task = mission.at(middle)
+        states.append(
+            RobotState(
+                *(start, end, cpu, memory, phase, task),
+                has_moved=middle >= first_motion,
+                cores=computer.cores(start, end),
+                network=computer.network(start, end),
+                gpu=computer.gpu(start, end),
+            )
+        )
+    return states
+
+
 @dataclass(frozen=True, slots=True)
 class _Phase:
     start: float
@@ -89,72 +145,6 @@ class _Mission:
         return min((phase.start for phase in self.phases if phase.name not in _STILL), default=math.inf)
 
 
-@dataclass(frozen=True, slots=True)
-class _Utilisation:
-    times: Sequence[float]
-    cpu: Sequence[float]
-    memory: Sequence[float]
-
-    def between(self, start: float, end: float) -> tuple[float | None, float | None]:
-        """Return CPU and memory of the sample that tells of this span: the first one taken at its end or later."""
-        place = bisect_left(self.times, end)
-        if place == 0 or place == len(self.times) or self.times[place - 1] > start:
-            return None, None
-        return self.cpu[place], self.memory[place]
-
-
-def read_states(
-    run_folder: Path,
-    window: Window,
-    *,
-    utilisation: str | None,
-    phases: str | None,
-    components: ComponentSources | None = None,
-) -> list[RobotState]:
-    """Return what the robot did in a window of a run, oldest first, without gaps.
-
-    Args:
-        run_folder: the folder of the run.
-        window: the span of time, on the run's clock.
-        utilisation: the plugin whose `samples.csv` holds `cpu_percent` and `memory_percent`; None for none.
-        phases: the plugin whose `phases.csv` holds `phase` and `task`; None for none.
-        components: the plugins that tell of the parts of the computer; None for none.
-
-    Raises:
-        AnalysisError: a file is not there, or not as it should be.
-    """
-    sampled = _read_utilisation(run_folder / utilisation / "samples.csv") if utilisation else _Utilisation((), (), ())
-    mission = _Mission(_read_phases(run_folder / phases / "phases.csv") if phases else ())
-    parts = read_components(run_folder, components or ComponentSources(), utilisation=utilisation)
-    edges = {window.start, window.end, *sampled.times, *parts.edges()}
-    edges.update(time for phase in mission.phases for time in (phase.start, phase.end))
-    within = sorted(edge for edge in edges if window.start <= edge <= window.end)
-    first_motion = mission.first_motion()
-    states = []
-    for start, end in pairwise(within):
-        middle = (start + end) / 2
-        cpu, memory = sampled.between(start, end)
-        phase, task = mission.at(middle)
-        states.append(
-            RobotState(
-                *(start, end, cpu, memory, phase, task),
-                has_moved=middle >= first_motion,
-                cores=parts.cores(start, end),
-                network=parts.network(start, end),
-                gpu=parts.gpu(start, end),
-            )
-        )
-    return states
-
-
-def _read_utilisation(path: Path) -> _Utilisation:
-    times, cpu, memory = read_numbers(path, ("time_s", "cpu_percent", "memory_percent"))
-    [every] = read_numbers(path, ("time_s",))
-    if every[:1] < times[:1]:  # the first sample has no utilisation, and tells from when on the second one does
-        times, cpu, memory = [every[0], *times], [math.nan, *cpu], [math.nan, *memory]
-    return _Utilisation(times, cpu, memory)
-
-
 def _read_phases(path: Path) -> list[_Phase]:
     rows = rows_of(path, ("start_s", "end_s", "phase", "task"))
     phases = (
@@ -162,3 +152,99 @@ def _read_phases(path: Path) -> list[_Phase]:
         for row in rows
     )
     return sorted(phases, key=lambda phase: phase.start)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sampled:
+    """Some numbers that were sampled together, oldest first; none at all of what was not sampled."""
+
+    times: Sequence[float] = ()
+    columns: Sequence[Sequence[float]] = ()
+
+    def around(self, start: float, end: float) -> tuple[int, int] | None:
+        """Return the places of the samples that enclose a span; None where there are none."""
+        after = bisect_left(self.times, end)
+        if after == 0 or after == len(self.times) or self.times[after - 1] > start:
+            return None
+        return after - 1, after
+
+
+class _Computer:
+    """What the parts of a computer did over a run; a part that was not sampled tells None at any time.
+
+    Raises:
+        AnalysisError: a file is not there, or does not hold what is looked for.
+    """
+
+    def __init__(self, run_folder: Path, sources: Sources) -> None:
+        def read(plugin: str | None, wanted: re.Pattern[str]) -> _Sampled:
+            return _Sampled() if plugin is None else _read(run_folder / plugin / "samples.csv", wanted)
+
+        used = sources.utilisation
+        self._used = _read_utilisation(run_folder / used / "samples.csv") if used else _Sampled()
+        self._frequencies = read(sources.frequency, _FREQUENCY)
+        self._busy = read(used, _CORE) if sources.frequency is not None else _Sampled()
+        self._traffic = read(sources.network, _BYTES)
+        self._gpus = read(sources.gpu, _GPU)
+        clocked, sampled = len(self._frequencies.columns), len(self._busy.columns)
+        if used and clocked != sampled:
+            raise AnalysisError(
+                f"there are the frequencies of {clocked} cores, and {sampled} cores were sampled",
+                where=str(run_folder / str(sources.frequency) / "samples.csv"),
+                fix="Sample both on the same computer, or leave the frequency out.",
+            )
+
+    def edges(self) -> set[float]:
+        """Return the times, s, at which something may have changed."""
+        parts = (self._used, self._frequencies, self._traffic, self._gpus)
+        return {time for sampled in parts for time in sampled.times}
+
+    def utilisation(self, start: float, end: float) -> tuple[float | None, float | None]:
+        """Return CPU and memory of the sample that tells of a span: the first one taken at its end or later."""
+        places = self._used.around(start, end)
+        if places is None:
+            return None, None
+        cpu, memory = (column[places[1]] for column in self._used.columns)
+        return cpu, memory
+
+    def cores(self, start: float, end: float) -> tuple[tuple[int, float], ...] | None:
+        """Return frequency (MHz) and share of the time that it was busy (0..1) of each core over a span."""
+        busy, clocked = self._busy.around(start, end), self._frequencies.around(start, end)
+        if busy is None or clocked is None:
+            return None
+        shares = [column[busy[1]] / _PERCENT for column in self._busy.columns]
+        clocks = [round(column[clocked[0]] / _MEGA) for column in self._frequencies.columns]
+        return tuple(zip(clocks, shares, strict=True))
+
+    def network(self, start: float, end: float) -> float | None:
+        """Return what went over the network in a span, in and out, MB/s."""
+        places = self._traffic.around(start, end)
+        if places is None:
+            return None
+        before, after = places
+        counts = [[int(column[before]), int(column[after])] for column in self._traffic.columns]
+        total = sum(unwrapped(each, wraps_at(counts))[-1] for each in counts)
+        return total / _MEGA / (self._traffic.times[after] - self._traffic.times[before])
+
+    def gpu(self, start: float, end: float) -> float | None:
+        """Return how busy the GPUs were in a span, 0..100 % each, added up."""
+        places = self._gpus.around(start, end)
+        return None if places is None else sum(column[places[1]] for column in self._gpus.columns)
+
+
+def _read_utilisation(path: Path) -> _Sampled:
+    times, cpu, memory = read_numbers(path, ("time_s", "cpu_percent", "memory_percent"))
+    [every] = read_numbers(path, ("time_s",))
+    if every[:1] < times[:1]:  # the first sample has no utilisation, and tells from when on the second one does
+        times, cpu, memory = [every[0], *times], [math.nan, *cpu], [math.nan, *memory]
+    return _Sampled(times, (cpu, memory))
+
+
+def _read(path: Path, wanted: re.Pattern[str]) -> _Sampled:
+    columns = [name for name in heading_of(path) if wanted.fullmatch(name)]
+    if not columns:
+        raise AnalysisError(
+            f"the file has no column like {wanted.pattern!r}", where=str(path), fix="Name a plugin that samples it."
+        )
+    times, *numbers = read_numbers(path, ("time_s", *columns))
+    return _Sampled(times, numbers)

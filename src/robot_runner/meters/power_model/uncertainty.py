@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
     Floats = npt.NDArray[np.float64]
 
-#: Columns count as one below this share of the largest singular value.
-_SINGULAR = 1e-6
+#: Singular values, relative to the largest, below which columns count as one: rounding in the raw data's third
+#: decimal leaves more than this between terms that truly differ.
+SINGULAR = 1e-6
 #: Residuals smaller than this, W, are rounding: nothing can be said of how they are correlated.
 _ROUNDING = 1e-9
 #: How many values a term has that only says whether something goes on.
@@ -41,6 +42,10 @@ class PiecesOfRuns:
     watts: Floats
     seconds: Floats
     runs: npt.NDArray[np.int64]
+
+    def where(self, is_kept: npt.NDArray[np.bool_]) -> PiecesOfRuns:
+        """Return some of the pieces."""
+        return PiecesOfRuns(self.matrix[is_kept], self.watts[is_kept], self.seconds[is_kept], self.runs[is_kept])
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +178,6 @@ def _independent(matrix: Floats, columns: Sequence[Floats]) -> Floats:
         candidate = np.column_stack([matrix, column])
         norms = np.linalg.norm(candidate, axis=0)
         singular = np.linalg.svd(candidate / np.where(norms == 0, 1.0, norms), compute_uv=False)
-        if len(candidate) > candidate.shape[1] and singular[-1] > _SINGULAR * singular[0]:
+        if len(candidate) > candidate.shape[1] and singular[-1] > SINGULAR * singular[0]:
             matrix = candidate
     return matrix

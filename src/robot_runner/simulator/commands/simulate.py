@@ -7,9 +7,8 @@ is printed once all of it is there; Ctrl-C or SIGTERM ends it.
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import output
 from robot_runner.cli.parser import UsageError
@@ -20,7 +19,6 @@ from robot_runner.core.words import counted, shown_duration
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Iterator
 
     from robot_runner.cli.parser import Parser
 
@@ -78,7 +76,8 @@ def execute(arguments: Namespace) -> int:
     findings = link_findings(SIMULATED)
     if findings:
         raise LinkError.of_findings(findings)
-    from robot_runner.simulator.graph_simulation import SimulatedPlace, check_pace, on_graph  # noqa: PLC0415 - an extra
+    from robot_runner.simulator.graph_robot import SimulatedPlace  # noqa: PLC0415 - an extra
+    from robot_runner.simulator.graph_simulation import check_pace, on_graph  # noqa: PLC0415
 
     place = SimulatedPlace(
         link=arguments.link,
@@ -93,29 +92,17 @@ def execute(arguments: Namespace) -> int:
     )
     check_pace(place)
     console = output()
-    with _ending() as is_over, on_graph(place) as simulation:
+    signals: list[int] = []  # to end, noted instead of breaking off what is being done
+    with stop_signals_handled(lambda number, _: signals.append(number)), on_graph(place) as simulation:
         for namespace, robot in simulation.robots.items():
             console.print(f"simulated {arguments.robot} on {arguments.link}, namespace {namespace or '/'}")
             if robot.meter is not None:
                 console.print(f"power meter: {robot.meter.port}")
         console.print("ready")
         console.file.flush()
-        simulation.live(is_over=lambda: bool(is_over))
+        simulation.live(is_over=lambda: bool(signals))
     console.print(f"ended after {shown_duration(simulation.now)} of the robot's time")
     if simulation.lags:
         lags = counted(simulation.lags, "time")
         console.print(f"the simulated robot could not keep its pace {lags}: this machine is too busy")
     return 0
-
-
-@contextmanager
-def _ending() -> Iterator[list[int]]:
-    """While it lasts, a signal to end is noted in the list instead of breaking off what is being done."""
-    noted: list[int] = []
-
-    def note(number: int, frame: Any) -> None:
-        del frame
-        noted.append(number)
-
-    with stop_signals_handled(note):
-        yield noted
