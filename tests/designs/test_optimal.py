@@ -111,6 +111,9 @@ def test_what_cannot_be_estimated_is_said() -> None:
     ]
     coarse = [Factor("Speed", Range(0, 1)), *numeric("A")]
     assert "leave two values" in findings_of(coarse, design=DOptimal(runs=6, model="quadratic"))[0]
+    assert findings_of(numeric("AB"), design=DOptimal(runs=5)) == [
+        "design: runs=5, and there are 4 combinations of the values that the model takes → Give 4 runs or fewer."
+    ]
     exclusions = [{"F0": "t0", "F1": ["t1", "t2"]}, {"F0": "t1", "F1": "t0"}]
     assert "the exclusions leave 3" in findings_of(factors, exclusions, design=DOptimal(runs=4))[0]
     assert (

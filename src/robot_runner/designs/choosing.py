@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.design.factor import Combination, Factor, factor_places, full_size
 from robot_runner.core.errors import Finding
 from robot_runner.core.inactive import INACTIVE
+from robot_runner.designs.factor_roles import factor_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.design.design import IsAllowed
+
+
+class Described:
+    """A design that is kept as its kind and its parameters; what derives from it is a dataclass."""
+
+    __slots__ = ()
+    kind: ClassVar[str]
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return its kind and its parameters; of a factor, its name."""
+        parameters: Any = fields(self)  # type: ignore[arg-type]
+        return {"kind": self.kind, **{each.name: factor_name(getattr(self, each.name)) for each in parameters}}
 
 
 def at_places(factors: Sequence[Factor], rows: Iterable[Sequence[int]]) -> list[Combination]:

@@ -8,14 +8,14 @@ from functools import partial
 from itertools import combinations, product
 from math import prod
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.design.design import ChosenCombinations
 from robot_runner.core.design.exclusions import Allowed
 from robot_runner.core.design.factor import full_factorial, full_size
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted
-from robot_runner.designs.choosing import at_places, library_findings, number_findings
+from robot_runner.designs.choosing import Described, at_places, library_findings, number_findings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -38,7 +38,7 @@ _Tuple = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class CoveringArray:
+class CoveringArray(Described):
     """Few combinations in which each pair of treatments of two factors occurs; with `strength=3` each triple.
 
     For finding out whether anything goes wrong, or screening many factors: it is not balanced, so that effects are
@@ -56,12 +56,9 @@ class CoveringArray:
         9
     """
 
+    kind: ClassVar[str] = "covering_array"
     strength: int = 2
     seed: int = 0
-
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its parameters."""
-        return {"kind": "covering_array", "strength": self.strength, "seed": self.seed}
 
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say why it cannot be."""
@@ -91,7 +88,7 @@ class CoveringArray:
             if too_many := list(_size_findings(factors, self.strength)):
                 raise DesignError.of_findings(too_many)
             rows = self._rows(levels, constraints)
-        facts = {"kind": "covering_array", "strength": self.strength, "model": "main"}
+        facts = {"kind": self.kind, "strength": self.strength, "model": "main"}
         return ChosenCombinations(at_places(factors, rows), facts)
 
     def _rows(self, levels: Sequence[int], constraints: _Constraints) -> list[list[int]]:
@@ -234,13 +231,7 @@ def _row(
 ) -> list[int]:
     """Return an allowed row with the first open tuple; each other factor has what covers most with those before it.
 
-    Args:
-        levels: how many treatments each factor has.
-        strength: of the tuples.
-        open_tuples: those that are not covered.
-        wanted: in how many of them each treatment of each factor is, which decides between equals.
-        constraints: what is allowed.
-        random: decides the order of the factors, and between what is equal still.
+    Between equals decides in how many open tuples each is `wanted`, and then chance.
     """
     fixed = dict(next(iter(open_tuples)))
     order = [place for place in range(len(levels)) if place not in fixed]

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_runner.designs.finite_fields import finite_field
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
@@ -126,30 +128,10 @@ def is_field(order: int) -> bool:
 
 def field_of(order: int) -> tuple[Array, Array]:
     """Return the tables of addition and multiplication of a finite field."""
-    if order in _PRIMES:
-        numbers = np.arange(order)
-        return (numbers[:, None] + numbers) % order, (numbers[:, None] * numbers) % order
-    prime, power = _FIELDS[order]
-    degree = len(power)
-    digits = [[number // prime**place % prime for place in range(degree)] for number in range(order)]
-    plus = [[_number([(a + b) % prime for a, b in zip(x, y, strict=True)], prime) for y in digits] for x in digits]
-    times = [[_number(_multiplied(x, y, prime, power), prime) for y in digits] for x in digits]
-    return np.array(plus), np.array(times)
-
-
-def _multiplied(one: Sequence[int], other: Sequence[int], prime: int, power: Sequence[int]) -> list[int]:
-    product = [0] * (2 * len(power))
-    for place, digit in enumerate(one):
-        for its_place, its_digit in enumerate(other):
-            product[place + its_place] += digit * its_digit
-    for place in reversed(range(len(power), len(product))):
-        for shift, digit in enumerate(power):  # x^n is replaced by what it equals
-            product[place - len(power) + shift] += product[place] * digit
-    return [digit % prime for digit in product[: len(power)]]
-
-
-def _number(digits: Sequence[int], prime: int) -> int:
-    return sum(digit * prime**place for place, digit in enumerate(digits))
+    prime, reduced = _FIELDS.get(order, (order, (0,)))
+    operations = finite_field(prime, len(reduced), reduced)
+    times, plus = (np.array([[each(a, b) for b in range(order)] for a in range(order)]) for each in operations)
+    return plus, times
 
 
 def _product(array: Array, order: int) -> Array:

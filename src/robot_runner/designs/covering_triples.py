@@ -24,10 +24,6 @@ def triples_array(levels: Sequence[int], seed: int) -> Array:
     """Return an array in which each triple of symbols of three columns occurs, (rows, columns).
 
     It is made for the largest number of symbols; columns with fewer have some of them in place of the others.
-
-    Args:
-        levels: the number of symbols of each column.
-        seed: what the search for pairs draws from.
     """
     best = min(_arrays(max(levels), len(levels), seed), key=len)
     return np.asarray(best % np.asarray(levels))

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.design.design import DesignedRuns
 from robot_runner.core.design.held_order import HELD_ORDER, HeldOrder
+from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
+from robot_runner.designs.choosing import Described
 from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
@@ -35,7 +37,7 @@ def williams_sequences(treatments: int) -> list[tuple[int, ...]]:
 
 
 @dataclass(frozen=True, slots=True)
-class Crossover:
+class Crossover(Described):
     """Each unit (a robot, a machine, a person) gets each treatment in one period, in sequences that balance carry-over.
 
     The other factors are studied; there are as many periods as they have combinations. Repetitions are executed within
@@ -58,6 +60,7 @@ class Crossover:
         ['old', 'new', 'new', 'old']
     """
 
+    kind: ClassVar[str] = "crossover"
     unit: str | Factor
     period: str | Factor
     washout_in_s: float = 0
@@ -67,22 +70,9 @@ class Crossover:
         del repetitions
         named = [("unit", factor_name(self.unit)), ("period", factor_name(self.period))]
         yield from role_findings("Crossover", named, factors)
-        if (
-            isinstance(self.washout_in_s, bool)
-            or not isinstance(self.washout_in_s, int | float)
-            or not (0 <= self.washout_in_s < float("inf"))
-        ):
+        if not is_number(self.washout_in_s) or self.washout_in_s < 0:
             problem = f"{self.washout_in_s!r} is no time to wait"
             yield Finding.error("design: Crossover(washout_in_s=...)", problem, "Give seconds, from 0.")
-
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its kind, unit, period and washout."""
-        return {
-            "kind": "crossover",
-            "unit": factor_name(self.unit),
-            "period": factor_name(self.period),
-            "washout_in_s": self.washout_in_s,
-        }
 
     def runs(
         self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool

@@ -25,10 +25,7 @@ def factor_name(given: Any) -> Any:
 def role_findings(design: str, roles: Sequence[tuple[str, Any]], factors: Sequence[Factor]) -> Iterator[Finding]:
     """Say which roles name what is no factor, or a factor that has another role, and whether nothing is left to study.
 
-    Args:
-        design: what the user wrote, such as `LatinSquare`.
-        roles: the parameters with the factors that they name.
-        factors: those of the model.
+    `design` is what the user wrote, such as `LatinSquare`; `roles` are its parameters with the factors that they name.
     """
     known = [factor.name for factor in factors]
     taken: dict[str, str] = {}
@@ -85,10 +82,6 @@ class Roles:
         blocks = {factor.name for factor in self.blocks}
         return [factor for factor in self.factors if factor.name not in blocks]
 
-    def treatments(self, factors: Sequence[Factor] | None = None) -> list[Combination]:
-        """Return the combinations of the studied factors, or of those that are given; exclusions left aside."""
-        return full_factorial(self.studied if factors is None else factors)
-
     def combined(self, *parts: Combination | tuple[Factor, Any]) -> Combination:
         """Return a combination of all factors, from combinations of some and from single treatments."""
         treatments: dict[str, Any] = {}
@@ -105,7 +98,7 @@ class Roles:
         """
         cells = list(product(*(factor.treatments for factor in self.blocks)))
         left = []
-        for treatment in self.treatments():
+        for treatment in full_factorial(self.studied):
             allowed = [is_allowed(self.combined(treatment, *zip(self.blocks, cell, strict=True))) for cell in cells]
             if any(allowed) and not all(allowed):
                 cell = cells[allowed.index(False)]

@@ -75,8 +75,10 @@ class FractionalFactorial:
             yield from self._run_findings(len(factors))
         elif self._resolution not in _RESOLUTIONS:
             yield Finding.error("design", f"resolution={self.resolution!r} is none of 3, 4 and 5", "Give 3, 4 or 5.")
-        else:
-            yield from _size_findings(len(factors), self._resolution or 0)
+        elif fraction_words(len(factors), self._resolution) is None:
+            most = f"{1 << _MOST_BITS[self._resolution]:,} runs for {len(factors):,} factors"
+            problem = f"resolution {self._resolution} takes more than {most}"
+            yield Finding.error("design", problem, "Give a lower resolution, or fewer factors.")
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the fraction; the factors that others are made from change slowest first."""
@@ -163,14 +165,6 @@ class FractionalFactorial:
             if len(same) > 1 or not word:
                 problem = f"the main effects of {' and '.join(same)} could not be told apart"
                 yield Finding.error("generators", problem, "Give them other products.")
-
-
-def _size_findings(factors: int, resolution: int) -> Iterator[Finding]:
-    if fraction_words(factors, resolution) is None:
-        problem = (
-            f"resolution {resolution} takes more than {1 << _MOST_BITS[resolution]:,} runs for {factors:,} factors"
-        )
-        yield Finding.error("design", problem, "Give a lower resolution, or fewer factors.")
 
 
 # A column of a fraction is a word: the bits of the basic factors that it is the product of. Basic factors have one bit.

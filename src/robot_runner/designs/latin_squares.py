@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from functools import cache, reduce
-from itertools import product
 from typing import TYPE_CHECKING, Final
 
+from robot_runner.designs.finite_fields import finite_field
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
 #: The symbol of each cell, by row and column.
 Square = tuple[tuple[int, ...], ...]
@@ -81,7 +82,7 @@ def _array(order: int, width: int) -> _Rows:
 
 def _of_field(prime: int, power: int, width: int) -> _Rows:
     """Return the array of the lines y = m x + b over a finite field: its order must be at least `width` - 1."""
-    times, plus = _field(prime, power)
+    times, plus = finite_field(prime, power)
     elements = range(prime**power)
     return [(x, b, *(plus(times(m, x), b) for m in elements[1 : width - 1])) for x in elements for b in elements]
 
@@ -100,40 +101,6 @@ def _factors(number: int) -> Iterable[tuple[int, int]]:
         if power:
             yield prime, power
         prime += 1
-
-
-def _field(prime: int, power: int) -> tuple[Callable[[int, int], int], Callable[[int, int], int]]:
-    """Return multiplication and addition of a finite field, whose elements are polynomials written as numbers."""
-    size = prime**power
-
-    def digits(number: int) -> list[int]:
-        return [number // prime**place % prime for place in range(power)]
-
-    def plus(one: int, other: int) -> int:
-        sums = ((a + b) % prime for a, b in zip(digits(one), digits(other), strict=True))
-        return sum(digit * prime**place for place, digit in enumerate(sums))
-
-    def times_x(number: int, modulus: Sequence[int]) -> int:
-        top = number // prime ** (power - 1)
-        shifted = number * prime % size
-        return plus(shifted, sum(-top * each % prime * prime**place for place, each in enumerate(modulus)))
-
-    def powers(modulus: Sequence[int]) -> list[int]:
-        found = [1]
-        while (following := times_x(found[-1], modulus)) not in (0, 1) and len(found) < size:
-            found.append(following)
-        return found
-
-    if power == 1:
-        return lambda a, b: a * b % prime, lambda a, b: (a + b) % prime
-    # The first polynomial of which x generates all elements but 0: a primitive one; there is one of each degree.
-    cycle = next(each for modulus in product(range(prime), repeat=power) if len(each := powers(modulus)) == size - 1)
-    log = {element: exponent for exponent, element in enumerate(cycle)}
-
-    def times(one: int, other: int) -> int:
-        return cycle[(log[one] + log[other]) % (size - 1)] if one and other else 0
-
-    return times, plus
 
 
 # Orders 2 more than a multiple of 4.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.design.design import ChosenCombinations
 from robot_runner.core.design.design_findings import MAX_RUNS
@@ -12,6 +12,7 @@ from robot_runner.core.design.factor import full_factorial, full_size
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
 from robot_runner.core.inactive import INACTIVE
 from robot_runner.designs.choosing import (
+    Described,
     active_treatments,
     curve_findings,
     library_findings,
@@ -22,7 +23,7 @@ from robot_runner.designs.choosing import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     import numpy as np
     from numpy.typing import NDArray
@@ -44,7 +45,7 @@ _GAIN = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class DOptimal:
+class DOptimal(Described):
     """So many of the allowed combinations that the effects of a model are estimated most precisely.
 
     It maximises the determinant of the information matrix by exchanges (Fedorov, 1972), from several beginnings. Only
@@ -63,13 +64,10 @@ class DOptimal:
         6
     """
 
+    kind: ClassVar[str] = "d_optimal"
     runs: int
     model: str = "main"
     seed: int = 0
-
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its parameters."""
-        return {"kind": "d_optimal", "runs": self.runs, "model": self.model, "seed": self.seed}
 
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say why it cannot be."""
@@ -95,9 +93,14 @@ class DOptimal:
         import numpy as np  # noqa: PLC0415 - an extra
 
         random = np.random.default_rng(self.seed)
-        used, candidates = with_values(factors, _candidates(factors, self.model, random), is_allowed)
+        offered = list(_candidates(factors, self.model, random))
+        used, candidates = with_values(factors, offered, is_allowed)
+        if len(offered) < self.runs:
+            problem = f"runs={self.runs}, and there are {len(offered)} combinations of the values that the model takes"
+            raise DesignError(problem, where="design", fix=f"Give {len(offered)} runs or fewer.")
         if len(candidates) < self.runs:
-            problem = f"runs={self.runs}, and the exclusions leave {len(candidates)} combinations"
+            left = f"{len(candidates)} of the {len(offered):,} combinations that it looks at"
+            problem = f"runs={self.runs}, and the exclusions leave {left}"
             raise DesignError(problem, where="design", fix="Give fewer runs, or exclude fewer.")
         matrix = _model_matrix(used, [combination.treatments for combination in candidates], self.model)
         parameters = int(np.linalg.matrix_rank(matrix))
@@ -111,7 +114,7 @@ class DOptimal:
         # Relative to an orthogonal design, in which each effect-coded column has length one a run.
         efficiency = float(np.exp(value / parameters) / self.runs)
         facts = {
-            "kind": "d_optimal",
+            "kind": self.kind,
             "model": self.model,
             "parameters": parameters,
             "candidates": len(candidates),

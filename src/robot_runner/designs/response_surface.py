@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.design.design import ChosenCombinations
 from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.errors import Finding
-from robot_runner.designs.choosing import curve_findings, left_out_warning, number_findings, with_values
+from robot_runner.designs.choosing import Described, curve_findings, left_out_warning, number_findings, with_values
 from robot_runner.designs.fractional import fraction_rows, fraction_words
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _INSCRIBED, _FACED = "inscribed", "faced"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CentralComposite:
+class CentralComposite(Described):
     """Corners, axial points and the centre: all that a quadratic response surface takes (Box & Wilson, 1951).
 
     No run lies outside the ranges. The corners are a fraction of resolution 5 where there are many factors.
@@ -41,12 +41,9 @@ class CentralComposite:
         11
     """
 
+    kind: ClassVar[str] = "central_composite"
     centre: int = 4
     axial: str = _INSCRIBED
-
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its parameters."""
-        return {"kind": "central_composite", "centre": self.centre, "axial": self.axial}
 
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say why it cannot be."""
@@ -72,7 +69,7 @@ class CentralComposite:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BoxBehnken:
+class BoxBehnken(Described):
     """Midpoints of edges and the centre: a quadratic response surface without a run at any corner of the ranges.
 
     For where all factors at their ends at once would be too much for the robot; three values for each factor. Blocks of
@@ -89,11 +86,8 @@ class BoxBehnken:
         15
     """
 
+    kind: ClassVar[str] = "box_behnken"
     centre: int = 3
-
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its parameters."""
-        return {"kind": "box_behnken", "centre": self.centre}
 
     def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
         """Say why it cannot be."""
@@ -139,7 +133,7 @@ def _surface(
     ]
     used, kept = with_values(factors, rows, is_allowed)
     told = {
-        "kind": design.as_mapping()["kind"],
+        "kind": design.kind,
         "numeric_factors": [factor.name for factor in factors],
         "ranges": {factor.name: [factor.range.lower, factor.range.upper] for factor in factors if factor.range},
         "centre_points": design.centre,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.design.design import ChosenCombinations
 from robot_runner.core.design.design_findings import MAX_RUNS
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.designs.choosing import (
+    Described,
     distinct,
     library_findings,
     number_findings,
@@ -19,7 +20,7 @@ from robot_runner.designs.choosing import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Factor
@@ -29,7 +30,56 @@ _MOST_DRAWN = 64
 
 
 @dataclass(frozen=True, slots=True)
-class LatinHypercube:
+class _SpaceFilling(Described):
+    """What the designs of this kind share: `runs` points that are drawn from a seed."""
+
+    runs: int
+    seed: int = 0
+
+    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
+        """Say why it cannot be."""
+        del repetitions
+        yield from number_findings("runs", self.runs, 2, MAX_RUNS)
+        yield from number_findings("seed", self.seed, 0)
+        yield from library_findings("scipy")
+        if all(factor.range is None for factor in factors):
+            problem = "no factor is numeric: there is no space to fill"
+            fix = 'Give a factor a range, as in Factor("Speed", Range(0.05, 0.22)), or choose CoveringArray.'
+            yield Finding.error("design", problem, fix)
+
+    def _filled(
+        self,
+        factors: Sequence[Factor],
+        is_allowed: IsAllowed,
+        draw: Callable[[int], Sequence[Sequence[float]]],
+        said: tuple[Finding, ...] = (),
+    ) -> ChosenCombinations:
+        """Return the first allowed combinations, of as many points as are wanted, or of more for exclusions."""
+        names = [factor.name for factor in factors]
+        drawn = self.runs
+        while drawn <= self.runs * _MOST_DRAWN:
+            shares = (map(float, point) for point in draw(drawn))
+            rows = (
+                with_conditions(factors, dict(zip(names, map(share_value, factors, point), strict=True)))
+                for point in shares
+            )
+            _, kept = with_values(factors, distinct(factors, rows), is_allowed)  # coarse steps may give one twice
+            if len(kept) >= self.runs:
+                used, chosen = with_values(factors, [each.treatments for each in kept[: self.runs]], is_allowed)
+                facts = {
+                    "kind": self.kind,
+                    "numeric_factors": [factor.name for factor in factors if factor.range is not None],
+                    "drawn": drawn,
+                    "model": "quadratic",
+                }
+                return ChosenCombinations(chosen, facts, used, said)
+            drawn += max(1, drawn // 4)
+        problem = f"fewer than {self.runs} combinations are allowed among {self.runs * _MOST_DRAWN} points"
+        raise DesignError(problem, where="design", fix="Exclude less, give finer steps, or fewer runs.")
+
+
+@dataclass(frozen=True, slots=True)
+class LatinHypercube(_SpaceFilling):
     """Runs spread so that each of them has a slice of each numeric factor's range of its own.
 
     McKay, Beckman & Conover (1979), Technometrics 21(2), by `scipy.stats.qmc.LatinHypercube`. Factors with listed
@@ -48,29 +98,19 @@ class LatinHypercube:
         5
     """
 
-    runs: int
-    seed: int = 0
-
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its parameters."""
-        return {"kind": "latin_hypercube", "runs": self.runs, "seed": self.seed}
-
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-        """Say why it cannot be."""
-        del repetitions
-        yield from _findings(self, factors)
+    kind: ClassVar[str] = "latin_hypercube"
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the points that are allowed."""
         from scipy.stats import qmc  # noqa: PLC0415 - an extra
 
-        return _filled(
-            self, factors, is_allowed, lambda drawn: qmc.LatinHypercube(len(factors), rng=self.seed).random(drawn)
+        return self._filled(
+            factors, is_allowed, lambda drawn: qmc.LatinHypercube(len(factors), rng=self.seed).random(drawn)
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Sobol:
+class Sobol(_SpaceFilling):
     """The first points of a scrambled Sobol' sequence: even coverage of all ranges together, for models and maps.
 
     Sobol' (1967) with Owen's scrambling, by `scipy.stats.qmc.Sobol`. Even coverage takes a power of two.
@@ -89,17 +129,7 @@ class Sobol:
         4
     """
 
-    runs: int
-    seed: int = 0
-
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its parameters."""
-        return {"kind": "sobol", "runs": self.runs, "seed": self.seed}
-
-    def findings(self, factors: Sequence[Factor], repetitions: int) -> Iterator[Finding]:
-        """Say why it cannot be."""
-        del repetitions
-        yield from _findings(self, factors)
+    kind: ClassVar[str] = "sobol"
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return the first points that are allowed."""
@@ -111,51 +141,9 @@ class Sobol:
         uneven = Finding.warning("design", problem, f"Give {below} or {2 * below}.")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # no power of two: said above
-            return _filled(
-                self,
+            return self._filled(
                 factors,
                 is_allowed,
                 lambda drawn: qmc.Sobol(len(factors), rng=self.seed).random(drawn),
                 (uneven,) if odd else (),
             )
-
-
-def _findings(design: LatinHypercube | Sobol, factors: Sequence[Factor]) -> Iterator[Finding]:
-    yield from number_findings("runs", design.runs, 2, MAX_RUNS)
-    yield from number_findings("seed", design.seed, 0)
-    yield from library_findings("scipy")
-    if all(factor.range is None for factor in factors):
-        problem = "no factor is numeric: there is no space to fill"
-        fix = 'Give a factor a range, as in Factor("Speed", Range(0.05, 0.22)), or choose CoveringArray.'
-        yield Finding.error("design", problem, fix)
-
-
-def _filled(
-    design: LatinHypercube | Sobol,
-    factors: Sequence[Factor],
-    is_allowed: IsAllowed,
-    draw: Callable[[int], Sequence[Sequence[float]]],
-    said: tuple[Finding, ...] = (),
-) -> ChosenCombinations:
-    """Return the first combinations that are allowed, of as many points as are wanted, or of more for exclusions."""
-    names = [factor.name for factor in factors]
-    drawn = design.runs
-    while drawn <= design.runs * _MOST_DRAWN:
-        shares = (map(float, point) for point in draw(drawn))
-        rows = (
-            with_conditions(factors, dict(zip(names, map(share_value, factors, point), strict=True)))
-            for point in shares
-        )
-        _, kept = with_values(factors, distinct(factors, rows), is_allowed)  # coarse steps may give one twice
-        if len(kept) >= design.runs:
-            used, chosen = with_values(factors, [each.treatments for each in kept[: design.runs]], is_allowed)
-            facts = {
-                "kind": design.as_mapping()["kind"],
-                "numeric_factors": [factor.name for factor in factors if factor.range is not None],
-                "drawn": drawn,
-                "model": "quadratic",
-            }
-            return ChosenCombinations(chosen, facts, used, said)
-        drawn += max(1, drawn // 4)
-    problem = f"fewer than {design.runs} combinations are allowed among {design.runs * _MOST_DRAWN} points"
-    raise DesignError(problem, where="design", fix="Exclude less, give finer steps, or fewer runs.")

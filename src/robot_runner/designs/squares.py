@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.design.design import DesignedRuns
+from robot_runner.core.design.factor import full_factorial
 from robot_runner.core.errors import Finding
+from robot_runner.designs.choosing import Described
 from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
 from robot_runner.designs.latin_squares import has_orthogonal_pair, latin_square, orthogonal_pair
 
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class LatinSquare:
+class LatinSquare(Described):
     """Each treatment once in each row and once in each column, such as each day and each robot.
 
     The other factors are studied: they have as many combinations as there are rows and columns. Each repetition is a
@@ -38,6 +40,7 @@ class LatinSquare:
         [1, 2, 3, 2, 3, 1, 3, 1, 2]
     """
 
+    kind: ClassVar[str] = "latin_square"
     rows: str | Factor
     columns: str | Factor
 
@@ -45,10 +48,6 @@ class LatinSquare:
         """Say which factors there are not, and whether rows and columns differ in number."""
         del repetitions
         yield from _findings(self, [("rows", self.rows), ("columns", self.columns)], factors)
-
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its kind, rows and columns."""
-        return {"kind": "latin_square", "rows": factor_name(self.rows), "columns": factor_name(self.columns)}
 
     def runs(
         self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
@@ -63,18 +62,14 @@ class LatinSquare:
         treatments = roles.allowed_treatments("LatinSquare", is_allowed)
         order = len(roles.blocks[0].treatments)
         _refuse_number("LatinSquare", roles, len(treatments), order)
-        squares = []
-        for number in range(1, repetitions + 1):
-            drawn = seed if shuffle else None
-            labels = shuffled(treatments, drawn, "treatments", number)
-            (square,) = _mixed([latin_square(order)], drawn, number)
-            squares.append([[labels[each] for each in row] for row in square])
+        drawn = seed if shuffle else None
+        squares = _filled([latin_square(order)], {"treatments": treatments}, repetitions, drawn)
         facts = {**self.as_mapping(), "row": names[0], "column": names[1]}
-        return _in_order(roles, [[[(cell,) for cell in row] for row in square] for square in squares], facts)
+        return _in_order(roles, squares, facts)
 
 
 @dataclass(frozen=True, slots=True)
-class GraecoLatinSquare:
+class GraecoLatinSquare(Described):
     """Two Latin squares one upon the other: each pair of their treatments comes once.
 
     With `greek`, a third factor is a kind of block, and the other factors are studied, as many combinations as there
@@ -94,6 +89,7 @@ class GraecoLatinSquare:
         [(1, 1), (2, 2), (3, 3)]
     """
 
+    kind: ClassVar[str] = "graeco_latin_square"
     rows: str | Factor
     columns: str | Factor
     greek: str | Factor | None = None
@@ -118,11 +114,6 @@ class GraecoLatinSquare:
             near = "3" if order < 3 else "5 or 7"  # noqa: PLR2004
             yield Finding.error(where, problem, f"Have {near} treatments of each factor, or take a LatinSquare.")
 
-    def as_mapping(self) -> Mapping[str, Any]:
-        """Return its kind, rows, columns and what is spread beside the treatments."""
-        named = {"rows": factor_name(self.rows), "columns": factor_name(self.columns)}
-        return {"kind": "graeco_latin_square", **named, "greek": factor_name(self.greek)}
-
     def runs(
         self, factors: Sequence[Factor], is_allowed: IsAllowed, repetitions: int, seed: int, shuffle: bool
     ) -> DesignedRuns:
@@ -136,20 +127,14 @@ class GraecoLatinSquare:
         roles = Roles.of(factors, names)
         order = len(roles.blocks[0].treatments)
         if self.greek is None:
-            latin, greek = ([*roles.treatments([factor])] for factor in roles.studied)
+            latin, greek = (full_factorial([factor]) for factor in roles.studied)
         else:
             latin = roles.allowed_treatments(design, is_allowed)
-            greek = roles.treatments([roles.blocks[2]])
+            greek = full_factorial([roles.blocks[2]])
         for symbols in (latin, greek):
             _refuse_number(design, roles, len(symbols), order)
-        squares = []
-        for number in range(1, repetitions + 1):
-            drawn = seed if shuffle else None
-            one, other = (shuffled(each, drawn, kind, number) for kind, each in (("latin", latin), ("greek", greek)))
-            pair = _mixed(orthogonal_pair(order), drawn, number)
-            squares.append(
-                [[(one[a], other[b]) for a, b in zip(*rows, strict=True)] for rows in zip(*pair, strict=True)]
-            )
+        drawn = seed if shuffle else None
+        squares = _filled(orthogonal_pair(order), {"latin": latin, "greek": greek}, repetitions, drawn)
         facts = {**self.as_mapping(), "row": names[0], "column": names[1]}
         made = _in_order(roles, squares, facts)
         for run in made.runs:
@@ -180,11 +165,23 @@ def _refuse_number(design: str, roles: Roles, count: int, order: int) -> None:
         raise refused(design, problem, f"Have {order} of them, or {count} rows and columns.")
 
 
-def _mixed(squares: Sequence[Square], seed: int | None, number: int) -> list[Square]:
-    """Return squares with their rows and columns in another order: the same for all, so that they stay orthogonal."""
+def _filled(
+    squares: Sequence[Square], symbols: Mapping[str, Sequence[Combination]], repetitions: int, seed: int | None
+) -> list[list[list[tuple[Combination, ...]]]]:
+    """Return, for each repetition, the cells of squares one upon the other with what their symbols stand for.
+
+    Rows and columns come in another order in each repetition: the same for all squares, so that they stay orthogonal.
+    """
     order = range(len(squares[0]))
-    rows, columns = shuffled(order, seed, "rows", number), shuffled(order, seed, "columns", number)
-    return [tuple(tuple(square[row][column] for column in columns) for row in rows) for square in squares]
+    filled = []
+    for number in range(1, repetitions + 1):
+        rows, columns = shuffled(order, seed, "rows", number), shuffled(order, seed, "columns", number)
+        labels = [shuffled(each, seed, purpose, number) for purpose, each in symbols.items()]
+        pairs = list(zip(squares, labels, strict=True))
+        filled.append(
+            [[tuple(its[square[row][column]] for square, its in pairs) for column in columns] for row in rows]
+        )
+    return filled
 
 
 def _in_order(

@@ -164,20 +164,13 @@ def _alike(name: str, known: tuple[str, ...]) -> str | None:
     return match[0] if match else None
 
 
-def check_subscriptions(session: Session, config: Any) -> list[Finding]:
-    """Return what is wrong with the callbacks, and which would never be called."""
-    return [*_unfit(session), *_forgotten(session, config)]
-
-
-def _unfit(session: Session) -> Iterator[Finding]:
+def check_subscriptions(session: Session, config: Any) -> Iterator[Finding]:
+    """Yield what is wrong with the callbacks, and which would never be called."""
     for each in session.subscriptions:
         try:
             check_callback(each.callback, each.event)
         except ConfigError as error:
             yield error.as_finding()
-
-
-def _forgotten(session: Session, config: Any) -> Iterator[Finding]:
     heard = {each.event for each in session.subscriptions}
     names = dict.fromkeys(event.name for events in (RobotRunnerEvents, RunnerEvents) for event in events)
     for name in names:
@@ -210,7 +203,10 @@ def check_packages(recognised: Recognised) -> Iterator[Finding]:
         if each.is_guarded or is_earlier_import(each.module) or package in looked_for:
             continue
         looked_for.add(package)
-        if not _is_there(package):
+        spec: object = package
+        with suppress(ValueError):  # a module of the program's own, which has no origin
+            spec = importlib.util.find_spec(package)
+        if spec is None:
             yield Finding.error(
                 f"{recognised.path}:{each.line}",
                 f"there is no module {package!r}",
@@ -218,18 +214,8 @@ def check_packages(recognised: Recognised) -> Iterator[Finding]:
             )
 
 
-def _is_there(package: str) -> bool:
-    with suppress(ValueError):  # a module of the program's own, which has no origin
-        return importlib.util.find_spec(package) is not None
-    return True
-
-
 def check_plugins(files: Iterable[Path]) -> list[Finding]:
-    """Return what stands in the way of the plugins that files use.
-
-    Args:
-        files: the config file, and the modules beside it that it imports.
-    """
+    """Return what stands in the way of the plugins that a config file and the modules beside it use."""
     return list(dict.fromkeys(finding for where, plugin in _used_plugins(files) for finding in _missing(where, plugin)))
 
 

@@ -6,7 +6,6 @@ import inspect
 import io
 import sys
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.errors import ConfigError
@@ -47,7 +46,7 @@ ROW_NAMES = frozenset({"row", "run", "run_variation", "variation"})
 def call(callback: Callable[..., Any], event: RobotRunnerEvents, context: EarlierContext | None) -> Any:
     """Call a callback with as much as it takes: nothing, the context, or (as in some forks) the row of the table."""
     for arguments in _offers(callback, event, context):
-        if _fits(callback, arguments):
+        if _takes(callback, len(arguments)):
             return callback(*arguments)
     raise _unfit(callback, event)
 
@@ -59,7 +58,7 @@ def check_callback(callback: Callable[..., Any], event: RobotRunnerEvents) -> No
         ConfigError: it can be called neither without arguments nor with a context.
     """
     most = 2 if event is RobotRunnerEvents.LAUNCH_MISSION else 1
-    if not any(_fits(callback, (object(),) * count) for count in range(most + 1)):
+    if not any(_takes(callback, count) for count in range(most + 1)):
         raise _unfit(callback, event)
 
 
@@ -93,15 +92,6 @@ def _wants_row(callback: Callable[..., Any], event: RobotRunnerEvents) -> bool:
     return bool(names) and names[0] in ROW_NAMES
 
 
-def _fits(callback: Callable[..., Any], arguments: tuple[Any, ...]) -> bool:
-    try:
-        hash(callback)
-    except TypeError:
-        return _takes.__wrapped__(callback, len(arguments))
-    return _takes(callback, len(arguments))
-
-
-@lru_cache(maxsize=64)  # each run is a fresh process: it finds here what was looked up when the config was checked
 def _takes(callback: Callable[..., Any], count: int) -> bool:
     try:
         inspect.signature(callback).bind(*(object(),) * count)
@@ -299,9 +289,9 @@ class EarlierExperiment:
         if self._context is None or self._context.run_variation.get("__run_id") != context.run_id:
             row = {"__run_id": context.run_id, "__done": RunProgress.TODO}
             design, planned = self._made, planned_of(context)
-            row |= {column: value_of(planned[design.names[column]]) for column in design.factors}
-            row |= dict.fromkeys(design.data_columns, MISSING)
             names = {column: design.names[column] for column in design.factors}
+            row |= {column: value_of(planned[name]) for column, name in names.items()}
+            row |= dict.fromkeys(design.data_columns, MISSING)
             watched = WatchedRow(row, names, context.combination)
             self._context = EarlierContext(watched, context.run_number, context.run_folder)
         elif isinstance(known := self._context.run_variation, WatchedRow):

@@ -187,7 +187,7 @@ class _Lifting:
                 *check_subscriptions(self.session, self._config),
             ),
             folder=folder,
-            spelling=design.names.spelling if isinstance(design, EarlierDesign) else EARLIER_SPELLING,
+            spelling=design.spelling if isinstance(design, EarlierDesign) else EARLIER_SPELLING,
             threads=self._threads,
             lacking=tuple(check_plugins(self._files)),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
@@ -113,21 +114,17 @@ class _Reading:
 
     def _tools(self) -> dict[Dialect, list[tuple[int, str]]]:
         """Return what speaks for each tool: the line, and what stands there."""
-        tools: dict[Dialect, list[tuple[int, str]]] = {}
+        tools: defaultdict[Dialect, list[tuple[int, str]]] = defaultdict(list)
         for each in self._earlier:
             parts = {each.name, each.module.rpartition(".")[2]}
             if parts & _OF_ROBOT_RUNNER:
-                tools.setdefault(Dialect.ROBOT_RUNNER, []).append((each.line, f"imports {each.name or each.module}"))
+                tools[Dialect.ROBOT_RUNNER].append((each.line, f"imports {each.name or each.module}"))
             elif parts & _OF_EXPERIMENT_RUNNER or each.module.startswith("ExtendedTyping"):
-                tools.setdefault(Dialect.EXPERIMENT_RUNNER, []).append(
-                    (each.line, f"imports {each.name or each.module}")
-                )
+                tools[Dialect.EXPERIMENT_RUNNER].append((each.line, f"imports {each.name or each.module}"))
         classes = classes_of(self._tree)
         for dialect in Dialect:
             if dialect.class_name in classes and (self._earlier or dialect is Dialect.EXPERIMENT_RUNNER):
-                tools.setdefault(dialect, []).append(
-                    (classes[dialect.class_name].lineno, f"has the class {dialect.class_name}")
-                )
+                tools[dialect].append((classes[dialect.class_name].lineno, f"has the class {dialect.class_name}"))
         return tools
 
     def _with_class(self, tools: dict[Dialect, list[tuple[int, str]]]) -> Dialect:

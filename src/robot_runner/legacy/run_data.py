@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import MeasureError, did_you_mean
 from robot_runner.core.events.measure import MeasureValue, Origin, as_measure_value
-from robot_runner.legacy.run_tables import PROGRESS, value_of
+from robot_runner.legacy.run_tables import PROGRESS, is_blank, value_of
 from robot_runner.legacy.stand_ins.watched_row import planned_of
 
 if TYPE_CHECKING:
@@ -47,11 +47,7 @@ def publish_row(
 ) -> None:
     """Publish the measures of a row; what is no data column is kept aside, with a warning.
 
-    Args:
-        context: of the run.
-        design: of the experiment, which tells factors and measures apart.
-        row: what callbacks returned or wrote, by column.
-        estimated: the columns whose values come from a model.
+    The values of the `estimated` columns come from a model.
     """
     for column, value in row.items():
         if column in PROGRESS:
@@ -61,12 +57,12 @@ def publish_row(
             continue
         if column in design.data_columns:
             _publish(context, column, design.names[column], value, Origin.ESTIMATED if column in estimated else None)
-        elif not _is_blank(value):
+        elif not is_blank(value):
             _keep_aside(context, design, column, value)
 
 
 def _publish(context: RobotRunnerContext, column: Any, name: str, value: Any, origin: Origin | None) -> None:
-    if _is_blank(value):
+    if is_blank(value):
         return
     try:
         context.publish(name, _plain(context, column, name, value), origin=origin)
@@ -106,7 +102,3 @@ def _warn_of_changed_treatment(context: RobotRunnerContext, design: EarlierDesig
             f"populate_run_data returned {value!r} for the factor {column!r}, which is {planned!r} in this run",
             fix="Return it under the name of a data column.",
         )
-
-
-def _is_blank(value: Any) -> bool:
-    return value is None or (isinstance(value, str) and not value.strip())

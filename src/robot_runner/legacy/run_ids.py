@@ -87,11 +87,7 @@ class Numbering(Enum):
     WITH_REPETITION = "run_{place}_repetition_{repetition}"
 
     def run_id(self, place: int, repetition: int) -> str:
-        """Return the id of a run.
-
-        Args:
-            place: the place of its combination, from 0.
-            repetition: which repetition of the combination it is, from 0.
+        """Return the id of a run, from the place of its combination and its repetition, both from 0.
 
         Example:
             >>> Numbering.WITH_REPETITION.run_id(2, 0)
@@ -123,12 +119,7 @@ def numbering_of(recognised: Recognised, arguments: Collection[str], repetitions
     """Return how the version numbered its runs that a config was written for.
 
     The tool decides in whose clone the config stands; where it stands alone, what it uses tells its version. (A run
-    table that is resumed keeps its ids, whatever they are.)
-
-    Args:
-        recognised: the config.
-        arguments: the named arguments that it gives to `RunTableModel`.
-        repetitions: how often it repeats each combination.
+    table that is resumed keeps its ids, whatever they are.) `arguments` are those that it names for `RunTableModel`.
     """
     if _OF_FORK & set(arguments):
         return Numbering.COUNTED_FROM_1
@@ -166,6 +157,4 @@ def _names_in(tree: ast.Module) -> set[str]:
         match node:
             case ast.Attribute(attr=name) | ast.FunctionDef(name=name) | ast.Name(id=name):
                 names.add(name)
-            case _:
-                pass
     return names

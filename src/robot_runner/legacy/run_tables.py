@@ -28,40 +28,23 @@ if TYPE_CHECKING:
 PROGRESS = ("__run_id", "__done")
 
 
-@dataclass(frozen=True, slots=True)
-class ColumnNames:
-    """Our name of each column, by the name that the config gives it."""
-
-    by_column: Mapping[Any, str]
-
-    def __getitem__(self, column: Any) -> str:
-        return self.by_column[column]
-
-    @property
-    def spelling(self) -> TableSpelling:
-        """How the run table's file spells its headings."""
-        others = {name: str(column) for column, name in self.by_column.items() if name != str(column)}
-        return replace(EARLIER_SPELLING, headings=MappingProxyType({**EARLIER_SPELLING.headings, **others}))
-
-
-def named_columns(columns: Iterable[Any]) -> ColumnNames:
+def named_columns(columns: Iterable[Any]) -> Mapping[Any, str]:
     """Give each column a name that our run table can have; a column `status` would clash with our own.
 
     Example:
-        >>> dict(named_columns(["Task", "status"]).by_column)
+        >>> dict(named_columns(["Task", "status"]))
         {'Task': 'Task', 'status': 'status_'}
     """
-    listed = list(columns)
     taken = {name.casefold() for name in reserved_names(1)}
     names: dict[Any, str] = {}
-    for column in listed:
+    for column in columns:
         name = str(column).strip()
         while name.casefold() in taken:
             name += "_"
         names[column] = name
         if name != str(column):
             taken.add(name.casefold())
-    return ColumnNames(MappingProxyType(names))
+    return MappingProxyType(names)
 
 
 _ADDRESS = re.compile(r" at 0x[0-9A-Fa-f]+")
@@ -150,19 +133,21 @@ class EarlierDesign:
     """
 
     model: ListedRunTableModel
-    names: ColumnNames
+    names: Mapping[Any, str]
     factors: tuple[Any, ...]
     data_columns: tuple[Any, ...]
 
+    @property
+    def spelling(self) -> TableSpelling:
+        """How the run table's file spells its headings."""
+        others = {name: str(column) for column, name in self.names.items() if name != str(column)}
+        return replace(EARLIER_SPELLING, headings=MappingProxyType({**EARLIER_SPELLING.headings, **others}))
+
 
 def design_of(session: Session, returned: Any, config: Any, more_columns: Sequence[str] = ()) -> EarlierDesign:
-    """Return the design of what `create_run_table` or `create_run_table_model` returned.
+    """Return the design of what `create_run_table` or `create_run_table_model` returned: a model, or a list of rows.
 
-    Args:
-        session: takes the warnings.
-        returned: a `RunTableModel`, or a list of rows.
-        config: the config; Experiment Runner's kept its model in an attribute.
-        more_columns: measures that the tool itself adds.
+    The tool itself adds `more_columns` for measures. Experiment Runner's configs kept the model in an attribute.
 
     Raises:
         ConfigError: it is neither, or a row is not as it should be.
@@ -230,7 +215,7 @@ def _columns_of(rows: Sequence[Mapping[Any, Any]], model: RunTableModel | None) 
     def is_measure(column: Any) -> bool:
         if column in measures or column in known:
             return column in measures
-        return all(_is_blank(row.get(column)) for row in rows)
+        return all(is_blank(row.get(column)) for row in rows)
 
     factors = [column for column in columns if not is_measure(column)]
     return factors, [column for column in columns if is_measure(column)]
@@ -257,7 +242,7 @@ def _listed_runs(
     session: Session,
     rows: Sequence[Mapping[Any, Any]],
     treatments: Mapping[Any, list[tuple[Any, Any]]],
-    names: ColumnNames,
+    names: Mapping[Any, str],
 ) -> list[ListedRun]:
     runs = []
     seen: dict[tuple[str, ...], int] = {}
@@ -293,5 +278,6 @@ def _is_done(row: Mapping[Any, Any]) -> bool:
     return done is RunProgress.DONE or done == RunProgress.DONE.name
 
 
-def _is_blank(value: Any) -> bool:
+def is_blank(value: Any) -> bool:
+    """Return whether a cell holds nothing."""
     return value is None or (isinstance(value, str) and not value.strip())

@@ -34,6 +34,11 @@ class EarlierSubscription:
     is_of_fork: bool = False
 
 
+def name_of(callback: object) -> str:
+    """Return the name of a callback; empty where it has none."""
+    return str(getattr(callback, "__name__", ""))
+
+
 @dataclass(slots=True)
 class Session:
     """One config file of an earlier tool.
@@ -61,6 +66,10 @@ class Session:
     def path(self) -> Path:
         """The config file, absolute."""
         return self.recognised.path
+
+    def callbacks_of(self, *events: RobotRunnerEvents) -> set[str]:
+        """Return the names of the callbacks of some events."""
+        return {name_of(each.callback) for each in self.subscriptions if each.event in events}
 
     def warn(self, where: str, problem: str, fix: str = "") -> None:
         """Note something that does not refuse the config; the same is noted once."""

@@ -89,8 +89,6 @@ def bound_names(body: list[ast.stmt]) -> dict[str, int]:
                 names[name] = node.lineno
             case ast.Import(names=aliases) | ast.ImportFrom(names=aliases):
                 names |= {alias.asname or alias.name.partition(".")[0]: node.lineno for alias in aliases}
-            case _:
-                pass
     return names
 
 

@@ -3,26 +3,58 @@
 from __future__ import annotations
 
 import time
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.early_end import fails_run
 from robot_runner.core.links.goals import ActionAborted, ActionCanceled, GoalStatus
-from robot_runner.testing.link_tries import PATIENCE, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
     from robot_runner.core.links.robot import Goal, GoalExecution, Message, RobotLink
 
+#: How long what takes milliseconds may take on a busy machine, s.
+PATIENCE = 20.0
+#: How much longer than its deadline something may take, s; and how often it is tried, since a busy machine may be late.
+_SLACK, _ATTEMPTS = 3.0, 3
 _FIBONACCI = "example_interfaces/Fibonacci"
 #: How long a step of an execution takes, s.
 _STEP = 0.05
 #: More steps than any test awaits.
 _FOR_EVER = 100_000
+
+
+def refusal(attempt: Callable[[], object]) -> LinkError:
+    """Return the `LinkError` that the attempt raises; fail the test if it raises none."""
+    try:
+        attempt()
+    except LinkError as error:
+        require(error.problem and error.where, f"{error!r} does not say what is wrong and where")
+        return error
+    raise AssertionError("the attempt was not refused")
+
+
+def punctual_refusal(attempt: Callable[[], object], *, timeout: float) -> LinkError:
+    """Return the `LinkError` that the attempt raises; fail the test if it never does so soon after its `timeout`, s."""
+    for _ in range(_ATTEMPTS):
+        begun = time.monotonic()
+        error = refusal(attempt)
+        if time.monotonic() - begun < timeout + _SLACK:
+            return error
+    raise AssertionError(f"the attempt took too long: more than {_SLACK:g} s after its deadline")
+
+
+@contextmanager
+def faults_told() -> Iterator[list[str]]:
+    """Yield the faults that the run is told of, each behind its place."""
+    told: list[str] = []
+    with fails_run(lambda fault, where: told.append(f"{where}: {fault}")):
+        yield told
 
 
 class ActionContract:
@@ -111,13 +143,11 @@ class ActionContract:
 
     def test_an_action_server_that_fails_aborts_the_goal_and_fails_the_run(self) -> None:
         """Hold that a fault of the execution is told to both sides, once."""
-        told: list[str] = []
 
         def execute(execution: GoalExecution) -> Message:
             raise ValueError(f"a fault at {execution.goal['order']}")
 
-        run = fails_run(lambda fault, where: told.append(f"{where}: {fault}"))
-        with run, self.opened() as robot, self.opened() as link:
+        with faults_told() as told, self.opened() as robot, self.opened() as link:
             robot.offer_action("count", self.action_type, execute)
             result = link.send_goal("count", self.action_type, {"order": 7}, timeout=PATIENCE).result(timeout=PATIENCE)
             require(result.status is GoalStatus.ABORTED, f"the goal is {result.status}")
@@ -188,13 +218,11 @@ class ActionContract:
 
     def test_a_fault_of_a_feedback_callback_fails_the_run_at_once(self) -> None:
         """Hold that it is told while the goal is executed, once, and that the goal goes on."""
-        told: list[str] = []
 
         def hear(message: Message) -> None:
             raise ValueError(f"a fault at {len(message)}")
 
-        run = fails_run(lambda fault, where: told.append(f"{where}: {fault}"))
-        with run, self.opened() as robot, self.opened() as link:
+        with faults_told() as told, self.opened() as robot, self.opened() as link:
             robot.offer_action("count", self.action_type, self.counted)
             goal = link.send_goal("count", self.action_type, {"order": 8}, on_feedback=hear, timeout=PATIENCE)
             self.until(lambda: told, "the run was not told")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -67,19 +67,11 @@ class _Subscription:
         self.is_closed = True
 
 
-class _Offer:
-    """A service or action that is offered to the fake link, until it is closed."""
-
-    def __init__(self, offered: dict[str, Any], name: str) -> None:
-        self._offered = offered
-        self._name = name
-        self._is_closed = False
-
-    def close(self) -> None:
-        """Offer it no more; closing twice does nothing."""
-        if not self._is_closed:
-            self._is_closed = True
-            del self._offered[self._name]
+def _offer(offered: dict[str, Any], name: str) -> ExitStack:
+    """Return an offer of a service or action, which ends when it is closed; closing twice does nothing."""
+    offer = ExitStack()
+    offer.callback(offered.pop, name)
+    return offer
 
 
 class FakeRobotLink:
@@ -91,6 +83,8 @@ class FakeRobotLink:
         publications: what was published, oldest first.
         calls: the services that were called, oldest first.
         goals: the goals that were sent, oldest first.
+        is_simulated: what it was made with.
+        encoding: that of ROS 2.
         is_closed: whether it was closed.
         fault: raised by whatever is asked of the link, once it is set.
         known_topics: what others publish or subscribe on the graph, by name, with their types.
@@ -106,6 +100,8 @@ class FakeRobotLink:
         >>> received, link.call("lamp/on", "std_srvs/Trigger")
         ([{'voltage': 11.1}], {'success': True})
     """
+
+    encoding = Encoding.CDR
 
     def __init__(
         self,
@@ -129,19 +125,9 @@ class FakeRobotLink:
         self._executes: dict[str, Callable[[GoalExecution], Message]] = {}
         self._accepts: dict[str, Callable[[Message], bool] | None] = {}
         self._service_types: dict[str, str] = {}
-        self._is_simulated = is_simulated
+        self.is_simulated = is_simulated
         self._advertised: dict[str, str] = {}
         self._subscriptions: defaultdict[str, list[_Subscription]] = defaultdict(list)
-
-    @property
-    def is_simulated(self) -> bool:
-        """What it was made with."""
-        return self._is_simulated
-
-    @property
-    def encoding(self) -> Encoding:
-        """That of ROS 2."""
-        return Encoding.CDR
 
     @property
     def stands_still(self) -> bool:
@@ -259,7 +245,7 @@ class FakeRobotLink:
             raise answer
         return answer(request or {}) if callable(answer) else answer
 
-    def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> _Offer:
+    def offer(self, service: str, service_type: str, answer: Callable[[Message], Message]) -> ExitStack:
         """Have `call` answered by a function until the offer is closed.
 
         Raises:
@@ -270,7 +256,7 @@ class FakeRobotLink:
             raise LinkError(f"there is a service {service!r} already", where=_WHERE, fix="Choose another name.")
         self._services[service] = answer
         self._service_types[service] = plain_type(service_type)
-        return _Offer(self._services, service)
+        return _offer(self._services, service)
 
     def send_goal(
         self,
@@ -306,7 +292,7 @@ class FakeRobotLink:
         execute: Callable[[GoalExecution], Message],
         *,
         accept: Callable[[Message], bool] | None = None,
-    ) -> _Offer:
+    ) -> ExitStack:
         """Have goals executed by a function, at once, where they are first waited for, until the offer is closed.
 
         Raises:
@@ -317,7 +303,7 @@ class FakeRobotLink:
             raise LinkError(f"there is an action {action!r} already", where=_WHERE, fix="Choose another name.")
         self._actions[action] = FakeAction(action_type=action_type)
         self._executes[action], self._accepts[action] = execute, accept
-        return _Offer(self._actions, action)
+        return _offer(self._actions, action)
 
     def actions(self) -> dict[str, str]:
         """Return the types of the actions; `*` where a test scripted one without."""

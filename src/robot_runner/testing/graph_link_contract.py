@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, cast
 from robot_runner.conditions.graph_presence import node_present, service_present, topic_present
 from robot_runner.conditions.topic_messages import battery_above, message_on, topic_below
 from robot_runner.core.events.context import SystemClock
-from robot_runner.core.events.early_end import fails_run
 from robot_runner.core.links.goals import ActionCanceled
 from robot_runner.core.links.robot import Advertiser, Encoding, Qos, RawMessage
 from robot_runner.ros.shapes import plain_type
 from robot_runner.ros.watchdog import TWIST, TWIST_STAMPED, velocity_command, velocity_of
+from robot_runner.testing.action_contract import PATIENCE, faults_told, punctual_refusal, refusal
 from robot_runner.testing.fake_run import FakeLinks, make_context
-from robot_runner.testing.link_contract import RobotLinkContract
-from robot_runner.testing.link_tries import PATIENCE, punctual_refusal, refusal
+from robot_runner.testing.link_contract import FaultyCallback, RobotLinkContract
 from robot_runner.testing.plugin_contract import require
 
 if TYPE_CHECKING:
@@ -70,6 +69,17 @@ class GraphLinkContract(RobotLinkContract):
 
         self.until(has_arrived, f"nothing is received on {topic}", timeout=self.discovery)
         return received
+
+    def receive_with_faults(self, link: RobotLink, publisher: RobotLink) -> None:
+        """Subscribe with a callback that raises, and publish until it was called again."""
+        receive = FaultyCallback()
+        link.subscribe("chatter", _STRING, receive)
+
+        def was_called_again() -> bool:
+            publisher.publish("chatter", _STRING, {"data": "a"})
+            return receive.calls > 1
+
+        self.until(was_called_again, "nothing is received after a fault", timeout=self.discovery)
 
     def test_conditions_of_a_graph_hold_once_what_they_ask_for_is_there(self) -> None:
         """Hold that nodes, topics, services, messages, fields and a battery can be awaited."""
@@ -154,44 +164,18 @@ class GraphLinkContract(RobotLinkContract):
 
     def test_a_fault_of_a_callback_does_not_end_the_subscription(self) -> None:
         """Hold that the next message is received all the same, and that closing the link raises the fault."""
-        received: list[Message] = []
-
-        def receive(message: Message) -> None:
-            received.append(message)
-            raise ValueError("a fault of the callback")
-
         with self.opened() as robot:
             link = self.make_link()
             try:
-                link.subscribe("chatter", _STRING, receive)
-
-                def has_published() -> bool:
-                    robot.publish("chatter", _STRING, {"data": "a"})
-                    return len(received) > 1
-
-                self.until(has_published, "nothing is received after a fault", timeout=self.discovery)
+                self.receive_with_faults(link, robot)
             finally:
                 error = refusal(link.close)
             require("a fault of the callback" in error.problem, f"the fault is not named: {error}")
 
     def test_a_fault_in_a_thread_of_the_link_fails_the_run_at_once(self) -> None:
         """Hold that the run is told once, by whichever thread calls the callback, and that closing raises no more."""
-        told: list[str] = []
-        received: list[Message] = []
-
-        def receive(message: Message) -> None:
-            received.append(message)
-            raise ValueError("a fault of the callback")
-
-        run = fails_run(lambda fault, where: told.append(f"{where}: {fault}"))
-        with self.opened() as robot, run, self.opened() as link:
-            link.subscribe("chatter", _STRING, receive)
-
-            def has_published() -> bool:
-                robot.publish("chatter", _STRING, {"data": "a"})
-                return len(received) > 1
-
-            self.until(has_published, "nothing is received after a fault", timeout=self.discovery)
+        with self.opened() as robot, faults_told() as told, self.opened() as link:
+            self.receive_with_faults(link, robot)
             require(told == ["the callback of /chatter: a fault of the callback"], f"the run was told {told}")
 
     def test_a_closed_link_receives_no_more(self) -> None:

@@ -8,10 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.events.early_end import fails_run
 from robot_runner.core.links.robot import Encoding, RobotLink, Subscription
-from robot_runner.testing.action_contract import ActionContract
-from robot_runner.testing.link_tries import PATIENCE, punctual_refusal, refusal
+from robot_runner.testing.action_contract import PATIENCE, ActionContract, faults_told, punctual_refusal, refusal
 from robot_runner.testing.plugin_contract import require
 
 if TYPE_CHECKING:
@@ -22,6 +20,23 @@ if TYPE_CHECKING:
 _TWIST = "geometry_msgs/Twist"
 _ODOMETRY = "nav_msgs/Odometry"
 _TRIGGER = "std_srvs/Trigger"
+
+
+class FaultyCallback:
+    """Raises at each message, and counts them."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, message: Message) -> None:
+        """Raise.
+
+        Raises:
+            ValueError: always.
+        """
+        del message
+        self.calls += 1
+        raise ValueError("a fault of the callback")
 
 
 class RobotLinkContract(ActionContract):
@@ -185,16 +200,10 @@ class RobotLinkContract(ActionContract):
         """Hold that a run cannot succeed over a callback that raised."""
         if not self.publishes:
             return
-        called: list[Message] = []
-
-        def receive(message: Message) -> None:
-            called.append(message)
-            raise ValueError("a fault of the callback")
-
-        link = self.make_link()
+        receive, link = FaultyCallback(), self.make_link()
         try:
             link.subscribe(self.topic, _ODOMETRY, receive)
-            self.until(lambda: called, "nothing was received")
+            self.until(lambda: receive.calls, "nothing was received")
         except ValueError:  # callbacks are called while time goes by
             link.close()
             return
@@ -205,18 +214,12 @@ class RobotLinkContract(ActionContract):
         """Hold that a mission does not go on over a callback that raised, whoever calls it; it is told once."""
         if not self.publishes:
             return
-        told: list[str] = []
-        called: list[Message] = []
-
-        def receive(message: Message) -> None:
-            called.append(message)
-            raise ValueError("a fault of the callback")
-
-        with fails_run(lambda fault, where: told.append(f"{where}: {fault}")), self.opened() as link:
+        receive = FaultyCallback()
+        with faults_told() as told, self.opened() as link:
             link.subscribe(self.topic, _ODOMETRY, receive)
             self.until(lambda: told, "the run was not told")
-            count = len(called)
-            self.until(lambda: len(called) > count, "the subscription ended")
+            count = receive.calls
+            self.until(lambda: receive.calls > count, "the subscription ended")
             full_name = f"/{self.topic.strip('/')}"
             require(told == [f"the callback of {full_name}: a fault of the callback"], f"the run was told {told}")
 
@@ -271,13 +274,11 @@ class RobotLinkContract(ActionContract):
 
     def test_a_fault_of_an_offered_service_fails_the_run_at_once(self) -> None:
         """Hold that a mission does not go on over a service of its own that raised."""
-        told: list[str] = []
 
         def answer(request: Message) -> Message:
             raise LinkError(f"the lamp is broken, asked {request}", where="lamp", fix="Change it.")
 
-        run = fails_run(lambda fault, where: told.append(f"{where}: {fault}"))
-        with run, self.opened() as robot, self.opened() as link:
+        with faults_told() as told, self.opened() as robot, self.opened() as link:
             robot.offer("lamp", _TRIGGER, answer)
             refusal(lambda: link.call("lamp", _TRIGGER, timeout=2.0))
         require(len(told) == 1 and "the lamp is broken, asked {}" in told[0], f"the run was told {told}")

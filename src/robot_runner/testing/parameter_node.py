@@ -15,7 +15,25 @@ if TYPE_CHECKING:
     from robot_runner.ros.parameter_values import ParameterValue
 
 
-class ParameterNode:
+class _ServingNode:
+    """A node that offers services of one package, each below its name, until it leaves the graph."""
+
+    def __init__(
+        self, link: Offerer, name: str, package: str, answers: Mapping[str, Callable[[Message], Message]]
+    ) -> None:
+        self.name = name
+        self._offers = [
+            link.offer(f"{name}/{_snake(service)}", f"{package}/{service}", answer)
+            for service, answer in answers.items()
+        ]
+
+    def close(self) -> None:
+        """Leave the graph."""
+        for offer in self._offers:
+            offer.close()
+
+
+class ParameterNode(_ServingNode):
     """A node that has parameters, behind any link that can offer services.
 
     Args:
@@ -51,7 +69,6 @@ class ParameterNode:
         refuses: Callable[[str, ParameterValue], str] = lambda _name, _value: "",
         is_rclcpp: bool = True,
     ) -> None:
-        self.name = name
         self.values = dict(parameters)
         self.changes: list[tuple[str, ParameterValue]] = []
         self._read_only = frozenset(read_only)
@@ -67,15 +84,7 @@ class ParameterNode:
             "DescribeParameters": lambda asked: {"descriptors": self._descriptors(asked["names"])},
             "GetParameterTypes": lambda asked: {"types": bytes(self._told(asked["names"], self._kind))},
         }
-        self._offers = [
-            link.offer(f"{name}/{_snake(service)}", f"rcl_interfaces/{service}", answer)
-            for service, answer in answers.items()
-        ]
-
-    def close(self) -> None:
-        """Leave the graph."""
-        for offer in self._offers:
-            offer.close()
+        super().__init__(link, name, "rcl_interfaces", answers)
 
     def _told(self, names: Sequence[str], tell: Callable[[str], Any]) -> list[Any]:
         if self._is_rclcpp and not all(name in self.values for name in names):
@@ -156,7 +165,7 @@ _TRANSITIONS = (
 )
 
 
-class LifecycleNode:
+class LifecycleNode(_ServingNode):
     """A managed node, behind any link that can offer services.
 
     Args:
@@ -187,7 +196,6 @@ class LifecycleNode:
         state: LifecycleState = LifecycleState.UNCONFIGURED,
         refuses: Collection[str] = (),
     ) -> None:
-        self.name = name
         self.state = state
         self.refuses = set(refuses)
         self.transitions: list[str] = []
@@ -197,15 +205,7 @@ class LifecycleNode:
             "GetAvailableStates": lambda _: {"available_states": [_state(each) for each in LifecycleState]},
             "GetAvailableTransitions": self._available,
         }
-        self._offers = [
-            link.offer(f"{name}/{_snake(service)}", f"lifecycle_msgs/{service}", answer)
-            for service, answer in answers.items()
-        ]
-
-    def close(self) -> None:
-        """Leave the graph."""
-        for offer in self._offers:
-            offer.close()
+        super().__init__(link, name, "lifecycle_msgs", answers)
 
     def _change(self, asked: Message) -> Message:
         wanted = asked["transition"]

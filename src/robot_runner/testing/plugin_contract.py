@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import MeasureValue
     from robot_runner.testing.fake_run import FakeLinks
 
-# What holds for every plugin, as tests for its author to inherit.
-
 #: Time between two closings of the same, s, so that a plugin that closes anew would notice.
 _BETWEEN_CLOSINGS = 0.2
 

@@ -219,13 +219,8 @@ def _merged(defaults: Mapping[str, Any], given: object, where: str) -> dict[str,
 class ServedRosapi:
     """Answers questions about a graph.
 
-    Args:
-        graph: that it is asked about.
-        generation: of ROS.
-        distro: of ROS.
-        nodes: full names of the nodes that there are.
-
     Attributes:
+        nodes: full names of the nodes that there are.
         parameters: the parameter server of ROS 1, by full names.
     """
 
@@ -238,19 +233,23 @@ class ServedRosapi:
 
     def answer(self, service: str, request: Mapping[str, Any]) -> dict[str, Any] | None:
         """Return the response of a service of rosapi's, or None if it is another service."""
+        topics, services, types = self._graph.topics, self._graph.services, self._graph.types
         questions: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
             "get_time": lambda _: {"time": self._stamp()},
             "topics": lambda _: self._topics(),
-            "topic_type": lambda asked: {"type": self._topic_type(asked["topic"])},
-            "services": lambda _: {"services": [*self._graph.services, "/rosapi/topics"]},
-            "service_type": lambda asked: {"type": self._service_type(asked["service"])},
+            "topic_type": lambda asked: {"type": getattr(topics.get(asked["topic"]), "type_name", "")},
+            "services": lambda _: {"services": [*services, "/rosapi/topics"]},
+            "service_type": lambda asked: {"type": getattr(services.get(asked["service"]), "type_name", "")},
             "nodes": lambda _: {"nodes": list(self.nodes)},
             "publishers": lambda asked: {"publishers": self._endpoints(asked["topic"], "publishers")},
             "subscribers": lambda asked: {"subscribers": self._endpoints(asked["topic"], "subscribers")},
-            "message_details": lambda asked: _details(self._graph.types.shape(plain_type(asked["type"]))),
-            "service_request_details": lambda asked: _details(self._graph.types.request(plain_type(asked["type"]))),
-            "service_response_details": lambda asked: _details(self._graph.types.response(plain_type(asked["type"]))),
-            "topics_and_raw_types": lambda _: self._raw(),
+            "message_details": lambda asked: _details(types.shape(plain_type(asked["type"]))),
+            "service_request_details": lambda asked: _details(types.request(plain_type(asked["type"]))),
+            "service_response_details": lambda asked: _details(types.response(plain_type(asked["type"]))),
+            "topics_and_raw_types": lambda _: {
+                **self._topics(),
+                "typedefs_full_text": [types.definition(plain_type(topic.type_name)) for topic in topics.values()],
+            },
         }
         if self._generation == 1:
             questions |= self._parameter_questions()
@@ -298,19 +297,6 @@ class ServedRosapi:
     def _topics(self) -> dict[str, Any]:
         topics = self._graph.topics.values()
         return {"topics": [topic.name for topic in topics], "types": [topic.type_name for topic in topics]}
-
-    def _topic_type(self, name: str) -> str:
-        topic = self._graph.topics.get(name)
-        return "" if topic is None else topic.type_name
-
-    def _service_type(self, name: str) -> str:
-        service = self._graph.services.get(name)
-        return "" if service is None else service.type_name
-
-    def _raw(self) -> dict[str, Any]:
-        topics = self._topics()
-        texts = [self._graph.types.definition(plain_type(name)) for name in topics["types"]]
-        return {**topics, "typedefs_full_text": texts}
 
 
 def _nested(parameters: Mapping[str, Any], name: str) -> Any:

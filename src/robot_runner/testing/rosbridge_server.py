@@ -28,7 +28,7 @@ from robot_runner.testing.rosbridge_graph import (
     received,
     with_typed_arrays,
 )
-from robot_runner.testing.served_actions import ACTION_OPERATIONS, ServedActions
+from robot_runner.testing.served_actions import ServedActions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -42,12 +42,7 @@ _logger = logging.getLogger(__name__)
 
 
 class ServedClient:
-    """A client, from its first to its last frame.
-
-    Args:
-        server: that it is connected to.
-        connection: its WebSocket.
-    """
+    """A client that is connected to a server by a WebSocket, from its first to its last frame."""
 
     def __init__(self, server: RosbridgeServer, connection: Any) -> None:
         self._server = server
@@ -83,7 +78,7 @@ class ServedClient:
         operation: dict[str, Any] = {"op": "publish", "topic": topic.name}
         types, name = self._server.graph.types, plain_type(topic.type_name)
         if compression == "cbor-raw":
-            seconds, nanoseconds = divmod(self._server.now_ns(), 1_000_000_000)
+            seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
             data = types.serialise(name, message, self._server.encoding)
             self._send_bytes({**operation, "msg": {"secs": seconds, "nsecs": nanoseconds, "bytes": data}})
             return
@@ -98,12 +93,11 @@ class ServedClient:
         """Forward a call of a service that this client offers."""
         name = f"service_request:{service}:{next(self._numbers)}"
         self._open_requests[name] = (caller, number)
-        self._send({"op": "call_service", "id": name, "service": service, "args": self._server.spelt(dict(request))})
+        self.send({"op": "call_service", "id": name, "service": service, "args": dict(request)})
 
     def respond(self, number: Any, service: str, values: Any, *, is_good: bool) -> None:
         """Send the response of a service that this client called."""
-        response = {"op": "service_response", "id": number, "service": service, "values": values, "result": is_good}
-        self._send(self._server.spelt(response))
+        self.send({"op": "service_response", "id": number, "service": service, "values": values, "result": is_good})
 
     def send(self, operation: dict[str, Any]) -> None:
         """Send an operation."""
@@ -121,7 +115,7 @@ class ServedClient:
             "unadvertise_service": self._unadvertise_service,
             "service_response": self._pass_on,
             "set_level": lambda _: None,
-            **{name: lambda op: self._server.actions.take(op, self) for name in ACTION_OPERATIONS},
+            **dict.fromkeys(self._server.actions.takers, lambda op: self._server.actions.take(op, self)),
         }
         if self._server.secret and not self._is_authenticated:
             # As rosauth: the SHA-512 of the secret and all that the client says, in this order.
@@ -364,10 +358,6 @@ class RosbridgeServer:
 
     def receive(self, topic: object, message: Message) -> None:
         """Take nothing: the nodes behind the server subscribe no topics."""
-
-    def now_ns(self) -> int:
-        """Return the time on the robot, ns since the epoch."""
-        return time.time_ns()
 
     def spelt(self, values: Any) -> Any:
         """Return values as they can be written in JSON: NaN and infinity are null."""

@@ -19,14 +19,6 @@ if TYPE_CHECKING:
 
     from robot_runner.testing.rosbridge_graph import Graph
 
-ACTION_OPERATIONS = (
-    "advertise_action",
-    "unadvertise_action",
-    "send_action_goal",
-    "cancel_action_goal",
-    "action_feedback",
-    "action_result",
-)
 _CANCEL = "/_action/cancel_goal"
 _SPELT_STATUS = STATUS_TYPE.replace("/", "/msg/", 1)
 
@@ -69,6 +61,7 @@ class ServedActions:
         is_known: whether the server knows these operations at all, as those of ROS 2 do since rosbridge_suite 2.0.
 
     Attributes:
+        takers: what takes each operation about actions.
         is_known: the same; to be changed.
         offered: the actions.
         tells_rejection: whether a goal that is not taken is answered at all, as servers since 3.0 do.
@@ -82,6 +75,14 @@ class ServedActions:
         self.rejects: dict[str, Callable[[Mapping[str, Any]], bool]] = {}
         self._graph = graph
         self._count = 0
+        self.takers: dict[str, Callable[[Mapping[str, Any], _Client], None]] = {
+            "advertise_action": self._advertise,
+            "unadvertise_action": self._unadvertise,
+            "send_action_goal": self._send,
+            "cancel_action_goal": self._cancel,
+            "action_feedback": self._feedback,
+            "action_result": self._result,
+        }
         graph.action_types = lambda: {name: each.type_name for name, each in self.offered.items()}
 
     def take(self, operation: Mapping[str, Any], client: _Client) -> None:
@@ -92,15 +93,7 @@ class ServedActions:
         """
         if not self.is_known:
             raise Refusal(f"Unknown operation: {operation['op']}")
-        takers: dict[str, Callable[[Mapping[str, Any], _Client], None]] = {
-            "advertise_action": self._advertise,
-            "unadvertise_action": self._unadvertise,
-            "send_action_goal": self._send,
-            "cancel_action_goal": self._cancel,
-            "action_feedback": self._feedback,
-            "action_result": self._result,
-        }
-        takers[operation["op"]](operation, client)
+        self.takers[operation["op"]](operation, client)
 
     def forget(self, client: _Client) -> None:
         """Let a client go: its actions are withdrawn; the goals that it sent go on, as with a real server."""

@@ -9,6 +9,7 @@ from tests.legacy.conversion.test_converting import measures_of
 from tests.legacy.earlier_configs import ROBOT, RUNNER
 
 from robot_runner.cli.main import main
+from robot_runner.core.errors import ConfigError
 from robot_runner.legacy.conversion.bases import load_apart
 from robot_runner.legacy.conversion.converting import convert
 
@@ -97,6 +98,28 @@ def test_a_config_and_the_one_that_it_derives_from_are_converted_together(
         ["2", "on", "107"],
     ]
     assert "it plans the same 3 runs" in capsys.readouterr().out.replace("\n", " ")
+
+
+def test_what_a_base_cannot_keep_is_found_in_the_file_of_the_base(
+    config: Callable[..., Path], write: Callable[..., Path]
+) -> None:
+    methods = METHODS.replace("self.size =", "context.execute_run['other'] = 1; self.size =")
+    base = config(methods, head=BASE, table="", name="BaseOfStudy.py")
+    derived = write(
+        """
+        from BaseOfStudy import *
+
+        class RunnerConfig(RunnerConfig):
+            def create_run_table_model(self) -> RunTableModel:
+                return RunTableModel(factors=[FactorModel("size", [1, 2])], data_columns=["seconds"])
+        """,
+        "E2.py",
+    )
+    with pytest.raises(ConfigError, match="it writes into the row of the run table") as caught:
+        convert(derived)
+    place, _, line = caught.value.findings[0].where.rpartition(":")
+    assert place == str(base)
+    assert "'other'" in base.read_text().splitlines()[int(line) - 1]
 
 
 def test_a_chain_of_three_files_is_written_to_one_folder(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import plistlib
 import stat
@@ -26,7 +27,7 @@ from robot_runner.legacy.profilers.data_source import DeviceSource, ParameterDic
 from robot_runner.legacy.profilers.nvidia import NvidiaML, NVML_Dynamic_Query, NVML_Field, NVML_IDs, NVML_Sample
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGINS, plugin_of
 from robot_runner.legacy.profilers.programs import read_table
-from robot_runner.legacy.profilers.robot_plugins import INA219Profiler, NetworkProfiler
+from robot_runner.legacy.profilers.robot_plugins import BasicTurtleBot3, INA219Profiler, NetworkProfiler
 from robot_runner.legacy.profilers.self_measure import SelfMeasure
 
 if TYPE_CHECKING:
@@ -139,6 +140,16 @@ def test_energibridge_measures_a_program_and_keeps_its_summary(
     assert max(log["USED_MEMORY"].values()) == 9
 
 
+def test_a_log_may_stand_in_a_folder_with_a_blank(program: Callable[[str, str], Path], tmp_path: Path) -> None:
+    program("sudo", 'exec "$@"\n')
+    program("energibridge", ENERGIBRIDGE)
+    (tmp_path / "my study").mkdir()
+    meter = EnergiBridge(target_program="true", out_file=tmp_path / "my study" / "eb.csv")
+    meter.start()
+    meter.stop(wait=True)
+    assert meter.parse_log(meter.logfile)["Time"] == {0: 1000, 1: 3000}
+
+
 def test_energibridge_is_stopped_while_it_waits(program: Callable[[str, str], Path], tmp_path: Path) -> None:
     program("sudo", 'exec "$@"\n')
     program("energibridge", ENERGIBRIDGE)
@@ -157,6 +168,30 @@ def test_a_summary_that_is_missing_is_computed_from_the_log(
     meter.start()
     meter.stop(wait=True)
     assert meter.summary_logfile.read_text() == "Energy consumption in joules: 5.5 for 2.0 sec of execution"
+
+
+@pytest.mark.parametrize(
+    ("log", "joules"),
+    [
+        ("Delta,Time,CPU_ENERGY (J)\n200,1000,10.0\n200,3000,15.5\n", 5.5),
+        ("Delta,Time,SYSTEM_POWER (Watts)\n200,1000,4.0\n200,3000,2.75\n", 5.5),
+        ("Delta,Time,PACKAGE_ENERGY (J)\n200,1000,65534.0\n200,3000,3.5\n", 5.5),
+        ("Delta,Time,USED_MEMORY\n200,1000,7\n200,3000,9\n", None),
+    ],
+    ids=["of AMD", "of Apple", "begun at 0 again", "no energy"],
+)
+def test_a_computed_summary_has_the_energy_of_any_processor_and_none_where_the_log_has_none(
+    log: str, joules: float | None, program: Callable[[str, str], Path], tmp_path: Path
+) -> None:
+    program("energibridge", ENERGIBRIDGE)
+    meter = EnergiBridge(out_file=tmp_path / "eb.csv")
+    meter.logfile.write_text(log)
+    (tmp_path / "summary.txt").write_text(meter.generate_summary())
+    _, summary = meter.parse_log(meter.logfile, tmp_path / "summary.txt")
+    assert summary == {
+        "total_joules": pytest.approx(math.nan if joules is None else joules, nan_ok=True),
+        "runtime_seconds": 2.0,
+    }
 
 
 def test_a_program_that_is_not_there_is_named() -> None:
@@ -209,6 +244,10 @@ def test_a_device_is_read_in_a_thread_until_it_is_stopped() -> None:
     assert device.stop() is None
 
 
+#: Later than any test, us since 1970.
+LATER = 1 << 60
+
+
 @pytest.fixture
 def gpu(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Stand in for NVIDIA's library: one GPU that draws 31 W."""
@@ -222,7 +261,7 @@ def gpu(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         gpu, memory = 40, 10
 
     value = SimpleNamespace(nvmlReturn=0, valueType=1, value=SimpleNamespace(ullVal=77))
-    sample = SimpleNamespace(timeStamp=5, sampleValue=SimpleNamespace(uiVal=60))
+    kept = [SimpleNamespace(timeStamp=at, sampleValue=SimpleNamespace(uiVal=60)) for at in (5, LATER)]
     nvml.__dict__.update(
         NVMLError=NVMLError,
         NVML_SUCCESS=0,
@@ -241,7 +280,7 @@ def gpu(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
         nvmlDeviceGetPowerUsage=lambda handle: 31_000,
         nvmlDeviceGetUtilizationRates=lambda handle: Utilisation(),
         nvmlDeviceGetFieldValues=lambda handle, fields: [value],
-        nvmlDeviceGetSamples=lambda handle, kind, since: (2, [sample] if since < 5 else []),
+        nvmlDeviceGetSamples=lambda handle, kind, since: (2, [each for each in kept if each.timeStamp > since]),
     )
     monkeypatch.setitem(sys.modules, "pynvml", nvml)
     return nvml
@@ -261,7 +300,7 @@ def test_nvidia_writes_queries_fields_and_samples(gpu: ModuleType, tmp_path: Pat
     assert log["NVML_POWER_USAGE"][0][1] == 31_000
     assert log["NVML_UTILIZATION_RATES"][0][1] == {"gpu": 40, "memory": 10}
     assert log["total_energy_consumption"][0][1] == 77
-    assert log["enc_utilization_samples"] == [(5, 60)]
+    assert log["enc_utilization_samples"] == [(LATER, 60)]  # the driver has kept some from before the start
     assert len(read["NVML_POWER_USAGE"]) == len(log["NVML_POWER_USAGE"])
     assert meter.list_devices()[0]["Name"] == "name of gpu 0"
     assert NVML_Dynamic_Query.NVML_POWER_USAGE.value == "PowerUsage"
@@ -296,6 +335,18 @@ def test_the_current_logger_writes_its_channels(monkeypatch: pytest.MonkeyPatch,
     meter.close_device()
 
 
+def test_a_current_that_the_logger_has_not_measured_yet_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Library:
+        def __getattr__(self, name: str) -> Any:
+            return lambda *_: 0x25 if name == "PLCM3GetValue" else 0
+
+    monkeypatch.setattr(pico, "_library", Library)
+    monkeypatch.setattr(pico.PicoCM3, "enumerate_devices", lambda self: "CM3 01")
+    readings = iter([True, False])
+    (row,) = pico.PicoCM3(sample_frequency=0).log(finished_fn=lambda: next(readings)).values()
+    assert [math.isnan(value) for value, _ in row] == [True] * 3
+
+
 def test_the_card_of_a_power_meter_is_copied_into_the_run(tmp_path: Path) -> None:
     card = tmp_path / "DATA.TXT"
     card.write_text("1,2\n3,4\n")
@@ -304,6 +355,19 @@ def test_the_card_of_a_power_meter_is_copied_into_the_run(tmp_path: Path) -> Non
     (tmp_path / "run_0").mkdir()
     meter.move_data_file_to_run_folder(SimpleNamespace(run_dir=tmp_path / "run_0"), "energy.txt")
     assert (tmp_path / "run_0" / "energy.txt").read_text() == card.read_text()
+
+
+def test_a_card_that_still_holds_the_file_of_another_run_is_noticed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    card = tmp_path / "DATA.TXT"
+    meter = INA219Profiler(card)
+    for run, cells in (("run_0", "1,2"), ("run_1", "3,4"), ("run_2", "3,4")):
+        card.write_text(cells)
+        (tmp_path / run).mkdir()
+        meter.move_data_file_to_run_folder(SimpleNamespace(run_dir=tmp_path / run), "energy.txt")
+    problem = f"{card} holds what it held in run_1: the energy of this run may not be in it"
+    assert caplog.messages == [f"{problem} Read the card again after each run, and delete its file."]
 
 
 def test_packets_between_two_addresses_are_captured(program: Callable[[str, str], Path], tmp_path: Path) -> None:
@@ -406,6 +470,19 @@ def test_codecarbon_decorates_a_class(
     assert (settings["country_iso_code"], settings["project_name"]) == ("NLD", "sorting")
 
 
+def test_what_codecarbon_wrote_of_a_run_before_is_not_taken_for_this_one_s(
+    config: Callable[..., Path], execute: Callable[..., Executed], codecarbon: ModuleType, tmp_path: Path
+) -> None:
+    codecarbon.OfflineEmissionsTracker.stop = lambda self: None
+    (tmp_path / "emissions.csv").write_text("emissions,energy_consumed\n0.25,0.5\n")
+    settings = f"country_iso_code='NLD', output_dir={str(tmp_path)!r}"
+    head = RUNNER.replace("from pathlib", IMPORTS).replace(
+        "class RunnerConfig", f"@CodecarbonWrapper.emission_tracker({settings})\nclass RunnerConfig"
+    )
+    executed = execute(config(CODECARBON_METHODS.format(table="", start="", stop="", populate=""), head=head, table=""))
+    assert [row["codecarbon__emissions"] for row in executed.table] == ["", ""]
+
+
 def test_codecarbon_that_could_not_measure_leaves_cells_empty_and_says_so(
     config: Callable[..., Path], execute: Callable[..., Executed], codecarbon: ModuleType
 ) -> None:
@@ -478,6 +555,7 @@ def populate_run_data(self, context):
     lines = (context.run_dir / "metrics.txt").read_text().split()
     row["avg_cpu"] = sum(float(line.split(",")[0]) for line in lines) / len(lines)
     row["reach"] = max(self.poses)
+    row["levels"] = len({line.split(",")[2] for line in lines})
     return row
 """
 
@@ -498,7 +576,8 @@ def test_the_mini_mission_is_executed_on_the_embedded_robot(
     )
     table = """\
     def create_run_table(self):
-        table = RunTableModel([FactorModel("mission_task", ["networking"])], data_columns=["avg_cpu", "reach"])
+        columns = ["avg_cpu", "reach", "levels"]
+        table = RunTableModel([FactorModel("mission_task", ["networking"])], data_columns=columns)
         table.create_experiment_run_table()
         return table.get_experiment_run_table()
 """
@@ -515,3 +594,10 @@ def test_the_mini_mission_is_executed_on_the_embedded_robot(
     row = executed.table[0]
     assert 0 < float(row["avg_cpu"]) < 100
     assert 1.5 < float(row["reach"]) < 2.5
+    assert int(row["levels"]) > 2, "the level of the battery at the end stands beside each sample"
+
+
+def test_a_sample_has_the_level_of_the_battery_that_was_heard_last_and_none_where_nothing_was() -> None:
+    robot = BasicTurtleBot3()
+    robot._battery = [(1.0, 0.8), (2.0, 0.7)]
+    assert [robot._level_at(time_s) for time_s in (0.5, 1.5, 9.0)] == [pytest.approx(math.nan, nan_ok=True), 0.8, 0.7]

@@ -25,7 +25,7 @@ from robot_runner.legacy.recognition import recognise
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Collection
+    from collections.abc import Collection, Iterator
 
     from robot_runner.cli.parser import Parser
 
@@ -106,11 +106,10 @@ def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, o
         _write(new, conversion.text, kept, instead="Choose another name: --out NAME.py")
         for name, text in conversion.beside.items():
             _write(new.with_name(name), text, kept, instead="Convert into a folder of its own: --out FOLDER/NAME.py")
-        # A base that another config of this call has brought may not differ; one from before is kept.
-        bases = conversion.bases.items()
-        stale = [
-            _stale(base) for base, text in bases if not _is_written(base, text, kept, may_differ=base not in written)
-        ]
+        stale: list[Finding] = []
+        for base, text in conversion.bases.items():
+            # One that another config of this call has brought may not differ; one from before is kept.
+            stale += _write_base(base, text, kept, may_differ=base not in written)
         written |= set(conversion.bases)
         findings = (*stale, *check_conversion(conversion, new))
     console = output()
@@ -136,11 +135,7 @@ def _convert(old: Path, new: Path, folder: Path | None, written: set[Path], *, o
 def _write(file: Path, text: str, kept: Collection[Path] | None, *, instead: str) -> None:
     """Write a file; nothing is done where it is there as it would be written.
 
-    Args:
-        file: the file.
-        text: what it is to hold.
-        kept: the files that are not written over; None for all of them.
-        instead: what to do where there is one already.
+    Files that are `kept` are not written over; None is for all of them.
 
     Raises:
         StorageError: another one is there and is kept, or it cannot be written.
@@ -153,26 +148,16 @@ def _write(file: Path, text: str, kept: Collection[Path] | None, *, instead: str
     write_new_file(file, text, instead=instead)
 
 
-def _is_written(base: Path, text: str, kept: Collection[Path] | None, *, may_differ: bool) -> bool:
-    """Write the file of a class that a config derives from; returns whether it is there as it would be written."""
+def _write_base(base: Path, text: str, kept: Collection[Path] | None, *, may_differ: bool) -> Iterator[Finding]:
+    """Write the file of a class that a config derives from; yields a warning where another one is there and is kept."""
+    instead = "Convert the configs into folders of their own: --out FOLDER"
     try:
-        _write(
-            base,
-            text,
-            kept if may_differ else None,
-            instead="Convert the configs into folders of their own: --out FOLDER",
-        )
+        _write(base, text, kept if may_differ else None, instead=instead)
     except StorageError:
         if not (may_differ and base.is_file()):
             raise
-        return False
-    return True
-
-
-def _stale(base: Path) -> Finding:
-    return Finding.warning(
-        str(base),
-        "the config derives from a class in this file, which is there already and is kept, though it would be written "
-        "in another way",
-        "Convert with --overwrite, to write it anew.",
-    )
+        problem = (
+            "the config derives from a class in this file, which is there already and is kept, though it would be "
+            "written in another way"
+        )
+        yield Finding.warning(str(base), problem, "Convert with --overwrite, to write it anew.")

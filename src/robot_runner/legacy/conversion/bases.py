@@ -14,13 +14,13 @@ from robot_runner.core.config.source import read_tree
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.legacy.recognition import is_earlier_import
-from robot_runner.legacy.syntax import bound_names, imports_of, nodes
+from robot_runner.legacy.syntax import attributes_of, bound_names, imports_of, nodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from robot_runner.legacy.conversion.earlier_imports import Taking
-    from robot_runner.legacy.syntax import Edits
+    from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
+    from robot_runner.legacy.syntax import ImportedName
 
 _INSTALLED = frozenset({"dist-packages", "site-packages"})
 
@@ -73,7 +73,8 @@ def base_files(config: Path, config_class: type) -> dict[Path, type]:
     found: dict[Path, type] = {}
     for each in config_class.__mro__[1:]:
         file = _file_of(each)
-        is_earlier = any(_imports_earlier(_file_of(parent)) for parent in each.__mro__)
+        files = filter(None, map(_file_of, each.__mro__))
+        is_earlier = any(earlier_import_in(parent) is not None for parent in files)
         if file is not None and file != config and is_earlier:
             found.setdefault(file, each)
     return dict(reversed(found.items()))
@@ -84,11 +85,13 @@ def _file_of(config_class: type) -> Path | None:
     return None if file is None or _is_installed(file) else file
 
 
-def _imports_earlier(file: Path | None) -> bool:
+def earlier_import_in(file: Path) -> ImportedName | None:
+    """Return the first line of a file that imports a module of the earlier tool; None where there is none."""
     try:
-        return file is not None and any(is_earlier_import(each.module) for each in imports_of(read_tree(file)[1]))
-    except ConfigError:  # Python read it in another way
-        return False
+        imports = imports_of(read_tree(file)[1])
+    except ConfigError:  # it is compiled, or in another encoding: Python read it in another way
+        return None
+    return next((each for each in imports if is_earlier_import(each.module)), None)
 
 
 def name_whole_modules(tree: ast.Module, base_class: type) -> None:
@@ -138,14 +141,7 @@ class Inherited:
 
     @classmethod
     def of_base(cls, original: Path, base: BaseFile, config: ast.ClassDef, renamed: dict[str, str]) -> Inherited:
-        """Return what one converted file passes on.
-
-        Args:
-            original: the file that it is from.
-            base: what it is now.
-            config: its config class as it was.
-            renamed: the new names of methods.
-        """
+        """Return what one converted file passes on: `config` is its class as it was, `renamed` what changed in it."""
         methods = {name: renamed.get(name, name) for name in bound_names(config.body)}
         heard = set(methods.values()) & set(EVENTS_BY_CALLBACK)
         if "continue_experiment" in heard:
@@ -180,85 +176,84 @@ class Inherited:
         return self.files.get(file_of_module(module) or Path())
 
 
-def convert_base_imports(tree: ast.Module, inherited: Inherited, taking: Taking, edits: Edits) -> list[int]:
+def convert_base_imports(converted: ConvertedFile, inherited: Inherited) -> list[int]:
     """Have a config import the converted files of the classes that it derives from; returns the lines where it does.
 
     What it had of the earlier tool through them it imports itself.
     """
     lines = []
-    for node in nodes(tree, ast.ImportFrom):
+    for node in nodes(converted.tree, ast.ImportFrom):
         module = node.module or ""
         base = inherited.file_of(module)
-        statements = [] if base is None else [_names_of_base(node, base, taking)]
+        statements = [] if base is None else [_names_of_base(node, base, converted)]
         if base is None and any(inherited.file_of(f"{module}.{alias.name}") for alias in node.names):
-            statements = [_modules_of_package(node, alias, tree, inherited, taking, edits) for alias in node.names]
+            statements = [_module_of_package(node, alias, inherited, converted) for alias in node.names]
         if statements:
             lines.append(node.lineno)
-            edits.replace(node, f"\n{' ' * node.col_offset}".join(filter(None, statements)) or "pass")
-    for imported in nodes(tree, ast.Import):
+            converted.edits.replace(node, f"\n{' ' * node.col_offset}".join(filter(None, statements)) or "pass")
+    for imported in nodes(converted.tree, ast.Import):
         for alias in imported.names:
             base = inherited.file_of(alias.name)
             if base is not None:
                 lines.append(imported.lineno)
-                edits.replace(alias, _module_of_base(imported, alias, base, tree, taking, edits))
+                converted.edits.replace(alias, _module_of_base(imported, alias, base, converted))
     return lines
 
 
-def _names_of_base(node: ast.ImportFrom, base: BaseFile, taking: Taking) -> str:
+def _names_of_base(node: ast.ImportFrom, base: BaseFile, converted: ConvertedFile) -> str:
     """Return the import of what the converted file still has; the rest is imported from robot_runner."""
     kept = []
     for alias in node.names:
         if alias.name == "*":
             kept.append("*")
-            taking.converted.names |= base.renamed
-            taking.converted.classes |= base.renamed.keys()
-            for bound, (module, name) in base.gained.items():
-                taking.take(node.lineno, module, ast.alias(name, None if bound == name else bound))
+            converted.names |= base.renamed
+            converted.classes |= base.renamed.keys()
+            for bound in base.gained:
+                _take_gained(node, base, bound, bound, converted)
         elif alias.name in base.gained:
-            module, name = base.gained[alias.name]
-            bound = alias.asname or alias.name
-            taking.take(node.lineno, module, ast.alias(name, None if bound == name else bound))
+            _take_gained(node, base, alias.name, alias.asname or alias.name, converted)
         else:
             name = base.renamed.get(alias.name, alias.name)
             kept.append(f"{name} as {alias.asname}" if alias.asname else name)
             if alias.asname is None:
-                taking.converted.names[alias.name] = name
+                converted.names[alias.name] = name
             if alias.name in base.renamed:
-                taking.converted.classes.add(alias.asname or alias.name)
+                converted.classes.add(alias.asname or alias.name)
     return f"from {base.module(node.module or '')} import {', '.join(kept)}" if kept else ""
 
 
-def _modules_of_package(
-    node: ast.ImportFrom, alias: ast.alias, tree: ast.Module, inherited: Inherited, taking: Taking, edits: Edits
-) -> str:
+def _take_gained(node: ast.ImportFrom, base: BaseFile, there: str, bound: str, converted: ConvertedFile) -> None:
+    module, name = base.gained[there]
+    converted.take(node.lineno, module, ast.alias(name, None if bound == name else bound))
+
+
+def _module_of_package(node: ast.ImportFrom, alias: ast.alias, inherited: Inherited, converted: ConvertedFile) -> str:
     """Return the import of one module of a package (`from studies import base`)."""
     module = f"{node.module}.{alias.name}"
     base = inherited.file_of(module)
-    named = f"{alias.name} as {alias.asname}" if alias.asname else alias.name
+    bound = alias.asname or alias.name
     if base is None:
-        return f"from {node.module} import {named}"
-    _refuse_gained(node, alias.asname or alias.name, base, tree, taking, edits)
-    return f"import {base.module(module)} as {alias.asname or alias.name}"
+        return f"from {node.module} import {alias.name}" + (f" as {bound}" if alias.asname else "")
+    _refuse_gained(node, bound, base, converted)
+    return f"import {base.module(module)} as {bound}"
 
 
-def _module_of_base(
-    node: ast.Import, alias: ast.alias, base: BaseFile, tree: ast.Module, taking: Taking, edits: Edits
-) -> str:
+def _module_of_base(node: ast.Import, alias: ast.alias, base: BaseFile, converted: ConvertedFile) -> str:
     if "." in alias.name and alias.asname is None:
-        taking.refuse(node.lineno, f"the config derives from a class of {alias.name}, which it imports as a whole")
+        problem = f"the config derives from a class of {alias.name}, which it imports as a whole"
+        converted.refuse_whole_module(node.lineno, problem)
         return alias.name
     bound = alias.asname or alias.name
-    _refuse_gained(node, bound, base, tree, taking, edits)
+    _refuse_gained(node, bound, base, converted)
     return f"{base.module(alias.name)} as {bound}"
 
 
-def _refuse_gained(node: ast.stmt, bound: str, base: BaseFile, tree: ast.Module, taking: Taking, edits: Edits) -> None:
+def _refuse_gained(node: ast.stmt, bound: str, base: BaseFile, converted: ConvertedFile) -> None:
     """Rename the classes that are reached through a module, and refuse the earlier tool's names there."""
-    for each in nodes(tree, ast.Attribute):
-        if not (isinstance(each.value, ast.Name) and each.value.id == bound):
-            continue
+    for _, each in attributes_of(converted.tree, {bound}):
         if each.attr in base.renamed:
-            edits.replace(each, f"{bound}.{base.renamed[each.attr]}")
-            taking.converted.classes.add(f"{bound}.{each.attr}")
+            converted.edits.replace(each, f"{bound}.{base.renamed[each.attr]}")
+            converted.classes.add(f"{bound}.{each.attr}")
         elif each.attr in base.gained:
-            taking.refuse(node.lineno, f"{each.attr} of the earlier tool is used as {bound}.{each.attr}")
+            problem = f"{each.attr} of the earlier tool is used as {bound}.{each.attr}"
+            converted.refuse_whole_module(node.lineno, problem)

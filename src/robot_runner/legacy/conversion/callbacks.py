@@ -11,13 +11,14 @@ from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RobotRunnerEvents
 from robot_runner.legacy.earlier_experiment import ROW_NAMES
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
+from robot_runner.legacy.session import name_of
 from robot_runner.legacy.syntax import attributes_of, imports_of, nodes, walk_bodies
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.legacy.conversion.bases import Inherited
-    from robot_runner.legacy.conversion.earlier_imports import ConvertedImports
+    from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
     from robot_runner.legacy.session import Session
     from robot_runner.legacy.syntax import Edits
 
@@ -53,7 +54,7 @@ def named_callbacks(session: Session, config: ast.ClassDef, inherited: Inherited
     """
     own = {method.name for method in _methods(config)}
     always = [statement for method in _methods(config) for statement in method.body if _subscribes(statement)]
-    heard = [(each.event, _name_of(each.callback)) for each in session.subscriptions]
+    heard = [(each.event, name_of(each.callback)) for each in session.subscriptions]
     events = Counter(event for event, _ in heard)
     names = Counter(name for _, name in heard)
     is_always = all(statement in always for statement in nodes(config, ast.Expr) if _subscribes(statement))
@@ -81,9 +82,11 @@ def remove_subscriptions(config: ast.ClassDef, edits: Edits) -> list[ast.stmt]:
     for method in _methods(config):
         found = [statement for statement in method.body if _subscribes(statement)]
         removed += found
-        others = [statement for statement in method.body if statement not in found and not _is_docstring(statement)]
-        if found and not others and method.name == "__init__":
-            edits.remove_paragraph(_first_line(method), method.end_lineno or method.lineno)
+        rest = [statement for statement in method.body if statement not in found]
+        is_idle = all(isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant) for each in rest)  # docstring
+        if found and is_idle and method.name == "__init__":
+            first = min([method.lineno, *(decorator.lineno for decorator in method.decorator_list)])
+            edits.remove_paragraph(first, method.end_lineno or method.lineno)
             continue
         for statement in found:
             lines = range(statement.lineno, (statement.end_lineno or statement.lineno) + 1)
@@ -104,18 +107,10 @@ def convert_lists_of_callbacks(config: ast.ClassDef, edits: Edits) -> None:
             case ast.Attribute(value=ast.Name(id=name), attr=attr) as func if name == _CONTROLLER and attr == _OF_FORK:
                 edits.replace_span(edits.end_of(func) - len(_OF_FORK), edits.end_of(func), _OF_ALL)
                 for pair in nodes(call, ast.Tuple):
-                    _convert_pair(pair, edits)
-            case _:
-                pass
-
-
-def _convert_pair(pair: ast.Tuple, edits: Edits) -> None:
-    match pair.elts:
-        case [event, ast.List(elts=callbacks)]:
-            parts = [f"({edits.edited(event)}, {edits.edited(each)})" for each in callbacks]
-            edits.replace(pair, ", ".join(parts))
-        case _:
-            pass
+                    match pair.elts:
+                        case [event, ast.List(elts=callbacks)]:
+                            parts = [f"({edits.edited(event)}, {edits.edited(each)})" for each in callbacks]
+                            edits.replace(pair, ", ".join(parts))
 
 
 def convert_continue(config: ast.ClassDef, names: CallbackNames, inherited: Inherited, edits: Edits) -> None:
@@ -179,7 +174,7 @@ def taken_over(where: str, config: ast.ClassDef, names: CallbackNames, inherited
 
 def convert_rows_of_before_run(config: ast.ClassDef, session: Session, edits: Edits) -> None:
     """Have a `before_run` that took the row take the context."""
-    heard = {_name_of(each.callback) for each in session.subscriptions if each.event is RobotRunnerEvents.BEFORE_RUN}
+    heard = session.callbacks_of(RobotRunnerEvents.BEFORE_RUN)
     for method in _methods(config):
         for argument in method.args.args[1:2] if method.name in heard else ():
             if argument.arg in ROW_NAMES:
@@ -195,22 +190,18 @@ _DISPLAYS = (ast.List, ast.Tuple, ast.Set, ast.Dict, ast.ListComp, ast.SetComp, 
 
 def write_values_as_text(config: ast.ClassDef, session: Session, edits: Edits) -> None:
     """Have lists and the like that are given for a measure become the texts that the earlier tools wrote."""
-    populating = RobotRunnerEvents.POPULATE_RUN_DATA
-    heard = {_name_of(each.callback) for each in session.subscriptions if each.event is populating}
+    heard = session.callbacks_of(RobotRunnerEvents.POPULATE_RUN_DATA)
+    columns = {column for model in session.models for column in model.get_data_columns()}
     for method in _methods(config):
         dicts = list(nodes(method, ast.Dict)) if method.name in heard else []
         cells = [pair for data in dicts for pair in zip(data.keys, data.values, strict=True)]
-        written = [cell for key, cell in cells if _is_column(key, session) and isinstance(cell, _DISPLAYS)]
+        of_measures = [cell for key, cell in cells if isinstance(key, ast.Constant) and key.value in columns]
+        written = [cell for cell in of_measures if isinstance(cell, _DISPLAYS)]
         inner = {id(node) for cell in written for node in ast.walk(cell) if node is not cell}
         for cell in written:
             if id(cell) not in inner:
                 edits.insert(edits.start_of(cell), "str(")
                 edits.insert(edits.end_of(cell), ")")
-
-
-def _is_column(key: ast.expr | None, session: Session) -> bool:
-    columns = {column for model in session.models for column in model.get_data_columns()}
-    return isinstance(key, ast.Constant) and key.value in columns
 
 
 def order_findings(session: Session) -> Iterator[Finding]:
@@ -229,24 +220,12 @@ def _methods(config: ast.ClassDef) -> Iterator[ast.FunctionDef]:
     return (node for node in config.body if isinstance(node, ast.FunctionDef))
 
 
-def _name_of(callback: object) -> str:
-    return str(getattr(callback, "__name__", ""))
-
-
 def _subscribes(statement: ast.stmt) -> bool:
     match statement:
         case ast.Expr(value=ast.Call(func=ast.Attribute(value=ast.Name(id=name)))):
             return name == _CONTROLLER
         case _:
             return False
-
-
-def _is_docstring(statement: ast.stmt) -> bool:
-    return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
-
-
-def _first_line(method: ast.FunctionDef) -> int:
-    return min([method.lineno, *(decorator.lineno for decorator in method.decorator_list)])
 
 
 _PLUGIN = "CodeCarbon"
@@ -258,11 +237,10 @@ _COLUMNS = (
 )
 
 
-def convert_decorators(
-    where: str, tree: ast.Module, config: ast.ClassDef, imports: ConvertedImports, edits: Edits
-) -> None:
+def convert_decorators(converted: ConvertedFile, config: ast.ClassDef) -> None:
     """Remove the decorators, from the tree as well, and have the config list the profiler."""
-    names = {each.bound_as for each in imports_of(tree) if _is_decorating(each.module, each.name)}
+    plugins = {each.bound_as: plugin_of(f"{each.module}.{each.name}") for each in imports_of(converted.tree)}
+    names = {bound for bound, plugin in plugins.items() if plugin is not None and plugin.ours == _PLUGIN}
     removed: list[ast.expr] = []
     for node in (config, *config.body):
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -270,36 +248,25 @@ def convert_decorators(
             node.decorator_list = [each for each in node.decorator_list if each not in found]
             removed += found
     for decorator in removed:
-        edits.remove_lines(decorator.lineno, decorator.end_lineno or decorator.lineno)
+        converted.edits.remove_lines(decorator.lineno, decorator.end_lineno or decorator.lineno)
     if removed:
-        imports.findings.append(_listed(where, config, list(_countries(removed)), imports, edits))
+        keywords = [keyword for each in removed if isinstance(each, ast.Call) for keyword in each.keywords]
+        countries = [keyword.value for keyword in keywords if keyword.arg == _COUNTRY]
+        _list_profiler(converted, config, countries[0] if countries else None)
 
 
-def _listed(
-    where: str, config: ast.ClassDef, countries: list[ast.expr], imports: ConvertedImports, edits: Edits
-) -> Finding:
-    if not countries:
-        return Finding.error(
-            where, f"CodeCarbon's decorators do not say the {_COUNTRY}", f"Write it, as in {_COUNTRY}='NLD'."
-        )
-    first = config.body[0]
-    country = edits.source(countries[0])
-    edits.insert(edits.start_of(first), f"plugins = [{_PLUGIN}(country={country})]\n{' ' * first.col_offset}")
-    imports.profilers.setdefault(_HOME, set()).add(_PLUGIN)
-    return Finding.warning(
-        where, f"CodeCarbon's decorators are a profiler now: {_COLUMNS}", "Read them in your analysis."
-    )
-
-
-def _countries(decorators: list[ast.expr]) -> Iterator[ast.expr]:
-    for decorator in decorators:
-        if isinstance(decorator, ast.Call):
-            yield from (keyword.value for keyword in decorator.keywords if keyword.arg == _COUNTRY)
-
-
-def _is_decorating(module: str, name: str) -> bool:
-    plugin = plugin_of(f"{module}.{name}")
-    return plugin is not None and plugin.ours == _PLUGIN
+def _list_profiler(converted: ConvertedFile, config: ast.ClassDef, country: ast.expr | None) -> None:
+    if country is None:
+        problem = f"CodeCarbon's decorators do not say the {_COUNTRY}"
+        converted.refuse(config.lineno, problem, f"Write it, as in {_COUNTRY}='NLD'.")
+        return
+    first, edits = config.body[0], converted.edits
+    listed = f"plugins = [{_PLUGIN}(country={edits.source(country)})]"
+    edits.insert(edits.start_of(first), f"{listed}\n{' ' * first.col_offset}")
+    converted.profilers.setdefault(_HOME, set()).add(_PLUGIN)
+    problem = f"CodeCarbon's decorators are a profiler now: {_COLUMNS}"
+    where = f"{converted.path}:{config.lineno}"
+    converted.findings.append(Finding.warning(where, problem, "Read them in your analysis."))
 
 
 def _root(decorator: ast.expr) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.parameters import ExperimentConfig
@@ -14,8 +15,8 @@ from robot_runner.legacy.syntax import attributes_of, bound_names, classes_of, i
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
 
+    from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
     from robot_runner.legacy.session import Session
-    from robot_runner.legacy.syntax import Edits
 
 
 #: What callbacks read from their context, and its name here.
@@ -30,17 +31,12 @@ _BY_TEXT = frozenset({"hasattr", "getattr", "setattr", "delattr"})
 _BY_HAND = "Write this part by hand, then convert the file."
 
 
-def convert_contexts(tree: ast.Module, session: Session, edits: Edits, columns: Collection[str]) -> Iterator[Finding]:
+def convert_contexts(converted: ConvertedFile, session: Session, columns: Collection[str]) -> Iterator[Finding]:
     """Convert the functions that have a context, and yield what is done with one that has no counterpart.
 
     A parameter is a context if it is called so, if its annotation says so, or if it is the first of a run's callback.
-
-    Args:
-        tree: the file.
-        session: what the config subscribed when it was loaded.
-        edits: takes the changes.
-        columns: the measures' columns.
     """
+    tree = converted.tree
     every: list[ast.FunctionDef | ast.Lambda] = [*nodes(tree, ast.FunctionDef), *nodes(tree, ast.Lambda)]
     functions = {function: set(_contexts_of(function, tree, session)) for function in every}
     kept = {place for function, names in functions.items() for place in _places_kept(function, names)}
@@ -49,9 +45,9 @@ def convert_contexts(tree: ast.Module, session: Session, edits: Edits, columns: 
     found: list[Finding] = []
     for function, names in functions.items():
         if names or kept:
-            found += _Function(function, names | kept, session, edits, columns, moved).converted()
+            found += _Function(function, names | kept, converted, columns, moved).findings()
     yield from dict.fromkeys(found)  # a function in another one is walked through with both
-    yield from _left(tree, session, contexts)
+    yield from _left(converted, contexts)
 
 
 def _is_context(argument: ast.arg, tree: ast.Module) -> bool:
@@ -73,14 +69,10 @@ def _contexts_of(function: ast.FunctionDef | ast.Lambda, tree: ast.Module, sessi
         is_callback = any(code and (code.co_name, code.co_firstlineno) == (_LAMBDA, function.lineno) for code in codes)
         yield from (each.arg for each in arguments[:1] if is_callback)
         return
-    if function.name in _callbacks_of(session, set(RobotRunnerEvents) - WITHOUT_CONTEXT):
+    if function.name in session.callbacks_of(*set(RobotRunnerEvents) - WITHOUT_CONTEXT):
         yield from (each.arg for each in arguments[1:2])
-    if function.name in _callbacks_of(session, {RobotRunnerEvents.BEFORE_RUN}):
+    if function.name in session.callbacks_of(RobotRunnerEvents.BEFORE_RUN):
         yield from (each.arg for each in arguments[1:2] if each.arg not in ROW_NAMES)
-
-
-def _callbacks_of(session: Session, events: Collection[RobotRunnerEvents]) -> set[str]:
-    return {str(getattr(each.callback, "__name__", "")) for each in session.subscriptions if each.event in events}
 
 
 def _places_kept(function: ast.FunctionDef | ast.Lambda, names: Collection[str]) -> Iterator[str]:
@@ -105,42 +97,38 @@ def _attributes_to_move(tree: ast.Module, contexts: Collection[str]) -> Iterator
             yield name
 
 
-def _left(tree: ast.Module, session: Session, contexts: Collection[str]) -> Iterator[Finding]:
+def _left(converted: ConvertedFile, contexts: Collection[str]) -> Iterator[Finding]:
     """Yield where something is read that may be of a context, and is not known to be."""
+    tree = converted.tree
     own = {node.attr for node in nodes(tree, ast.Attribute) if isinstance(node.ctx, ast.Store)}
     own |= {name for each in classes_of(tree).values() for name in bound_names(each.body)}
     for node in nodes(tree, ast.Attribute):
         if node.attr in _NAMES_HERE.keys() - own and ast.unparse(node.value) not in contexts:
             yield Finding.warning(
-                f"{session.path}:{node.lineno}",
+                f"{converted.path}:{node.lineno}",
                 f"{ast.unparse(node)} is left as it is: whether that is a context cannot be seen",
                 f"If it is, write {_NAMES_HERE[node.attr]}.",
             )
 
 
+@dataclass(slots=True)
 class _Function:
     """A function; `contexts` are the texts by which it reaches one, `moved` its attributes that `self` has now."""
 
-    def __init__(
-        self,
-        function: ast.FunctionDef | ast.Lambda,
-        contexts: Collection[str],
-        session: Session,
-        edits: Edits,
-        columns: Collection[str],
-        moved: Collection[str],
-    ) -> None:
-        self._function = function
-        self._contexts = contexts
-        self._session = session
-        self._edits = edits
-        self._columns = columns
-        self._moved = moved
-        self._rows = dict(self._row_variables())
-        returned = (node.value for node in nodes(function, ast.Return))
-        self._returned = {node.id for node in returned if isinstance(node, ast.Name)}
+    _function: ast.FunctionDef | ast.Lambda
+    _contexts: Collection[str]
+    _file: ConvertedFile
+    _columns: Collection[str]
+    _moved: Collection[str]
+    _rows: dict[str, str] = field(default_factory=dict)
+    _returned: set[str] = field(default_factory=set)
 
-    def converted(self) -> Iterator[Finding]:
+    def __post_init__(self) -> None:
+        self._rows |= self._row_variables()
+        returned = (node.value for node in nodes(self._function, ast.Return))
+        self._returned |= {node.id for node in returned if isinstance(node, ast.Name)}
+
+    def findings(self) -> Iterator[Finding]:
         """Convert every use of the context, and of a variable that holds the row."""
         for node in ast.walk(self._function):
             match node:
@@ -151,53 +139,51 @@ class _Function:
                 case ast.Call(func=ast.Attribute(value=row, attr="get"), args=[ast.Constant(value="__run_id"), *_]) if (
                     self._context_of(row)
                 ):
-                    self._edits.replace(node, f"{self._context_of(row)}.run_id")
+                    self._file.edits.replace(node, f"{self._context_of(row)}.run_id")
                 case ast.Subscript(value=row, slice=ast.Constant(value=str(key))) if self._context_of(row):
                     self._convert_cell(node, row, key)
                 case ast.Attribute(value=owner) if self._is_context(owner):
                     yield from self._convert_attribute(node, ast.unparse(owner))
                 case ast.Return(value=ast.Name(id=name)) if name in self._rows:
                     combination = f"{self._rows[name]}.combination"
-                    self._edits.replace(
+                    self._file.edits.replace(
                         node, f"return {{name: value for name, value in {name}.items() if name not in {combination}}}"
                     )
-                case _:
-                    pass
 
     def _convert_attribute(self, node: ast.Attribute, context: str) -> Iterator[Finding]:
         if node.attr in self._moved:
-            self._edits.replace(node, f"self.{node.attr}")
+            self._file.edits.replace(node, f"self.{node.attr}")
         elif isinstance(node.ctx, ast.Store):
             fix = f"Keep it in self.{node.attr} or under another name there, then convert the file."
             yield self._lacking(node, "a context takes no attributes of your own here", fix)
         elif node.attr in _ATTRIBUTES:
-            self._edits.replace(node, f"{context}.{_ATTRIBUTES[node.attr]}")
+            self._file.edits.replace(node, f"{context}.{_ATTRIBUTES[node.attr]}")
         elif node.attr in _ROWS:
-            self._edits.replace(node, f"dict({context}.combination)")
+            self._file.edits.replace(node, f"dict({context}.combination)")
 
     def _convert_writing(self, node: ast.Assign, cell: ast.Subscript) -> Iterator[Finding]:
         row, context = cell.value, self._context_of(cell.value)
         match cell.slice:
             case ast.Constant(value=str(key)) if key in self._columns and self._is_row(row):
-                start, end = self._edits.start_of(node), self._edits.start_of(node.value)
-                self._edits.replace_span(start, end, f"{context}.publish({key!r}, ")
-                self._edits.insert(self._edits.end_of(node.value), ")")
+                start, end = self._file.edits.start_of(node), self._file.edits.start_of(node.value)
+                self._file.edits.replace_span(start, end, f"{context}.publish({key!r}, ")
+                self._file.edits.insert(self._file.edits.end_of(node.value), ")")
             case ast.Constant(value=str(key)) if key in self._columns and ast.unparse(row) not in self._returned:
                 # The variable holds a copy of the row here, which is read as before.
-                self._edits.insert(self._edits.end_of(node), f"; {context}.publish({key!r}, {ast.unparse(cell)})")
+                self._file.edits.insert(
+                    self._file.edits.end_of(node), f"; {context}.publish({key!r}, {ast.unparse(cell)})"
+                )
             case _ if self._is_row(row):
                 yield self._lacking(node, "it writes into the row of the run table what is in none of the data columns")
-            case _:
-                pass
 
     def _convert_cell(self, node: ast.Subscript, row: ast.expr, key: str) -> None:
         if key == _RUN_ID:
-            self._edits.replace(node, f"{self._context_of(row)}.run_id")
+            self._file.edits.replace(node, f"{self._context_of(row)}.run_id")
         elif self._is_row(row):
-            self._edits.replace(row, f"{self._context_of(row)}.combination")
+            self._file.edits.replace(row, f"{self._context_of(row)}.combination")
 
     def _lacking(self, node: ast.expr | ast.stmt, problem: str, fix: str = _BY_HAND) -> Finding:
-        return Finding.error(f"{self._session.path}:{node.lineno}", problem, fix)
+        return Finding.error(f"{self._file.path}:{node.lineno}", problem, fix)
 
     def _row_variables(self) -> Iterator[tuple[str, str]]:
         """Yield the variables that hold the row, each with the context that it is from."""
@@ -205,8 +191,6 @@ class _Function:
             match node.targets:
                 case [ast.Name(id=name)] if self._is_row(node.value):
                     yield name, self._context_of(node.value)
-                case _:
-                    pass
 
     def _is_context(self, node: ast.expr) -> bool:
         return isinstance(node, ast.Name | ast.Attribute) and ast.unparse(node) in self._contexts

@@ -16,6 +16,7 @@ from robot_runner.legacy.conversion.bases import (
     Inherited,
     base_files,
     convert_base_imports,
+    earlier_import_in,
     imported_files,
     load_apart,
     name_whole_modules,
@@ -32,20 +33,18 @@ from robot_runner.legacy.conversion.callbacks import (
     taken_over,
     write_values_as_text,
 )
-from robot_runner.legacy.conversion.clashing_names import rename_clashing
 from robot_runner.legacy.conversion.contexts import convert_contexts
 from robot_runner.legacy.conversion.earlier_imports import (
-    ConvertedImports,
-    Taking,
+    ConvertedFile,
     convert_imports,
     convert_names,
     modules_beside,
 )
-from robot_runner.legacy.conversion.names import convert_parameters, convert_run_tables
+from robot_runner.legacy.conversion.names import convert_parameters, convert_run_tables, rename_clashing
 from robot_runner.legacy.earlier_experiment import EarlierExperiment
-from robot_runner.legacy.recognition import Recognised, is_earlier_import, recognise
+from robot_runner.legacy.recognition import Recognised, recognise
 from robot_runner.legacy.session import active_session
-from robot_runner.legacy.syntax import Edits, classes_of, imports_of, names_of_types, nodes, used_names
+from robot_runner.legacy.syntax import Edits, classes_of, nodes
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
@@ -53,34 +52,22 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.legacy.session import Session
-    from robot_runner.legacy.syntax import ImportedName
 
 
 def check_neighbours(experiment: Experiment, tree: ast.Module, written: Collection[str | Path]) -> Iterator[Finding]:
-    """Yield which modules that the config imports are written for the earlier tool themselves: they come first.
+    """Yield which modules that a config imports are written for the earlier tool themselves: they come first.
 
-    Args:
-        experiment: of the config.
-        tree: of the config.
-        written: the files that are converted with it, or their names.
+    Those that are `written`, files or their names, are converted with it.
     """
     modules = {*experiment.local_modules, *imported_files(tree)}
     for module in sorted(each for each in modules if not {each, each.name} & set(written)):
-        for each in _imports_in(module):
-            if is_earlier_import(each.module):
-                yield Finding.error(
-                    f"{module}:{each.line}",
-                    f"the config imports this module, which imports {each.module} of the earlier tool",
-                    "Write this line with robot_runner, or put what is needed into the config.",
-                )
-                break
-
-
-def _imports_in(module: Path) -> tuple[ImportedName, ...]:
-    try:
-        return imports_of(read_tree(module)[1])
-    except ConfigError:  # it is compiled, or in another encoding: Python read it in another way
-        return ()
+        found = earlier_import_in(module)
+        if found is not None:
+            yield Finding.error(
+                f"{module}:{found.line}",
+                f"the config imports this module, which imports {found.module} of the earlier tool",
+                "Write this line with robot_runner, or put what is needed into the config.",
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +150,7 @@ class _Chain:
             text, tree = read_tree(file)
             name_whole_modules(tree, base_class)
             self._convert_base(Recognised(dialect, file, text, tree), base_class, set(bases))
-        text = self._convert(self._recognised, config_class, self._experiment, set(bases)).text()
+        text = self._convert(self._recognised, config_class, self._experiment, set(bases)).text
         if any(finding.is_error for finding in self._findings):
             raise ConfigError.of_findings([finding for finding in self._findings if finding.is_error])
         said = tuple(dict.fromkeys([*self._findings, *findings]))
@@ -181,7 +168,7 @@ class _Chain:
         gained = self._inherited(file, base_class).gained_by(recognised.tree)
         base = BaseFile(new, self._folder is None, converting.classes(), gained)
         self._parts[file] = Inherited.of_base(file, base, converting.config, converting.members)
-        self._texts[new] = converting.text()
+        self._texts[new] = converting.text
 
     def _convert(
         self, recognised: Recognised, config_class: type, experiment: Experiment, bases: set[Path]
@@ -190,8 +177,8 @@ class _Chain:
         with experiment.config.executing_nothing() as session:
             converting = _Converting(recognised, config_class.__name__, session, experiment, inherited)
             converting.convert()
-        self._beside |= converting.imports.beside | modules_beside(recognised.path, imported_files(recognised.tree))
-        self._findings += converting.imports.findings
+        self._beside |= converting.file.beside | modules_beside(recognised.path, imported_files(recognised.tree))
+        self._findings += converting.file.findings
         self._findings += check_neighbours(self._experiment, recognised.tree, {*self._beside, *bases})
         return converting
 
@@ -214,22 +201,23 @@ class _Converting:
     """One file.
 
     Attributes:
-        imports: what its imports become.
+        file: what it becomes.
         config: its config class, as it was.
         class_name: what that is called now.
         members: the new names of its methods.
+        text: with all changes, once it is converted.
     """
 
     def __init__(
         self, recognised: Recognised, class_name: str, session: Session, experiment: Experiment, inherited: Inherited
     ) -> None:
-        self._recognised = recognised
         self._session = session
         self._experiment = experiment
         self._inherited = inherited
         self._tree = recognised.tree
         self._edits = Edits(recognised.text)
-        self.imports = ConvertedImports()
+        self.text = ""
+        self.file = ConvertedFile(recognised.path, recognised.tree, self._edits)
         config = classes_of(self._tree).get(class_name)
         if config is None:
             raise ConfigError(
@@ -242,55 +230,49 @@ class _Converting:
         self._callbacks = named_callbacks(session, config, inherited)
         self.members = self._callbacks.renamed | {"create_run_table_model": "create_run_table"}
 
-    def text(self) -> str:
-        """Return the text with all changes."""
-        return self._edits.applied()
-
     def classes(self) -> dict[str, str]:
         """Return what the config classes in the file are called now, its own and those that it imports."""
-        imported = {name: self.imports.names.get(name, name) for name in self.imports.classes if name.isidentifier()}
+        imported = {name: self.file.names.get(name, name) for name in self.file.classes if name.isidentifier()}
         return imported | {self.config.name: self.class_name}
 
     def convert(self) -> None:
-        """Gather the changes."""
-        config, callbacks, where = self.config, self._callbacks, f"{self._recognised.path}:{self.config.lineno}"
-        convert_decorators(where, self._tree, config, self.imports, self._edits)
-        used, types = used_names(self._tree), names_of_types(self._tree)
-        taking = Taking(self._recognised.path, self.imports, used, types)
-        lines = convert_imports(self._tree, taking, self._edits)
-        lines += convert_base_imports(self._tree, self._inherited, taking, self._edits)
-        self.imports.findings += rename_clashing(self._session, self._tree, self.imports, self._edits)
-        self.imports.findings += taken_over(where, config, callbacks, self._inherited)
+        """Make the text."""
+        config, callbacks = self.config, self._callbacks
+        convert_decorators(self.file, config)
+        lines = [*convert_imports(self.file), *convert_base_imports(self.file, self._inherited)]
+        self.file.findings += rename_clashing(self._session, self.file)
+        where = f"{self.file.path}:{config.lineno}"
+        self.file.findings += taken_over(where, config, callbacks, self._inherited)
         self._rename_class(config)
         if callbacks.is_by_name:
             gone = {id(node) for each in remove_subscriptions(config, self._edits) for node in ast.walk(each)}
-            left = {self.imports.names.get(node.id) for node in nodes(self._tree, ast.Name) if id(node) not in gone}
-            self.imports.ours -= {"EventSubscriptionController", "RobotRunnerEvents"} - left
+            left = {self.file.names.get(node.id) for node in nodes(self._tree, ast.Name) if id(node) not in gone}
+            self.file.ours -= {"EventSubscriptionController", "RobotRunnerEvents"} - left
         convert_rows_of_before_run(config, self._session, self._edits)
         write_values_as_text(config, self._session, self._edits)
         convert_continue(config, callbacks, self._inherited, self._edits)
         leave_unheard(config, callbacks, self._inherited, self._edits)
         columns = self._experiment.columns.names
-        self.imports.findings += convert_contexts(self._tree, self._session, self._edits, columns)
+        self.file.findings += convert_contexts(self.file, self._session, columns)
         self._rename_members(config)
-        convert_run_tables(self._session, self._tree, self.imports, self._edits)
-        convert_names(self._tree, self._recognised.path, self.imports, self._edits)
+        convert_run_tables(self._session, self.file)
+        convert_names(self.file)
         convert_lists_of_callbacks(config, self._edits)
         convert_parameters(config, self._experiment.parameters.results_output_path, self._edits)
-        self._edits.insert(self._edits.line_start(min(lines, default=1)), self.imports.lines())
+        self.text = self.file.text_with_imports(lines)
 
     def _rename_class(self, config: ast.ClassDef) -> None:
         start = self._edits.find("class", self._edits.line_start(config.lineno))
         arguments = [*config.bases, *config.keywords]
         header_end = self._edits.find(":", max([start, *(self._edits.end_of(each) for each in arguments)]))
         own = [self._edits.edited(each) for each in arguments]
-        parents = [self.imports.names.get(each, each) for each in own]
+        parents = [self.file.names.get(each, each) for each in own]
         parents = [each for each in parents if each != "ExperimentConfig"]
         if not self._inherited.files:  # which derive from it
             parents.insert(0, "ExperimentConfig")
-            self.imports.ours.add("ExperimentConfig")
+            self.file.ours.add("ExperimentConfig")
         self._edits.replace_span(start, header_end, f"class {self.class_name}({', '.join(parents)})")
-        self.imports.names[config.name] = self.class_name
+        self.file.names[config.name] = self.class_name
 
     def _rename_members(self, config: ast.ClassDef) -> None:
         names = {**self.members, "name": "experiment_name"}
@@ -300,26 +282,18 @@ class _Converting:
                 self._edits.replace_span(start, start + len(node.name.encode()), names[node.name])
         owners = self._owners(config)
         for member in nodes(config, ast.Attribute):
-            match member.value:
-                case ast.Name() | ast.Attribute() as owner if ast.unparse(owner) in owners:
-                    pass
-                case ast.Call(func=ast.Name(id="super")):
-                    pass
-                case _:
-                    continue
-            if member.attr in names:
+            is_super = isinstance(member.value, ast.Call) and ast.unparse(member.value.func) == "super"
+            if member.attr in names and (is_super or ast.unparse(member.value) in owners):
                 end = self._edits.end_of(member.value)
                 self._edits.replace_span(end, self._edits.end_of(member), f".{names[member.attr]}")
 
     def _owners(self, config: ast.ClassDef) -> set[str]:
         """Return by what the members of the class, and of those that it derives from, are reached."""
-        owners = {"self", "cls", config.name, *self.imports.classes}
+        owners = {"self", "cls", config.name, *self.file.classes}
         for node in self._tree.body:
             match node:
                 case ast.Assign(targets=[ast.Name(id=name)], value=value) if ast.unparse(value) in owners:
                     owners.add(name)
-                case _:
-                    pass
         return owners
 
 

@@ -15,7 +15,7 @@ from robot_runner.legacy.stand_ins.modules import MODULES
 from robot_runner.legacy.syntax import Edits, attributes_of, imports_of, names_of_types, nodes, used_names
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Iterable
     from pathlib import Path
 
 _WIDTH = 120
@@ -44,10 +44,13 @@ _KEPT = "robot_runner.plugins.earlier"
 
 
 @dataclass(slots=True)
-class ConvertedImports:
-    """What the imports of a file become.
+class ConvertedFile:
+    """What a file becomes.
 
     Attributes:
+        path: where it is now.
+        tree: its syntax tree, as far as it is converted by changes to its text.
+        edits: these changes.
         names: the new name of each name that the file imports.
         outputs: the names under which the file prints.
         events: the names under which it has the events.
@@ -58,6 +61,9 @@ class ConvertedImports:
         findings: what has no counterpart.
     """
 
+    path: Path
+    tree: ast.Module
+    edits: Edits
     names: dict[str, str] = field(default_factory=dict)
     outputs: set[str] = field(default_factory=set)
     events: set[str] = field(default_factory=set)
@@ -67,7 +73,7 @@ class ConvertedImports:
     beside: dict[str, str] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
 
-    def lines(self) -> str:
+    def import_lines(self) -> str:
         """Return the import lines that take the place of the earlier tool's."""
         ours = sorted(self.ours, key=str.casefold)
         block = f"from robot_runner import {', '.join(ours)}\n"
@@ -76,61 +82,52 @@ class ConvertedImports:
         others = [f"from {home} import {', '.join(sorted(names))}\n" for home, names in sorted(self.profilers.items())]
         return (block if ours else "") + "".join(others)
 
+    def text_with_imports(self, lines: list[int]) -> str:
+        """Return the text with all changes; the new imports stand where the first of these lines is."""
+        self.edits.insert(self.edits.line_start(min(lines, default=1)), self.import_lines())
+        return self.edits.applied()
 
-@dataclass(frozen=True, slots=True)
-class Taking:
-    """Takes over what a file uses of the earlier tool.
+    def refuse(self, line: int, problem: str, fix: str) -> None:
+        """Refuse what stands in a line."""
+        self.findings.append(Finding.error(f"{self.path}:{line}", problem, fix))
 
-    Attributes:
-        path: the file.
-        converted: what its imports become.
-        used: the names that it uses, apart from those in annotations.
-        types: those in its annotations.
-    """
-
-    path: Path
-    converted: ConvertedImports
-    used: Collection[str]
-    types: Collection[str]
+    def refuse_whole_module(self, line: int, problem: str) -> None:
+        """Refuse what is not imported by its name."""
+        self.refuse(line, problem, "Import its names: from ... import ...")
 
     def take(self, line: int, module: str, alias: ast.alias) -> None:
         """Take over a name that the file has of one of the tool's modules; one that it does not use is left out."""
         bound = alias.asname or alias.name
-        if alias.name == "*" or bound in self.used or (bound in self.types and alias.name in _OURS):
-            if not _take_from_clone(self.converted, self.path, module, alias):
-                _take(self.converted, f"{self.path}:{line}", module, alias.name, bound)
-        elif bound in self.types:
-            self.converted.names[bound] = _ANYTHING
-
-    def refuse(self, line: int, problem: str) -> None:
-        """Refuse what is not imported by its name."""
-        self.converted.findings.append(
-            Finding.error(f"{self.path}:{line}", problem, "Import its names: from ... import ...")
-        )
+        types = names_of_types(self.tree)
+        if alias.name == "*" or bound in used_names(self.tree) or (bound in types and alias.name in _OURS):
+            if not _take_from_clone(self, module, alias):
+                _take(self, line, module, alias.name, bound)
+        elif bound in types:
+            self.names[bound] = _ANYTHING
 
 
-def convert_imports(tree: ast.Module, taking: Taking, edits: Edits) -> list[int]:
-    """Remove the earlier tool's import lines; the new ones are put in place by `ConvertedImports.lines`.
+def convert_imports(converted: ConvertedFile) -> list[int]:
+    """Remove the earlier tool's import lines; the new ones are put in place by `ConvertedFile.import_lines`.
 
     Returns the lines where they were.
     """
     lines = []
-    for node in nodes(tree, ast.ImportFrom):
+    for node in nodes(converted.tree, ast.ImportFrom):
         if not node.module or not is_earlier_import(node.module):
             continue
         for alias in node.names:
-            taking.take(node.lineno, node.module, alias)
-        edits.remove_lines(node.lineno, node.end_lineno or node.lineno)
+            converted.take(node.lineno, node.module, alias)
+        converted.edits.remove_lines(node.lineno, node.end_lineno or node.lineno)
         lines.append(node.lineno)
-    for imported in nodes(tree, ast.Import):
+    for imported in nodes(converted.tree, ast.Import):
         if any(is_earlier_import(alias.name) for alias in imported.names):
-            taking.refuse(imported.lineno, "a module of the earlier tool is imported as a whole")
+            converted.refuse_whole_module(imported.lineno, "a module of the earlier tool is imported as a whole")
     return lines
 
 
-def _take(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> None:
+def _take(converted: ConvertedFile, line: int, module: str, name: str, bound: str) -> None:
     if plugin_of(f"{module}.{name}") is not None:
-        converted.findings += _take_profiler(converted, where, module, name, bound)
+        _take_profiler(converted, line, module, name, bound)
     elif name == _OUTPUT:
         converted.outputs.add(bound)
     elif name in _OURS:
@@ -139,16 +136,16 @@ def _take(converted: ConvertedImports, where: str, module: str, name: str, bound
         if _OURS[name] == "RobotRunnerEvents":
             converted.events.add(bound)
     else:
-        converted.findings.append(Finding.error(where, *_without_counterpart(module, name)))
+        converted.refuse(line, *_without_counterpart(module, name))
 
 
-def _take_from_clone(converted: ConvertedImports, config: Path, module: str, alias: ast.alias) -> bool:
+def _take_from_clone(converted: ConvertedFile, module: str, alias: ast.alias) -> bool:
     """Have a plugin of the clone's own stand beside the config; returns whether that can be.
 
     It cannot where the tool itself had such a module, or where the plugin imports more of the tool than profilers that
     are kept.
     """
-    file = clone_around(config).file_of(module)
+    file = clone_around(converted.path).file_of(module)
     if file is None or module in MODULES or alias.name == "*":
         return False
     text = _converted_module(file, converted.beside)
@@ -181,23 +178,19 @@ def modules_beside(config: Path, imported: Iterable[Path]) -> dict[str, str]:
 def _converted_module(file: Path, beside: dict[str, str]) -> str | None:
     """Return the text of a clone's own module with public imports, or None where it needs the tool.
 
-    Args:
-        file: of the module.
-        beside: takes the modules of the clone that this one needs.
+    `beside` takes the modules of the clone that this one needs.
     """
     try:
         text = file.read_text(encoding="utf-8")
-        tree = ast.parse(text)
+        converted = ConvertedFile(file, ast.parse(text), Edits(text))
     except (SyntaxError, ValueError, OSError):
         return None
-    edits, converted = Edits(text), ConvertedImports()
-    lines = convert_imports(tree, Taking(file, converted, used_names(tree), names_of_types(tree)), edits)
-    convert_names(tree, file, converted, edits)
+    lines = convert_imports(converted)
+    convert_names(converted)
     if converted.ours or any(finding.is_error for finding in converted.findings):
         return None
-    edits.insert(edits.line_start(min(lines, default=1)), converted.lines())
     beside |= converted.beside
-    return edits.applied()
+    return converted.text_with_imports(lines)
 
 
 #: The events that have another name here.
@@ -209,8 +202,9 @@ _RENAMED_EVENTS = {
 }
 
 
-def convert_names(tree: ast.Module, path: Path, converted: ConvertedImports, edits: Edits) -> None:
+def convert_names(converted: ConvertedFile) -> None:
     """Rename what a file has of the earlier tool, wherever it uses it; what it printed through the tool, it prints."""
+    tree, edits = converted.tree, converted.edits
     prints = set()
     for call in nodes(tree, ast.Call):
         match call.func:
@@ -221,13 +215,10 @@ def convert_names(tree: ast.Module, path: Path, converted: ConvertedImports, edi
                 edits.replace_span(edits.start_of(call), edits.start_of(call.args[0]), "print(")
                 edits.replace_span(end, edits.end_of(call), ")")
                 prints.add(call.func)
-            case _:
-                pass
     for owner, used in attributes_of(tree, converted.outputs):
         if used not in prints and hasattr(OutputProcedure, used.attr):
-            problem = f"{owner.id}.{used.attr} has no counterpart here"
             fix = "Write this part by hand (`input` asks the user), then convert the file."
-            converted.findings.append(Finding.error(f"{path}:{used.lineno}", problem, fix))
+            converted.refuse(used.lineno, f"{owner.id}.{used.attr} has no counterpart here", fix)
     for _, event in attributes_of(tree, converted.events):
         if event.attr in _RENAMED_EVENTS:
             edits.replace(event, f"RobotRunnerEvents.{_RENAMED_EVENTS[event.attr]}")
@@ -247,22 +238,20 @@ def _without_counterpart(module: str, name: str) -> tuple[str, str]:
     )
 
 
-def _take_profiler(converted: ConvertedImports, where: str, module: str, name: str, bound: str) -> Iterator[Finding]:
+def _take_profiler(converted: ConvertedFile, line: int, module: str, name: str, bound: str) -> None:
     plugin = plugin_of(f"{module}.{name}")
     ours = plugin.ours if plugin is not None else ""
     attribute = MODULES.get(module, {}).get(name, "").partition(":")[2]
     if not _is_kept(module, name):
         instead = f"List our {ours} in `plugins` instead." if ours else "Measure by hand."
-        yield Finding.error(where, f"{name} cannot be used outside a config of the earlier tool", instead)
+        converted.refuse(line, f"{name} cannot be used outside a config of the earlier tool", instead)
         return
     imported = attribute if attribute == bound else f"{attribute} as {bound}"
     converted.profilers.setdefault(_KEPT, set()).add(imported)
     if ours:
-        yield Finding.warning(
-            where,
-            f"{name} is kept as it was, with its own calls",
-            f"List our {ours} in `plugins` instead: it starts, stops and publishes by itself.",
-        )
+        problem = f"{name} is kept as it was, with its own calls"
+        fix = f"List our {ours} in `plugins` instead: it starts, stops and publishes by itself."
+        converted.findings.append(Finding.warning(f"{converted.path}:{line}", problem, fix))
 
 
 def _is_kept(module: str, name: str) -> bool:

@@ -6,14 +6,17 @@ import ast
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.legacy.earlier_exclusions import EarlierFactor, NamedExclusion, named_exclusions
+from robot_runner.legacy.run_tables import named_columns
 from robot_runner.legacy.syntax import nodes, walk_bodies
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from robot_runner.legacy.conversion.earlier_imports import ConvertedImports
+    from robot_runner.legacy.conversion.earlier_imports import ConvertedFile
     from robot_runner.legacy.session import Session
     from robot_runner.legacy.syntax import Edits
 
@@ -26,13 +29,7 @@ _PATH_PROPERTY = '''
 
 
 def convert_parameters(config: ast.ClassDef, results: Path, edits: Edits) -> None:
-    """Rename the static parameters of a config class, wherever its body uses them.
-
-    Args:
-        config: the class.
-        results: where the earlier tool kept results.
-        edits: takes the changes.
-    """
+    """Rename the static parameters of a config class, wherever its body uses them; `results` is where they went."""
     is_asked = any(node.attr == "experiment_path" for node in nodes(config, ast.Attribute))
     for statement in walk_bodies(config.body):
         _rename_reads_of_name(statement, edits)
@@ -98,21 +95,20 @@ _CALLS = {
 }
 
 
-def convert_run_tables(session: Session, tree: ast.Module, imports: ConvertedImports, edits: Edits) -> None:
+def convert_run_tables(session: Session, converted: ConvertedFile) -> None:
     """Convert every call that makes a run table or asks one."""
+    tree, edits = converted.tree, converted.edits
     for call in nodes(tree, ast.Call):
         match call.func:
-            case ast.Name(id=name) if imports.names.get(name) == "RunTableModel":
+            case ast.Name(id=name) if converted.names.get(name) == "RunTableModel":
                 _convert_model(session, call, edits)
                 if _vary(call, edits):
-                    imports.ours.add("Factor")
-            case ast.Name(id=name) if imports.names.get(name) == "Factor":
+                    converted.ours.add("Factor")
+            case ast.Name(id=name) if converted.names.get(name) == "Factor":
                 for start in (edits.start_of(each) for each in call.keywords if each.arg == _FACTOR_NAME):
                     edits.replace_span(start, start + len(_FACTOR_NAME), "name")
             case ast.Attribute(value=owner, attr=name) if name in _CALLS and not call.args and not call.keywords:
                 edits.replace_span(edits.end_of(owner), edits.end_of(call), _CALLS[name])
-            case _:
-                pass
     for node in nodes(tree, ast.Attribute):
         if node.attr == _FACTOR_NAME:
             edits.replace_span(edits.end_of(node.value), edits.end_of(node), ".name")
@@ -211,3 +207,66 @@ def _in_our_words(named: NamedExclusion, factors: Sequence[EarlierFactor]) -> st
         return "{" + ", ".join(parts) + "}"
     values = "{" + ", ".join(map(repr, named.values)) + "}" if named.values else "set()"
     return f"lambda combination: {values} <= set(combination.values())"
+
+
+# Factors and measures that cannot keep their names, as the run table has columns of ours that are called so.
+
+_ROWS = ("run_variation", "execute_run")
+_MODELS = ("RunTableModel", "Factor")
+
+
+def rename_clashing(session: Session, converted: ConvertedFile) -> Iterator[Finding]:
+    """Rename such columns where the run table is made, where a row is read, and where measures are returned."""
+    model = session.models[-1] if session.models else None
+    if model is None:
+        return
+    columns = [*(factor.factor_name for factor in model.get_factors()), *model.get_data_columns()]
+    clashing = {name: ours for name, ours in named_columns(columns).items() if name != ours}
+    for constant in _names_of_columns(session, converted) if clashing else ():
+        if constant.value in clashing:
+            converted.edits.replace(constant, repr(clashing[constant.value]))
+    for name, ours in clashing.items():
+        bare = str(name).strip()
+        why = "no heading has blanks around it" if ours == bare else f"the run table has one of ours called {bare!r}"
+        problem = f"the column {name!r} is called {ours!r} now: {why}"
+        yield Finding.warning(session.path.name, problem, "Read it under this name in your analysis.")
+
+
+def _names_of_columns(session: Session, converted: ConvertedFile) -> Iterator[ast.Constant]:
+    """Yield the texts of a config that name columns."""
+    populating = session.callbacks_of(RobotRunnerEvents.POPULATE_RUN_DATA)
+    for call in nodes(converted.tree, ast.Call):
+        if isinstance(call.func, ast.Name) and converted.names.get(call.func.id) in _MODELS:
+            yield from _texts_in(call)
+    for function in nodes(converted.tree, ast.FunctionDef):
+        if function.name in populating:
+            yield from _keys_in(function)
+    for row in nodes(converted.tree, ast.Subscript):
+        if isinstance(row.value, ast.Attribute) and row.value.attr in _ROWS and isinstance(row.slice, ast.Constant):
+            yield row.slice
+
+
+def _texts_in(call: ast.Call) -> Iterator[ast.Constant]:
+    """Yield the name of a factor, and those of the data columns."""
+    for argument in (*call.args, *(keyword.value for keyword in call.keywords if keyword.arg != "treatments")):
+        listed = argument.elts if isinstance(argument, ast.List | ast.Tuple) else [argument]
+        is_second = argument in call.args[1:2]  # of a factor, the treatments
+        yield from (each for each in listed if isinstance(each, ast.Constant) and not is_second)
+
+
+def _keys_in(function: ast.FunctionDef) -> Iterator[ast.Constant]:
+    """Yield the keys of what a callback returns: of mappings that it writes down, and of those that it fills."""
+    for mapping in nodes(function, ast.Dict):
+        yield from (key for key in mapping.keys if isinstance(key, ast.Constant))
+    filled = set[str]()
+    for node in ast.walk(function):
+        match node:
+            case (
+                ast.Assign(targets=[ast.Name(id=name)], value=ast.Dict())
+                | ast.AnnAssign(target=ast.Name(id=name), value=ast.Dict())
+            ):
+                filled.add(name)
+    for cell in nodes(function, ast.Subscript):
+        is_read_again = isinstance(cell.value, ast.Name) and cell.value.id in filled
+        if isinstance(cell.slice, ast.Constant) and (isinstance(cell.ctx, ast.Store) or is_read_again):
+            yield cell.slice

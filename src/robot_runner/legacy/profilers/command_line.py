@@ -5,6 +5,7 @@ Each names its program, the parameters that the program has, and where the sampl
 
 from __future__ import annotations
 
+import math
 import plistlib
 import re
 import shlex
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from robot_runner.legacy.profilers.data_source import CLISource, ParameterDict
 from robot_runner.legacy.profilers.programs import Table, read_table
 from robot_runner.legacy.session import warn_of_run
+from robot_runner.meters.command_meters import parse_energibridge
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -204,9 +206,16 @@ class EnergiBridge(CLISource):
         return printed
 
     def generate_summary(self) -> str:
-        """Return a summary computed from the log: the counter's last value less its first."""
-        log = self.parse_log(self.logfile)
-        seconds, joules = _growth(log, "Time") / 1000, _growth(log, "PACKAGE_ENERGY (J)")
+        """Return a summary computed from the log, as our own plugin reads it; NaN for what the log does not tell."""
+        rows = list(filter(None, parse_energibridge(Path(self.logfile).read_text(encoding="utf-8").splitlines())))
+        told = [float(joules) for row in rows if (joules := row["energy_J"]) is not None]
+        times = [float(row["Time"] or math.nan) for row in rows]
+        joules = told[-1] if len(told) > 1 else math.nan
+        if math.isnan(joules):
+            warn_of_run(
+                "the log of EnergiBridge tells no energy", fix="See that it may read the processor's registers."
+            )
+        seconds = (times[-1] - times[0]) / 1000 if times else math.nan
         return f"Energy consumption in joules: {joules} for {seconds} sec of execution"
 
     def _format_cmd(self) -> str:
@@ -219,14 +228,9 @@ class EnergiBridge(CLISource):
         if not summary_logfile:
             return log
         text = Path(summary_logfile).read_text(encoding="utf-8")
-        numbers = [float(each) for each in re.findall(r"[0-9]+(?:\.[0-9]+)?", text)]
+        numbers = [float(each) for each in re.findall(r"\bnan\b|[0-9]+(?:\.[0-9]+)?", text)]
         keys = ("total_joules", "runtime_seconds")
         return log, dict(zip(keys, numbers, strict=True)) if len(numbers) == len(keys) else text
-
-
-def _growth(log: Table, column: str) -> float:
-    values = [value for value in log.get(column, {}).values() if isinstance(value, int | float)]
-    return float(values[-1] - values[0]) if values else 0.0
 
 
 class PowerMetrics(CLISource):

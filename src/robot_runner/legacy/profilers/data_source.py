@@ -6,6 +6,7 @@ Configs and forks derive profilers of their own from these classes, so attribute
 from __future__ import annotations
 
 import platform
+import shlex
 import shutil
 import threading
 from abc import ABC, abstractmethod
@@ -178,7 +179,7 @@ class CLISource(DataSource):
         for name, value in self.args.items():
             words.append(name)
             if value is not None:
-                words.append(_shown(value))
+                words.append(shlex.quote(_shown(value)))
         return " ".join(words)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import functools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,8 @@ from robot_runner.meters.codecarbon import started_tracker, stop_tracker
 _PREFIX = "codecarbon__"
 _EMISSIONS = "__co2_emissions"
 _TRACKER = "__emission_tracker__"
+#: What was written last before the run: a config may have all runs write into one file.
+_BEFORE = "__emissions_before__"
 
 Method = Callable[..., Any]
 
@@ -63,7 +65,9 @@ def start_emission_tracker(*arguments: Any, online: bool = False, **settings: An
         @functools.wraps(method)
         def started(self: Any, context: Any) -> Any:
             given = {"project_name": self.name, "output_dir": str(context.run_dir.resolve())} | settings
-            setattr(self, _TRACKER, started_tracker(kind, *arguments, **given))
+            tracker = started_tracker(kind, *arguments, **given)
+            setattr(self, _TRACKER, tracker)
+            setattr(self, _BEFORE, _last_row(tracker))
             return method(self, context)
 
         return started
@@ -95,7 +99,7 @@ def populate_data_columns(method: Method) -> Method:
     @functools.wraps(method)
     def populated(self: Any, context: Any) -> Any:
         data = dict(method(self, context) or {})
-        measured = _measured(getattr(self, _TRACKER))
+        measured = _measured(getattr(self, _TRACKER), getattr(self, _BEFORE))
         for name in self.run_table_model.get_data_columns():
             if name.startswith(_PREFIX) and measured:
                 data[name] = float(measured[name.removeprefix(_PREFIX)])
@@ -105,14 +109,22 @@ def populate_data_columns(method: Method) -> Method:
     return populated
 
 
-def _measured(tracker: Any) -> dict[str, str]:
-    """Return what a tracker wrote last; nothing, with a warning to the user, where it could not measure."""
+def _measured(tracker: Any, before: Mapping[str, str]) -> Mapping[str, str]:
+    """Return what a tracker wrote; nothing, with a warning to the user, where it could not measure."""
+    row = _last_row(tracker)
+    if row and row != before:
+        return row
+    problem = "CodeCarbon measured nothing: it wrote no emissions.csv, or nothing into it"
+    warn_of_run(problem, fix="Look into the run's log for why.")
+    return {}
+
+
+def _last_row(tracker: Any) -> dict[str, str]:
     file = Path(tracker._output_dir) / tracker._output_file  # noqa: SLF001 - there is no public attribute
     if not file.exists():
-        warn_of_run("CodeCarbon measured nothing: it wrote no emissions.csv", fix="Look into the run's log for why.")
         return {}
     with file.open(newline="", encoding="utf-8") as rows:
-        return list(csv.DictReader(rows))[-1]
+        return [{}, *csv.DictReader(rows)][-1]
 
 
 def add_co2_data_column(method: Method) -> Method:

@@ -201,6 +201,8 @@ class NvidiaML(DeviceSource):
         super().log()
         library().nvmlInit()
         self.device_handle = self._handle()
+        # The driver has kept some from before: those of the last seconds.
+        self._latest = {each.name: time.time_ns() // 1000 for each in self.measurements["samples"]}
         read: dict[str, list[Any]] = {each.name: [] for kind in self.measurements.values() for each in kind}
         while not self.stop_thread.is_set():
             for name, value in self.measure().items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import math
 import time
 from datetime import datetime
 from enum import Enum
@@ -152,7 +153,7 @@ class PicoCM3:
         raw = ctypes.c_uint32()
         status = _library().PLCM3GetValue(self.handle, ctypes.c_uint32(channel), ctypes.byref(raw))
         if status == _NO_SAMPLES:
-            return 0.0, ""
+            return math.nan, ""
         _check("PLCM3GetValue", status)
         return self.apply_scaling(raw.value, self.channel_settings[channel])
 

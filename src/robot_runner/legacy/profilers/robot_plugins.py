@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import filecmp
+import math
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -52,8 +54,15 @@ class INA219Profiler:
             return list(csv.reader(file))
 
     def move_data_file_to_run_folder(self, context: Any, file_name: str) -> None:
-        """Copy the card's file into the run's folder."""
-        copyfile(self.path_to_data_file, context.run_dir / file_name)
+        """Copy the card's file into the run's folder; what another run has got already is doubtful."""
+        copy = Path(copyfile(self.path_to_data_file, context.run_dir / file_name))
+        for other in sorted(copy.parent.parent.glob(f"*/{file_name}")):
+            if other != copy and other.is_file() and filecmp.cmp(other, copy, shallow=False):
+                problem = f"{self.path_to_data_file} holds what it held in {other.parent.name}"
+                warn_of_run(
+                    f"{problem}: the energy of this run may not be in it",
+                    fix="Read the card again after each run, and delete its file.",
+                )
 
 
 class NetworkProfiler:
@@ -161,7 +170,7 @@ class BasicTurtleBot3:
     def __init__(self) -> None:
         self._robot: Any = None
         self._utilisation: Any = None
-        self._battery: list[float] = []
+        self._battery: list[tuple[float, float]] = []
         self._subscription: Any = None
 
     def start_run_mini_mission_real_world(self, context: Any) -> None:
@@ -174,8 +183,11 @@ class BasicTurtleBot3:
     def start_measurement_mission(self) -> None:
         """Begin to record."""
         self._battery.clear()
+        clock = _run().clock
         self._subscription = connect_robot(_run()).subscribe(
-            "battery_state", "sensor_msgs/BatteryState", lambda message: self._battery.append(message["percentage"])
+            "battery_state",
+            "sensor_msgs/BatteryState",
+            lambda message: self._battery.append((clock.now(), message["percentage"])),
         )
         self._utilisation = find_plugin("profilers", "PsUtil").load()()
         self._utilisation.start_measurement(_run())
@@ -193,9 +205,19 @@ class BasicTurtleBot3:
         utilisation.stop_measurement(_run())
         utilisation.stop_run(_run())
         self._subscription.close()
-        battery = self._battery[-1] if self._battery else 0.0
-        lines = [f"{cpu},{memory},{battery}\n" for cpu, memory in _samples(_run().raw_data_folder / "samples.csv")]
+        if not self._battery:
+            warn_of_run(
+                "nothing was heard of the battery: its level is nan", fix="See that battery_state is published."
+            )
+        lines = [
+            f"{cpu},{memory},{self._level_at(float(time_s))}\n"
+            for time_s, cpu, memory in _samples(_run().raw_data_folder / "samples.csv")
+        ]
         (_run().run_folder / self.metrics_file).write_text("".join(lines), encoding="ascii")
+
+    def _level_at(self, time_s: float) -> float:
+        """Return what was heard last of the battery until a time; NaN where that is nothing."""
+        return next((level for at, level in reversed(self._battery) if at <= time_s), math.nan)
 
     def stop_run_mission(self) -> None:
         """Stop the robot."""
@@ -213,10 +235,10 @@ def _run() -> RobotRunnerContext:
     return current_run("BasicTurtleBot3")
 
 
-def _samples(path: Path) -> Iterator[tuple[str, str]]:
+def _samples(path: Path) -> Iterator[tuple[str, str, str]]:
     if not path.exists():
         return
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             if row["cpu_percent"]:  # a first sample has no utilisation: there is none before it
-                yield row["cpu_percent"], row["memory_percent"]
+                yield row["time_s"], row["cpu_percent"], row["memory_percent"]

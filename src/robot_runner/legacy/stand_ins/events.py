@@ -70,16 +70,17 @@ class EventSubscriptionController:
         Raises:
             ConfigError: an element is no such pair, there is no such event, or a callback cannot be called.
         """
-        _subscribe_all(subscriptions, _calling_code())
+        place = _calling_code()
+        if not isinstance(subscriptions, Iterable):
+            raise _no_pair(subscriptions)
+        for subscription in subscriptions:
+            if not isinstance(subscription, tuple | list) or len(subscription) != 2:  # noqa: PLR2004 - a pair
+                raise _no_pair(subscription)
+            event, callback = subscription
+            _subscribe(event, callback, place)
 
-    @staticmethod
-    def subscribe_to_multiple_events_multiple_callbacks(subscriptions: Iterable[tuple[Any, Any]]) -> None:
-        """Subscribe several callbacks, given as `(event, [callback, ...])`: the spelling of a public fork.
-
-        Raises:
-            ConfigError: as above.
-        """
-        _subscribe_all(subscriptions, _calling_code())
+    #: The spelling of a public fork, which gave them as `(event, [callback, ...])`.
+    subscribe_to_multiple_events_multiple_callbacks = subscribe_to_multiple_events
 
     @staticmethod
     def raise_event(event: Any, context: Any = None) -> Any:
@@ -94,16 +95,6 @@ class EventSubscriptionController:
         """Return the callback of an event, or None."""
         heard = _subscribed(current_session(), own_event(event.name))
         return heard[-1].callback if heard else None
-
-
-def _subscribe_all(subscriptions: Any, place: CodeType) -> None:
-    if not isinstance(subscriptions, Iterable):
-        raise _no_pair(subscriptions)
-    for subscription in subscriptions:
-        if not isinstance(subscription, tuple | list) or len(subscription) != 2:  # noqa: PLR2004 - a pair
-            raise _no_pair(subscription)
-        event, callback = subscription
-        _subscribe(event, callback, place)
 
 
 def _subscribe(event: Any, callback: Any, place: CodeType) -> None:
@@ -208,10 +199,8 @@ class EarlierContext:
     def execute_run(self, row: MutableMapping[str, Any]) -> None:
         self.run_variation = row
 
-    @property
-    def combination(self) -> MutableMapping[str, Any]:
-        """The same, as our own messages call it."""
-        return self.run_variation
+    #: The same, as our own messages call it.
+    combination = execute_run
 
     def __getattr__(self, name: str) -> Any:
         near = nearest(name, CONTEXT_ATTRIBUTES)

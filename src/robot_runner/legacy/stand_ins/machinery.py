@@ -24,21 +24,15 @@ class BaseError(Exception):
         super().__init__(" ".join(str(part) for part in (message, *details) if part != ""))
 
 
-#: Errors that configs raised and caught, by name, each with the name of its base class.
-_ERRORS = {
-    "CommandNotRecognisedError": "BaseError",
-    "ConfigBaseError": "BaseError",
-    "ConfigAttributeInvalidError": "ConfigBaseError",
-    "ConfigInvalidClassNameError": "ConfigBaseError",
-    "ConfigInvalidError": "ConfigBaseError",
-    "ConfigROSMandatoryNotInstalledError": "ConfigBaseError",
-    "ConfigRunTableCreationError": "ConfigBaseError",
-    "ExperimentOutputFileDoesNotExistError": "BaseError",
-    "ExperimentOutputPathAlreadyExistsError": "BaseError",
-    "InvalidConfigTypeSpecifiedError": "BaseError",
-    "InvalidUserSpecifiedPathError": "BaseError",
-    "ProgressBaseError": "BaseError",
-    "AllRunsCompletedOnRestartError": "ProgressBaseError",
+#: Errors that configs raised and caught, by module; each derives from its module's own base, or from `BaseError`.
+ERRORS = {
+    "CLIErrors": "CommandNotRecognisedError InvalidUserSpecifiedPathError InvalidConfigTypeSpecifiedError",
+    "ConfigErrors": (
+        "ConfigBaseError ConfigInvalidError ConfigInvalidClassNameError ConfigAttributeInvalidError "
+        "ConfigROSMandatoryNotInstalledError ConfigRunTableCreationError"
+    ),
+    "ExperimentOutputErrors": "ExperimentOutputPathAlreadyExistsError ExperimentOutputFileDoesNotExistError",
+    "ProgressErrors": "ProgressBaseError AllRunsCompletedOnRestartError",
 }
 #: Classes that validated configs and executed experiments: they can be imported, and are refused where they are used.
 _REFUSED = (
@@ -68,9 +62,10 @@ def __getattr__(name: str) -> type:
     """Return a class that is nothing but its name and its base class."""
     if name in _REFUSED:
         return type(name, (_Machinery,), {"__module__": __name__})
-    if name in _ERRORS:
-        base = BaseError if _ERRORS[name] == "BaseError" else __getattr__(_ERRORS[name])
-        return type(name, (base,), {"__module__": __name__})
+    for names in map(str.split, ERRORS.values()):
+        if name in names:
+            base = BaseError if name == names[0] or "Base" not in names[0] else __getattr__(names[0])
+            return type(name, (base,), {"__module__": __name__})
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
 
 

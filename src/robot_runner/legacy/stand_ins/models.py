@@ -17,20 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-def refuse_unknown(where: str, unknown: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse arguments that no version of a tool knew.
-
-    Raises:
-        ConfigError: there are any; each is named, with the nearest that is known.
-    """
-    names = list(known)
-    findings = [
-        Finding.error(where, f"{where} has no argument {name!r}", did_you_mean(name, names)) for name in sorted(unknown)
-    ]
-    if findings:
-        raise ConfigError.of_findings(findings)
-
-
 #: What the earlier tools put into a cell that was still to be filled.
 MISSING = " "
 
@@ -75,6 +61,10 @@ class RunTableModel:
     """The plan of all runs, as any public version of the earlier tools and their common forks understood it.
 
     Arguments may stand in the order of any version: what is a list, a number or a bool tells what it is.
+
+    Attributes:
+        exclusions: what is left out, as it was given.
+        is_shuffled: whether the order is randomised.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
@@ -83,26 +73,21 @@ class RunTableModel:
         Raises:
             ConfigError: an argument is not known or cannot be what it is to be.
         """
-        refuse_unknown("RunTableModel", set(named) - set(_KNOWN), _KNOWN)
+        unknown = [
+            Finding.error("RunTableModel", f"RunTableModel has no argument {name!r}", did_you_mean(name, _KNOWN))
+            for name in sorted(set(named) - set(_KNOWN))
+        ]
+        if unknown:
+            raise ConfigError.of_findings(unknown)
         given = _by_position(arguments) | named
         self._arguments = {*named, *({"repetitions"} & set(given))}
         self._factors = _factors(_first(given, _FACTORS, ()))
-        self._exclusions = _first(given, _EXCLUSIONS, ())
+        self.exclusions = _first(given, _EXCLUSIONS, ())
         self._repetitions = _repetitions(_first(given, _REPETITIONS, 1))
         self._data_columns = _data_columns(given.get("data_columns"))
-        self._shuffle = bool(_first(given, _SHUFFLE, default=False))
+        self.is_shuffled = bool(_first(given, _SHUFFLE, default=False))
         self._rows: list[dict[str, Any]] = []
         current_session().models.append(self)
-
-    @property
-    def is_shuffled(self) -> bool:
-        """Whether the order is randomised."""
-        return self._shuffle
-
-    @property
-    def exclusions(self) -> Any:
-        """What is left out, as it was given."""
-        return self._exclusions
 
     def get_factors(self) -> list[FactorModel]:
         """Return the factors."""
@@ -128,7 +113,7 @@ class RunTableModel:
         """
         session = current_session()
         _check_equal_names("column", [*(factor.factor_name for factor in self._factors), *self._data_columns])
-        combinations = kept_combinations(session, self._factors, self._exclusions)
+        combinations = kept_combinations(session, self._factors, self.exclusions)
         numbering = numbering_of(session.recognised, self._arguments, self._repetitions)
         rows = (
             self._repeated_in_place(combinations, session)
@@ -165,7 +150,7 @@ class RunTableModel:
         return rows
 
     def _order(self, count: int, session: Session) -> Sequence[int]:
-        return arranged(count, None, RunOrder(shuffle=self._shuffle, seed=session.seed))
+        return arranged(count, None, RunOrder(shuffle=self.is_shuffled, seed=session.seed))
 
     def _treatments(self, combination: Sequence[Any]) -> dict[str, Any]:
         return {factor.factor_name: value for factor, value in zip(self._factors, combination, strict=True)}

@@ -18,6 +18,7 @@ from robot_runner.core.errors import did_you_mean
 from robot_runner.legacy.profilers.profiler_catalogue import PLUGIN_MODULES
 from robot_runner.legacy.recognition import EARLIER_PACKAGES, is_earlier_import
 from robot_runner.legacy.run_ids import clone_around
+from robot_runner.legacy.stand_ins.machinery import ERRORS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -56,16 +57,7 @@ _CONFIG = (
     | _in("os.path", "dirname realpath")
     | _in(_MACHINERY, "output=OutputProcedure")
 )
-_ERRORS = {
-    "BaseError": "BaseError",
-    "CLIErrors": ("BaseError CommandNotRecognisedError InvalidUserSpecifiedPathError InvalidConfigTypeSpecifiedError"),
-    "ConfigErrors": (
-        "BaseError ConfigBaseError ConfigInvalidError ConfigInvalidClassNameError ConfigAttributeInvalidError "
-        "ConfigROSMandatoryNotInstalledError ConfigRunTableCreationError"
-    ),
-    "ExperimentOutputErrors": "BaseError ExperimentOutputPathAlreadyExistsError ExperimentOutputFileDoesNotExistError",
-    "ProgressErrors": "BaseError ProgressBaseError AllRunsCompletedOnRestartError",
-}
+_ERRORS = {"BaseError": "BaseError"} | {module: f"BaseError {names}" for module, names in ERRORS.items()}
 _MISC = {
     "BashHeaders": "BashHeaders",
     "DictConversion": "class_to_dict pop_from_each_dict_in_list",
