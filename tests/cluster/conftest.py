@@ -130,6 +130,12 @@ class Proxy:
     def mend(self) -> None:
         self._flows.set()
 
+    def reset(self) -> None:
+        """Break all connections, as where an address changes: new ones can be made at once."""
+        for each in self._sockets[1:]:
+            with suppress(OSError):
+                each.shutdown(socket.SHUT_RDWR)
+
     def close(self) -> None:
         self._flows.set()
         for each in self._sockets:
@@ -141,8 +147,13 @@ class Proxy:
         with suppress(OSError):
             while True:
                 near, _ = self._listener.accept()
-                far = socket.create_connection(("127.0.0.1", self._to))
-                self._sockets += [near, far]
+                self._sockets.append(near)
+                try:
+                    far = socket.create_connection(("127.0.0.1", self._to))
+                except OSError:  # nobody is there for now
+                    near.close()
+                    continue
+                self._sockets.append(far)
                 for source, target in ((near, far), (far, near)):
                     threading.Thread(target=self._pass_on, args=(source, target), daemon=True).start()
 

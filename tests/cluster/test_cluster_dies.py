@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import socket
 import subprocess
 import time
 from pathlib import Path
@@ -83,6 +84,48 @@ def test_runs_end_where_their_orchestrator_was_killed_with_its_gateway(cluster: 
 def _children(pid: int) -> list[int]:
     tasks = Path(f"/proc/{pid}/task").iterdir()
     return [int(each) for task in tasks for each in (task / "children").read_text().split()]
+
+
+def test_an_attempt_that_ended_with_its_lease_leaves_nothing_to_the_next_one_on_its_worker(
+    cluster: Cluster, watched: Watched
+) -> None:
+    """The machine of the orchestrator slept for a while: the worker, and its process for runs, are the same then."""
+    begins = """\
+        context.run_path.mkdir(parents=True, exist_ok=True)
+        with (context.run_path / "early.txt").open("a") as file:
+            file.write(context.run_id)
+        print(context.run_id)
+        while not"""
+    watched.config.write_text(watched.config.read_text().replace("        while not", begins))
+    cluster.worker("one")
+    experiment = cluster.experiment(watched.config)
+    run = watched.pid()
+    (gateway,) = (pid for pid in _children(experiment.pid) if b"gateway" in Path(f"/proc/{pid}/cmdline").read_bytes())
+    os.kill(gateway, signal.SIGSTOP)
+    until(lambda: not _is_alive(run), "the run ends with its lease")
+    os.kill(gateway, signal.SIGCONT)
+    until(lambda: _lost(watched), "the attempt is lost")
+    _ends_well(experiment, watched)
+    for name in ("r_1", "r_2", "r_3"):
+        folder = watched.folder / "runs" / name
+        assert (folder / "early.txt").read_text() == name
+        assert (folder / "log.txt").read_text() == f"{name}\n"
+
+
+def test_a_connection_that_breaks_and_is_made_anew_has_no_run_executed_twice_at_a_time(
+    cluster: Cluster, watched: Watched, proxy: Proxy
+) -> None:
+    cluster.worker("one")
+    cluster.worker("two")
+    cluster.address = f"tcp://127.0.0.1:{proxy.port}"
+    experiment = cluster.experiment(watched.config)
+    watched.pid("r_1")
+    watched.pid("r_2")
+    proxy.reset()
+    until(lambda: len(_lost(watched)) >= 2, "both attempts are lost", 30)
+    until(lambda: len(journal_of(watched.folder, "attempt_started")) >= 4, "they are begun again")
+    time.sleep(2 * LEASE)
+    _ends_well(experiment, watched)
 
 
 @pytest.mark.soak
@@ -210,6 +253,32 @@ def test_a_worker_whose_disk_is_full_executes_nothing_and_the_runs_go_elsewhere(
     _ends_well(experiment, watched)
     done = [each["run"] for each in journal_of(watched.folder, "attempt_finished") if each["status"] == "done"]
     assert sorted(done) == ["r_1", "r_2", "r_3"]
+
+
+def test_a_scheduler_that_takes_connections_and_says_nothing_is_told_and_waited_for_as_long_as_was_set(
+    cluster: Cluster, watched: Watched
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        cluster.address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        settings = {"DASK_ROBOT_RUNNER__LEASE": "1s", "DASK_ROBOT_RUNNER__PATIENCE": "6s"}
+        experiment = cluster.experiment(watched.config, **settings)
+        answer, _ = experiment.communicate(timeout=PATIENCE)
+    assert experiment.returncode == 2, answer
+    assert "no worker has been there for 6 s" in answer
+    assert "the scheduler cannot be reached: it has not answered for 2 s" in answer
+
+
+def test_a_worker_that_cannot_join_is_told_with_its_reason(cluster: Cluster, watched: Watched, tmp_path: Path) -> None:
+    """Its disk is so full that it cannot even take down what is to be executed."""
+    local = tmp_path / "full"
+    local.mkdir()
+    script = 'mount -t tmpfs -o size=4k none "$0" && exec "$@"'  # one page: Dask's own files there are empty
+    cluster.worker("full", before=["unshare", "--mount", "sh", "-c", script, str(local)], local=local)
+    watched.config.write_text(watched.config.read_text() + f"# {'long' * 2000}\n")
+    experiment = cluster.experiment(watched.config, DASK_ROBOT_RUNNER__PATIENCE="4s")
+    answer, _ = experiment.communicate(timeout=PATIENCE)
+    assert experiment.returncode == 2, answer
+    assert "worker full: cannot join: OSError: [Errno 28] No space left on device" in answer
 
 
 @pytest.mark.soak

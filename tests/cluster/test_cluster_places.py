@@ -7,6 +7,7 @@ import signal
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, apart_from, journal_of, table_of, until
@@ -15,6 +16,7 @@ import robot_runner
 from robot_runner.cluster import cluster_places
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
+from robot_runner.core.storage.claim_locks import HeldClaims
 
 SIMULATED = """
 import beside
@@ -90,6 +92,56 @@ def test_two_workers_yield_the_values_of_this_machine_with_and_without_a_shared_
         until(lambda name=name: cluster.left_on(name) == [], f"nothing is left on {name}")
 
 
+READING = """
+from pathlib import Path
+
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins import InputFile, input_file
+from robot_runner.plugins.systems import Program
+
+HERE, HALL = Path(__file__).parent, Path({hall!r})
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "reading"
+    results_output_path = {results!r}
+    claims = []
+    plugins = [Program(["sh", "tell.sh"], name="Teller", folder=HERE / "nav", reads=["map.txt"], ready="5")]
+
+    def input_files(self):
+        return [InputFile(HALL), InputFile(HERE / "rooms.txt")]
+
+    def populate_run_data(self, context):
+        return {{"Hall": int(input_file(HALL).read_text()), "Rooms": int((HERE / "rooms.txt").read_text())}}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("X", [1, 2])], data_columns=["Hall", "Rooms"])
+"""
+
+
+@pytest.mark.parametrize("is_shared", [False, pytest.param(True, marks=pytest.mark.soak)])
+def test_a_worker_reads_the_files_that_the_experiment_names_and_not_its_own(
+    cluster: Cluster, tmp_path: Path, is_shared: bool
+) -> None:
+    """It has another file under the same path, and none of those beside the config."""
+    study, data, results = (tmp_path / name for name in ("study", "data", "results"))
+    written = {"data/hall.txt": "1", "study/rooms.txt": "3", "study/nav/map.txt": "5"}
+    written |= {"study/nav/tell.sh": "cat map.txt; sleep 100", "theirs/hall.txt": "2"}
+    for name, text in written.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(f"{text}\n")
+    results.mkdir()
+    (study / "config.py").write_text(READING.format(hall=str(data / "hall.txt"), results=str(results)))
+    others = 'mount --bind "$0/theirs" "$0/data" && exec "$@"'
+    before = [*apart_from(study), "sh", "-c", others, str(tmp_path)]
+    cluster.worker("one", before=[*before, *([] if is_shared else apart_from(results))])
+    experiment = cluster.experiment(study / "config.py", DASK_ROBOT_RUNNER__PATIENCE="10s")
+    answer = _answer(experiment)
+    assert experiment.returncode == 0, answer
+    assert [(row["Hall"], row["Rooms"]) for row in table_of(results / "reading")] == [("1", "3")] * 2
+    until(lambda: cluster.left_on("one") == [], "nothing is left")
+
+
 def test_a_shared_folder_is_written_in_place_and_ctrl_c_ends_the_runs(cluster: Cluster, watched: Watched) -> None:
     cluster.worker("one")
     experiment = cluster.experiment(watched.config)
@@ -131,6 +183,28 @@ def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told
     assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"with"}
 
 
+def test_a_run_waits_until_no_other_experiment_has_what_it_claims_of_the_worker_s_machine(
+    cluster: Cluster, watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on this machine, where two experiments that measure the computer would measure each other."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    watched.config.write_text(watched.config.read_text().replace("claims = []", 'claims = ["host:localhost"]'))
+    watched.go()
+    cluster.worker("one", XDG_STATE_HOME=str(tmp_path / "state"))
+    with HeldClaims(["host:localhost"], "neighbour", tmp_path / "neighbour"):
+        experiment = cluster.experiment(watched.config)
+        until(lambda: "the experiment 'neighbour'" in str(journal_of(watched.folder, "finding")), "it is told")
+        assert not list(watched.told.glob("*.begun"))
+    answer = _answer(experiment)
+    assert experiment.returncode == 0, answer
+    assert len(list(watched.told.glob("*.begun"))) == 3
+    with HeldClaims(["host:localhost"], "neighbour", tmp_path / "neighbour"):
+        experiment = cluster.experiment(watched.config, "--redo", "r_1")
+        until(lambda: len(journal_of(watched.folder, "attempt_started")) == 4, "it is ordered")
+        experiment.send_signal(signal.SIGINT)
+        assert "Interrupted" in _answer(experiment)
+
+
 def test_an_experiment_that_cannot_travel_leaves_no_probe_and_no_process(
     watched: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,3 +217,19 @@ def test_an_experiment_that_cannot_travel_leaves_no_probe_and_no_process(
     with pytest.raises(ExecutionError, match="stands in no file"):
         cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
     assert list(experiment.folder.root.iterdir()) == []
+
+
+def test_what_an_orchestrator_that_was_killed_left_of_its_probe_is_removed(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster_places, "PipedProcess", lambda module: Mock())
+    experiment = prepare_or_refuse(watched.config, {})
+    root = experiment.folder.root
+    root.mkdir(parents=True)
+    for name in (".probe-0123456789abcdef", ".probe-0123456789abcdef-0123456789abcdef"):
+        (root / name).touch()
+    places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
+    (probe,) = root.iterdir()
+    root.joinpath(f"{probe.name}-answered-too-late").touch()
+    places.close()
+    assert list(root.iterdir()) == []

@@ -7,8 +7,13 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from robot_runner.cluster.experiment_snapshot import experiment_of, snapshot_of
-from robot_runner.core.config.preparation import prepare_or_refuse
+import pytest
+
+from robot_runner.cluster.experiment_snapshot import experiment_of, inputs_of, snapshot_of
+from robot_runner.core.config.preparation import prepare, prepare_or_refuse
+from robot_runner.core.errors import ConfigError
+from robot_runner.core.storage import input_files
+from robot_runner.core.storage.input_files import InputFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,6 +45,53 @@ def test_a_module_in_another_encoding_travels_as_it_is(tmp_path: Path) -> None:
         there = experiment_of(snapshot, tmp_path / "worker")
     assert (there.config_path.parent / neighbour.name).read_bytes() == neighbour.read_bytes()
     assert "Caf\N{LATIN SMALL LETTER E WITH ACUTE}" in next(iter(there.model.factors)).treatments
+
+
+REVISIONS = """\
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+
+VERSION = Factor.revisions("Version", "repository", ["v1.0"])
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+
+    def create_run_table(self):
+        return RunTableModel([VERSION])
+"""
+
+
+def test_a_worker_without_the_work_tree_of_a_revision_executes_nothing(tmp_path: Path) -> None:
+    (tmp_path / "study.py").write_text(REVISIONS, encoding="utf-8")
+    experiment = prepare(tmp_path / "study.py", is_for_here=False).experiment
+    assert experiment is not None
+    (revision,) = experiment.model.factors[0].treatments
+    tree = tmp_path / "tree"
+    revision.prepare(commit="1a2b3c", path=str(tree))
+    snapshot = snapshot_of(experiment)
+    with pytest.raises(ConfigError, match=f"the work tree of 'v1.0' is not here: {tree}"):
+        experiment_of(snapshot, tmp_path / "without")
+    tree.mkdir()
+    there = experiment_of(snapshot, tmp_path / "with")
+    assert there.model.factors[0].treatments[0].path == str(tree)
+
+
+def test_a_file_that_is_too_large_to_travel_has_to_be_the_same_on_the_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(input_files, "_LARGEST", 3)
+    hall = tmp_path / "data" / "hall.csv"
+    hall.parent.mkdir()
+    hall.write_text("1,2\n", encoding="utf-8")
+    kept = tmp_path / "kept"
+    for path, content in input_files.kept_contents([InputFile(hall)], tmp_path / "study", kept).items():
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+    with inputs_of(kept, tmp_path / "same"):
+        assert input_files.input_file(hall) == hall
+    hall.write_text("1,3\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=f"{hall}: there is no copy of it, and the one here is another"):
+        inputs_of(kept, tmp_path / "another").__enter__()
 
 
 @contextmanager

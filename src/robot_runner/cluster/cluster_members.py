@@ -11,12 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster import on_worker
+from robot_runner.cluster.raw_data_transfer import PIECE
 from robot_runner.cluster.worker_versions import compared, described_versions
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.storage import guarded_files
+from robot_runner.core.storage.input_files import INDEX, copies_in
+from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from distributed import Client
 
@@ -24,6 +27,9 @@ if TYPE_CHECKING:
 class UnansweredError(Exception):
     """A worker answered with an exception, or not at all."""
 
+
+#: How many files are sent together, as far as they are small.
+_MOST_PIECES = 500
 
 #: What is raised where a worker does not answer as it should.
 ANSWER = (UnansweredError, OSError, TimeoutError)
@@ -77,11 +83,27 @@ async def answer_of(client: Client, member: Member, seconds: float, ask: Callabl
     async with asyncio.timeout(seconds):
         answers = await client.run(ask, *arguments, workers=[member.address], on_error="return")
     answer = answers[member.address]
-    if isinstance(answer, OSError):
+    if isinstance(answer, OSError) and answer.errno is None:  # Dask's own; what the function came upon has a number
         raise answer
     if isinstance(answer, BaseException):
         raise UnansweredError(f"{type(answer).__name__}: {answer}") from answer
     return answer
+
+
+def why_unanswered(member: Member, lease: float, error: Exception) -> str:
+    """Return in words what became of a worker that did not answer as it should: one of `ANSWER`."""
+    if isinstance(error, TimeoutError):
+        return f"worker {member.name} has not answered for {lease:g} s"
+    if isinstance(error, OSError):
+        return f"the connection to worker {member.name} was lost"
+    return f"worker {member.name} does not take part any more: {error}"
+
+
+def refusal_of(member: Member, lease: float, error: Exception) -> list[dict[str, str]]:
+    """Return that a worker cannot join, as plain findings: else nobody would learn why nothing is executed there."""
+    because = str(error) if isinstance(error, UnansweredError) else why_unanswered(member, lease, error)
+    fix = "Mend this there; it is asked again until it joins."
+    return [_plain(Finding.warning(f"worker {member.name}", f"cannot join: {because}", fix))]
 
 
 async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> list[dict[str, str]]:
@@ -103,6 +125,12 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
     member.id = os.urandom(8).hex()
     answered = await answer_of(client, member, lease * 4, on_worker.join, {**facts["worker_facts"], "id": member.id})
     is_shared = _is_answered(Path(facts["root"]), answered) and facts["in_place"]
+    if not is_shared:
+        try:
+            for pieces in _inputs_in(Path(facts["root"])):
+                await answer_of(client, member, lease, on_worker.take_inputs, facts["session"], pieces)
+        except StorageError as error:
+            return [_plain(finding) for finding in error.findings]
     await answer_of(client, member, lease, _settle, facts["session"], is_shared)
     member.has_joined = True
     return []
@@ -110,6 +138,25 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
 
 def _settle(session: str, is_shared: bool) -> None:
     on_worker.settle(session, is_shared=is_shared)
+
+
+def _inputs_in(root: Path) -> Iterator[list[tuple[str, bytes]]]:
+    """Yield the copies of what an experiment reads, and their index, some pieces of files at a time."""
+    kept = ExperimentFolder(root).config
+    pieces: list[tuple[str, bytes]] = []
+    room = PIECE
+    for path in sorted(copies_in(kept) | ({kept / INDEX} if (kept / INDEX).exists() else set())):
+        with guarded_files.open_to_read(path, root) as file:
+            is_begun = False
+            while (piece := file.read(room)) or not is_begun:  # an empty file is a file as well
+                is_begun = True
+                pieces.append((path.relative_to(kept).as_posix(), piece))
+                room -= len(piece)
+                if room <= 0 or len(pieces) == _MOST_PIECES:
+                    yield pieces
+                    pieces, room = [], PIECE
+    if pieces:
+        yield pieces
 
 
 def _is_answered(root: Path, answered: Mapping[str, str]) -> bool:

@@ -34,6 +34,8 @@ _KILLING, _MAKING_SAFE = 2.0, 15.0
 _LEASE, _PATIENCE = 30.0, 300.0
 #: How long the gateway may take to say goodbye to the workers, s.
 _GOODBYE = 20.0
+#: How a file begins by which workers find out whether they see the experiment's folder; so do their answers.
+_PROBE = ".probe-"
 
 
 class ClusterPlaces:
@@ -59,7 +61,7 @@ class ClusterPlaces:
         self._closing = _closing_of(experiment)
         self._alone_since: float | None = time.monotonic()
         self._is_gone = False
-        self._probe = experiment.folder.root / f".probe-{self._session}"
+        self._probe = experiment.folder.root / f"{_PROBE}{self._session}"
         facts = self._facts()
         self._gateway = PipedProcess("robot_runner.cluster.gateway")
         self.ask("facts", facts)
@@ -101,7 +103,7 @@ class ClusterPlaces:
         self._gateway.let_go()
         self._gateway.wait(_GOODBYE)
         self._gateway.close()
-        guarded_files.remove(self._probe, self._experiment.folder.root)
+        self._remove_probes()
 
     def ask(self, kind: str, fields: Mapping[str, Any]) -> None:
         """Send a request to the gateway; where it is gone, its end tells."""
@@ -152,7 +154,7 @@ class ClusterPlaces:
                 run.end(fields)
         elif kind == "joined":
             self._add(fields)
-        elif kind == "connected":
+        elif kind == "settings":
             self._lease, self._patience = fields["lease"], fields["patience"]
         elif kind == "unconnected":
             self._say(f"cluster {self._address}", f"the scheduler cannot be reached: {fields['because']}")
@@ -191,9 +193,16 @@ class ClusterPlaces:
             fix="Start workers with `dask worker`, and start the experiment again: it resumes.",
         )
 
+    def _remove_probes(self) -> None:
+        """Remove the probe, what workers answered to it, and what an orchestrator left that was killed."""
+        root = self._experiment.folder.root
+        for path in root.glob(f"{_PROBE}*"):
+            guarded_files.remove(path, root)
+
     def _facts(self) -> dict[str, Any]:
         experiment, content = self._experiment, os.urandom(64)
         snapshot = snapshot_of(experiment)  # or a refusal, before anything is left in the folder
+        self._remove_probes()
         guarded_files.replace(self._probe, content, experiment.folder.root)
         runs = str(experiment.folder.runs.resolve())
         return {
@@ -330,9 +339,6 @@ class RunAtWorker:
             because = f"the attempt was lost: {lost}"
             outcome = self._builder.outcome(ended_because=because, interrupted=self._is_interrupted)
             return replace(outcome, is_lost=not self._is_interrupted)
-        for name in ended["skipped"]:
-            problem = f"{name!r} is no regular file, and stayed on the worker, where it was removed"
-            self.take([["finding", {"owner": "cluster", "problem": problem, "fix": "Write files, and no links."}]])
         outcome = self._builder.outcome(ended_because=ended["because"], interrupted=ended["is_interrupted"])
         return replace(outcome, seconds=ended["seconds"])
 
@@ -354,6 +360,9 @@ class RunAtWorker:
 
     def end(self, ended: dict[str, Any]) -> None:
         """Take how it ended."""
+        for name in ended.get("skipped", ()):
+            problem = f"{name!r} is no regular file, and stayed on the worker, where it was removed"
+            self.take([["finding", {"owner": "cluster", "problem": problem, "fix": "Write files, and no links."}]])
         self._ended = ended
 
     def lose(self, because: str, until: float) -> None:

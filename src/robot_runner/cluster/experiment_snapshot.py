@@ -1,4 +1,4 @@
-"""An experiment on its way to a worker: the config file and its modules, and what was set from outside.
+"""An experiment on its way to a worker: the config file and its modules, what it reads, and what was set from outside.
 
 The worker loads the config as a fresh interpreter does (`RunProcess.SPAWN`): what `before_experiment` and `before_run`
 set up in the memory of the orchestrator is not there.
@@ -6,27 +6,32 @@ set up in the memory of the orchestrator is not there.
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.checks import announced_checks
 from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.plugin_checks import check_plugins
 from robot_runner.core.design.batches import EXTENDED
-from robot_runner.core.errors import ConfigError, ExecutionError
+from robot_runner.core.errors import ConfigError, ExecutionError, Finding
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.execution.worker import describe_revisions, restore_revisions
 from robot_runner.core.links.connect import link_findings
+from robot_runner.core.storage.input_files import copy_kept, kept_copies, missing_inputs
 from robot_runner.core.storage.journal import journal_lines
 from robot_runner.core.storage.layout import ExperimentFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.config.experiment import Experiment
 
 #: How a worker spells that it has no cluster of its own: it executes its runs itself.
 _NO_CLUSTER = "none"
+#: The folder of the config and its modules, in that of the process that executes runs.
+_SOURCE = "source"
+_TREES_FIX = "Have XDG_CACHE_HOME be a folder that workers see as well, and start the experiment again."
 
 
 def snapshot_of(experiment: Experiment) -> dict[str, Any]:
@@ -62,28 +67,48 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
 
     Args:
         snapshot: what `snapshot_of` returned.
-        folder: the worker's own, empty; the config and all that a run writes go into it.
+        folder: the worker's own; the config and all that a run writes go into it.
 
     Raises:
         ConfigError: the config cannot be loaded here, or this worker lacks what it needs; carries every finding.
     """
     for name, text in snapshot["files"].items():
-        path = folder / "source" / name
+        path = folder / _SOURCE / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(text.encode("latin-1"))
     settings = {**snapshot["set"], "cluster": _NO_CLUSTER, "results_output_path": str(folder / "experiments")}
-    path = folder / "source" / snapshot["config"]
+    path = folder / _SOURCE / snapshot["config"]
     if snapshot["batches"]:  # the design has grown; where to look for that is known once the config was read
         name = _loaded(path, settings).parameters.experiment_name
         journal = ExperimentFolder(folder / "experiments" / name).journal
         journal.parent.mkdir(parents=True, exist_ok=True)
         journal.write_text(snapshot["batches"], encoding="utf-8")
     experiment = _loaded(path, settings)
-    _refuse_unfit(experiment)
+    _refuse_unfit(experiment, snapshot["revisions"])
     restore_revisions(experiment.model.factors, snapshot["revisions"])
     experiment.folder.root.mkdir(parents=True, exist_ok=True)
     experiment.folder.runs.mkdir(exist_ok=True)
     return experiment
+
+
+@contextmanager
+def inputs_of(kept: Path, folder: Path) -> Iterator[None]:
+    """While it lasts, have whoever reads files of the experiment find those that it has, not others of this machine.
+
+    Args:
+        kept: the experiment's folder of configs, or what was sent of it.
+        folder: as for `experiment_of`, and empty.
+
+    Raises:
+        ConfigError: a file is too large to have a copy, and is not here, or is another one here.
+        StorageError: a copy cannot be read or written.
+    """
+    fix = "Put it there, as it is on the machine that starts the experiment."
+    if lacking := [Finding.error(each.where, each.problem, fix) for each in missing_inputs(kept)]:
+        raise ConfigError.of_findings(lacking)
+    copy_kept(kept, folder / _SOURCE)
+    with kept_copies(kept, folder / _SOURCE):
+        yield
 
 
 def _loaded(path: Path, settings: Mapping[str, str]) -> Experiment:
@@ -94,7 +119,7 @@ def _loaded(path: Path, settings: Mapping[str, str]) -> Experiment:
     return preparation.experiment
 
 
-def _refuse_unfit(experiment: Experiment) -> None:
+def _refuse_unfit(experiment: Experiment, revisions: Sequence[Sequence[str]]) -> None:
     """Look whether this machine has what the experiment needs.
 
     Raises:
@@ -105,6 +130,11 @@ def _refuse_unfit(experiment: Experiment) -> None:
         *check_plugins(experiment.plugins, experiment.model, parameters.robot),
         *link_findings(parameters.robot),
         *announced_checks(experiment.class_name, parameters, experiment.plugins),
+        *(
+            Finding.error(f"factor {name!r}", f"the work tree of {text!r} is not here: {path}", _TREES_FIX)
+            for name, text, _, path in revisions
+            if not Path(path).is_dir()
+        ),
     ]
     if any(finding.is_error for finding in found):
         raise ConfigError.of_findings([finding for finding in found if finding.is_error])

@@ -32,7 +32,7 @@ from distributed import Client
 
 from robot_runner.cluster import on_worker
 from robot_runner.cluster.cluster_checks import cluster_settings
-from robot_runner.cluster.cluster_members import ANSWER, Member, UnansweredError, answer_of, joined
+from robot_runner.cluster.cluster_members import ANSWER, Member, answer_of, joined, refusal_of, why_unanswered
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.run_records import RecordReader
@@ -99,6 +99,7 @@ class Gateway:
 
     async def serve(self) -> None:
         """Speak to the cluster until the orchestrator ends this, or is gone; begin anew where the scheduler is lost."""
+        self._replies.tell("settings", {name: self._facts[name] for name in ("lease", "patience")})
         asyncio.get_running_loop().add_reader(self._descriptor, self._take_requests)
         ending = asyncio.create_task(self._is_ending.wait())
         while not self._is_ending.is_set():
@@ -117,19 +118,34 @@ class Gateway:
     async def _follow(self) -> None:
         """Follow what the cluster does, until its scheduler is lost."""
         try:
-            async with Client(
-                self._facts["address"], asynchronous=True, set_as_default=False, timeout=self._facts["lease"]
-            ) as self._client:
-                self._client.scheduler_comm.interval = _TOGETHER
+            async with await self._connected() as self._client:
+                connection = self._client.scheduler_comm
+                connection.interval = _TOGETHER
                 self._client.subscribe_topic(on_worker.TOPIC, self._take_event)
-                self._replies.tell("connected", {name: self._facts[name] for name in ("lease", "patience")})
-                while True:
+                while self._client.scheduler_comm is connection:  # Dask makes another, without tasks
                     await self._look_for_workers(self._client)
                     await asyncio.sleep(max(_LOOK, len(self._members) / _WORKERS_A_SECOND))
         except (OSError, TimeoutError) as error:
-            self._replies.tell("unconnected", {"because": str(error) or type(error).__name__})
+            silent = f"it has not answered for {self._facts['lease']:g} s"
+            self._replies.tell("unconnected", {"because": str(error) or silent})
         finally:
             self._client = None
+
+    async def _connected(self) -> Client:
+        """Return a client of the scheduler.
+
+        Raises:
+            OSError: it cannot be reached.
+            TimeoutError: it takes the connection and says nothing, for which Dask itself would wait without end.
+        """
+        lease = self._facts["lease"]
+        client = Client(self._facts["address"], asynchronous=True, set_as_default=False, timeout=lease)
+        try:
+            async with asyncio.timeout(2 * lease):
+                return await client
+        except TimeoutError as error:
+            await client.close()
+            raise TimeoutError(f"it has not answered for {2 * lease:g} s") from error
 
     async def _look_for_workers(self, client: Client) -> None:
         async with asyncio.timeout(self._facts["lease"]):
@@ -156,12 +172,11 @@ class Gateway:
                 member.renewed = time.monotonic()
                 await answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
                 await asyncio.sleep(self._facts["lease"] / 4)
-        except TimeoutError:
-            self._lose(member, f"worker {member.name} has not answered for {self._facts['lease']:g} s")
-        except OSError:
-            self._lose(member, f"the connection to worker {member.name} was lost")
-        except UnansweredError as error:
-            self._lose(member, f"worker {member.name} does not take part any more: {error}")
+        except ANSWER as error:
+            lease = self._facts["lease"]
+            if not member.has_joined and not member.is_lost:
+                self._replies.tell("refused", {"worker": member.name, "findings": refusal_of(member, lease, error)})
+            self._lose(member, why_unanswered(member, lease, error))
 
     def _take_requests(self) -> None:
         requests, is_open = self._requests.read()
@@ -202,8 +217,9 @@ class Gateway:
         assert attempt.future is not None  # noqa: S101 - it was submitted
         try:
             error = await attempt.future.exception()
-        except (asyncio.CancelledError, CancelledError, OSError) as cancelled:
-            error = cancelled
+        except (asyncio.CancelledError, CancelledError, OSError):  # the scheduler forgot it, and its worker did not
+            self._lose(attempt.member, "the connection to the scheduler was lost")
+            return
         if error is None and not attempt.is_ending:
             await asyncio.sleep(_LATE)
             error = RuntimeError("its worker did not tell how it ended")
@@ -225,7 +241,7 @@ class Gateway:
             return
         records, ended = json.loads(message["told"])
         if message["first"] != attempt.received:
-            self._go_on(self._tell_lost(attempt, "what its worker told did not come whole"))
+            self._lose(attempt.member, f"what worker {attempt.member.name} told did not come whole")
             return
         attempt.received += len(records)
         if records:

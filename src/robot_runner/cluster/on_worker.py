@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.piped_process import PipedProcess
-from robot_runner.cluster.run_host import OUTBOX
+from robot_runner.cluster.run_host import INPUTS, OUTBOX
 from robot_runner.cluster.worker_versions import described_versions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from distributed import Worker
 
@@ -34,6 +34,8 @@ _SENDING, _MOST_RECORDS = 0.5, 200
 _ENOUGH = 0.25
 #: How long a host may take to close a run after its worker has let go of it, s, beside the grace.
 _CLOSING = 30.0
+#: After as many leases without a renewal nobody comes back: who is there has taken the worker for lost by then.
+_ABANDONED = 10
 
 _sessions: dict[str, _Session] = {}
 
@@ -56,7 +58,13 @@ def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
     """
     leave(facts["session"])
     session = _sessions[facts["session"]] = _Session(facts, Path(dask_worker.local_directory))
+    threading.Thread(target=_leave_once_abandoned, args=[session], daemon=True, name="robot-runner-session").start()
     return {"answer": session.answer, "digest": session.answer_digest}
+
+
+def take_inputs(session: str, pieces: Sequence[tuple[str, bytes]]) -> None:
+    """Keep pieces of files that the experiment reads, each behind those of its file that have come before."""
+    _sessions[session].take_inputs(pieces)
 
 
 def settle(session: str, *, is_shared: bool) -> None:
@@ -86,6 +94,13 @@ def read_piece(session: str, token: str, name: str, offset: int, size: int) -> t
 def discard(session: str, token: str) -> None:
     """Remove what an attempt has left: it is home."""
     _sessions[session].discard(token)
+
+
+def _leave_once_abandoned(session: _Session) -> None:
+    """Leave an experiment whose orchestrator was killed, or lost the scheduler, and so has not said that it ended."""
+    session.await_abandonment()
+    if _sessions.get(session.name) is session:
+        leave(session.name)
 
 
 def leave(session: str) -> None:
@@ -119,6 +134,7 @@ class _Session:
 
     def __init__(self, facts: Mapping[str, Any], local: Path) -> None:
         self.id: str = facts["id"]
+        self.name: str = facts["session"]
         self.folder = local / f"robot-runner-{self.id}"
         self.folder.mkdir(mode=0o700)
         self._facts = facts
@@ -129,6 +145,7 @@ class _Session:
         self._idle: list[_HostProcess] = []
         self._hosts: list[_HostProcess] = []
         self._of_attempt: dict[str, _HostProcess] = {}
+        self._has_left = False
         self._seen = self._until = time.monotonic()
         self.answer, self.answer_digest = self._answered_probe()
 
@@ -144,6 +161,14 @@ class _Session:
         except OSError:
             return "", ""
         return answer.name, hashlib.sha256(content).hexdigest()
+
+    def take_inputs(self, pieces: Sequence[tuple[str, bytes]]) -> None:
+        """Keep pieces of files below the folder of inputs."""
+        for name, piece in pieces:
+            path = self.folder / INPUTS / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("ab") as file:
+                file.write(piece)
 
     def settle(self, *, is_shared: bool) -> None:
         """Leave the experiment where the processes that execute runs find it."""
@@ -161,6 +186,15 @@ class _Session:
             self._changed.notify_all()
             for host in self._hosts:
                 host.ask("lease", {"until": self._until})
+
+    def await_abandonment(self) -> None:
+        """Wait until the lease has not been renewed for long, or this has ended."""
+        with self._changed:
+            while not self._has_left:
+                left = self._seen + _ABANDONED * self._facts["lease"] - time.monotonic()
+                if left <= 0:
+                    return
+                self._changed.wait(left)
 
     def stop(self, token: str, request: Mapping[str, Any]) -> None:
         """Pass the request on to the process that executes the run; one that has not begun does not begin."""
@@ -227,7 +261,9 @@ class _Session:
 
     def end(self) -> None:
         """Have all hosts end, wait for them, and remove what is left."""
-        with self._lock:
+        with self._changed:
+            self._has_left = True
+            self._changed.notify_all()
             hosts = list(self._hosts)
         for host in hosts:
             host.let_go()

@@ -21,13 +21,14 @@ import stat
 import sys
 import time
 import traceback
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cluster.experiment_snapshot import experiment_of
-from robot_runner.core.errors import RobotRunnerError
+from robot_runner.cluster.experiment_snapshot import experiment_of, inputs_of
+from robot_runner.core.config.claims import Claims
+from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.executor import begin_run, load_before_forks
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import Watch
@@ -35,7 +36,9 @@ from robot_runner.core.execution.processes import use_no_streams
 from robot_runner.core.execution.run_records import RecordReader, RecordWriter
 from robot_runner.core.execution.task import OutcomeBuilder
 from robot_runner.core.execution.worker import task_of
+from robot_runner.core.storage.claim_locks import HeldClaims
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import bind
 
 if TYPE_CHECKING:
@@ -49,10 +52,15 @@ if TYPE_CHECKING:
 GONE = "the orchestrator is gone, or out of reach"
 #: The folder that holds what is to be sent home, a folder and a list for each attempt.
 OUTBOX = "outbox"
+#: The folder beside the processes' own that holds what the experiment reads, where that was sent.
+INPUTS = "inputs"
 #: What a disk needs to have left for a run to begin, and for its end to be believed, bytes.
 _ROOM, _NO_ROOM = 64_000_000, 1_000_000
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 _BLOCK = 1 << 20
+#: How often to look whether another experiment has let go of what a run claims, s.
+_LOOK = 0.25
+_WAITS_FIX = "It begins once that is free; end the other with Ctrl-C in its terminal if it is not to wait."
 
 
 class _Host:
@@ -75,6 +83,11 @@ class _Host:
         self._tell = replies
         self._lease = 0.0
         self._token = ""
+        self._order: Mapping[str, Any] | None = None
+        self._stopped: Mapping[str, Any] | None = None
+        self._claims = Claims(experiment.parameters, experiment.plugins, experiment.events)
+        self._held = ExitStack()
+        self._waits_for = ""
         self._run: RunInFlight | None = None
         self._builder: _Builder | None = None
         self._records: list[tuple[str, dict[str, Any]]] = []
@@ -88,6 +101,8 @@ class _Host:
                 self._take_requests()
                 if self._interruption.is_requested:
                     self._leave()
+                if self._order is not None:
+                    self._begin_or_wait(self._order)
                 if self._run is not None:
                     self._see_to_run(self._run)
 
@@ -101,6 +116,8 @@ class _Host:
             for descriptor in self._run.descriptors:
                 poll.register(descriptor, _READABLE)
             due = [each for each in (self._run.due, self._lease_end) if each is not None]
+        if self._order is not None:
+            due = [time.monotonic() + _LOOK]
         waited = min(due, default=float("inf")) - time.monotonic()
         # A millisecond more, as poll would return a little before the moment that is waited for.
         poll.poll(None if waited == float("inf") else max(0.0, waited) * 1000 + 1)
@@ -119,11 +136,14 @@ class _Host:
             if kind == "lease":
                 self._lease = fields["until"]
             elif kind == "execute":
-                self._begin(fields)
-            elif self._run is not None and fields["token"] == self._token:
-                self._run.stop(fields["because"], is_interruption=fields["is_interruption"])
-                if kind == "kill":
-                    self._run.kill()
+                self._order, self._stopped = fields, None
+                self._token, self._lease = fields["token"], fields["until"]
+            elif fields["token"] == self._token:
+                self._stopped = fields
+                if self._run is not None:
+                    self._run.stop(fields["because"], is_interruption=fields["is_interruption"])
+                    if kind == "kill":
+                        self._run.kill()
         if not is_open:
             self._leave()
 
@@ -132,11 +152,43 @@ class _Host:
         if self._run is not None:
             self._run.stop(GONE)
 
+    def _begin_or_wait(self, order: Mapping[str, Any]) -> None:
+        """Begin a run once no other experiment on this machine has what it claims, as long as it is wanted."""
+        told: dict[str, Any] | None = None
+        if self._is_leaving or time.monotonic() >= self._lease:
+            told = {"lost": GONE, "is_certain": True}
+        elif (asked := self._stopped) is not None:
+            told = {"because": asked["because"], "is_interrupted": asked["is_interruption"], "seconds": 0.0}
+        elif not self._has_claims(task_of(self._experiment, order["task"])):
+            return
+        self._order = None
+        if told is None:
+            self._begin(order)
+        else:
+            self._tell("ended", told)
+
+    def _has_claims(self, task: RunTask) -> bool:
+        """Claim for the run what is this machine's, or tell once who has it.
+
+        Robots are left out, as the orchestrator, which may be on this machine, has claimed them for all runs.
+        """
+        claims = [each for each in self._claims.against_others([task.combination]) if not each.startswith("robot:")]
+        name = self._experiment.parameters.experiment_name
+        try:
+            self._held.enter_context(HeldClaims(claims, name, self._folder))
+        except ExecutionError as error:
+            if self._waits_for != self._token:
+                self._waits_for = self._token
+                told = {"owner": "cluster", "problem": f"the run waits: {error.problem}", "fix": _WAITS_FIX}
+                self._tell("records", {"records": [("finding", told)]})
+            return False
+        return True
+
     def _begin(self, order: Mapping[str, Any]) -> None:
-        self._token, self._lease = order["token"], order["until"]
         room = shutil.disk_usage(self._folder).free
         if room < _ROOM:
             lost = f"the worker's disk is full: {room / 1e6:.0f} MB are left"
+            self._held.close()
             self._tell("ended", {"lost": lost, "is_certain": True, "is_unfit": True})
             return
         self._task = task = replace(task_of(self._experiment, order["task"]), slot=1)  # of this machine
@@ -159,6 +211,7 @@ class _Host:
             outcome = run.outcome()
             run.close()
             self._run = None
+            self._held.close()
             ended = self._told(outcome)
         if self._records:  # all at once: each message wakes the worker
             self._tell("records", {"records": self._records})
@@ -169,6 +222,7 @@ class _Host:
     def _told(self, outcome: RunOutcome) -> dict[str, Any]:
         assert self._builder is not None  # noqa: S101 - a run was begun
         if self._builder.ended_because == GONE:
+            self._discard(self._task)
             return {"lost": GONE, "is_certain": True}
         ended = {
             "because": self._builder.ended_because,
@@ -183,6 +237,12 @@ class _Host:
         if outcome.failure is not None and room < _NO_ROOM:
             ended["lost"] = f"the worker's disk is full: {room} bytes are left"
         return ended | ({"is_certain": True, "is_unfit": True} if "lost" in ended else {})
+
+    def _discard(self, task: RunTask) -> None:
+        """Remove log and files of a lost attempt: the next one here would write behind them, into its own."""
+        folder = self._experiment.folder
+        folder.current_log.unlink(missing_ok=True)
+        shutil.rmtree(folder.run(task.run_id), ignore_errors=True)
 
     def _kept(self, task: RunTask) -> dict[str, Any]:
         """Keep the log of a run; put what it has written in place, or make it ready to be sent home."""
@@ -268,7 +328,7 @@ def _clear(folder: Path) -> None:
     """Remove what this process wrote, and the session's folder with the last of its processes."""
     shutil.rmtree(folder, ignore_errors=True)
     with suppress(OSError):
-        if not any(each.is_dir() for each in folder.parent.iterdir()):
+        if not any(each.is_dir() and each.name != INPUTS for each in folder.parent.iterdir()):
             shutil.rmtree(folder.parent, ignore_errors=True)
 
 
@@ -286,11 +346,13 @@ def main(requests: int, writer: int, folder: Path) -> None:
     try:
         session = json.loads((folder.parent / "snapshot.json").read_text(encoding="utf-8"))
         shared = (Path(session["root"]), Path(session["runs"])) if session["is_shared"] else None
-        experiment = experiment_of(session["snapshot"], folder)
-        gc.collect()
-        gc.freeze()  # what a forked run does not collect it does not have to copy
-        tell("ready", {})
-        _Host(experiment, folder, shared, requests, tell).serve()
+        kept = ExperimentFolder(Path(session["root"])).config if shared else folder.with_name(INPUTS)
+        with inputs_of(kept, folder):
+            experiment = experiment_of(session["snapshot"], folder)
+            gc.collect()
+            gc.freeze()  # what a forked run does not collect it does not have to copy
+            tell("ready", {})
+            _Host(experiment, folder, shared, requests, tell).serve()
     except RobotRunnerError as error:
         tell("refused", {"problems": [str(finding) for finding in error.findings if finding.is_error]})
     except Exception as error:  # noqa: BLE001 - whatever it is, the worker has to know why no run is executed
