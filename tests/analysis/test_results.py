@@ -125,6 +125,16 @@ def test_what_the_journal_knows_better_counts(tmp_path):
     assert done["Energy"][0] == 42.0
 
 
+def test_done_runs_of_which_the_journal_has_no_end_are_told(tmp_path):
+    folder = two_tasks(tmp_path / "e", [1.0], [2.0], manifest={"design": {"source": "config"}})
+    journal = folder.files.journal
+    assert load_results(folder.root).findings == ()
+    journal.unlink()
+    (finding,) = load_results(folder.root).findings
+    assert finding.where == str(journal)
+    assert "are done in the run table, and the journal has no end of them" in finding.problem
+
+
 def test_it_is_told_whether_somebody_executes_it(tmp_path):
     folder = make_experiment(tmp_path / "e")
     assert not load_results(folder.root).is_running

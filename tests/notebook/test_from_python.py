@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import linecache
 import os
 import signal
 import subprocess
@@ -197,6 +198,39 @@ def test_a_class_without_a_file_is_kept_as_far_as_can_be_and_the_manifest_says_s
     manifest = json.loads((results.folder / "manifest.json").read_text())
     assert manifest["config"] == {"file": "config_from_python.py", "class": "Console", "kept": "nothing"}
     assert any("its source is not kept" in finding.problem for finding in results.findings)
+
+
+CELL = """
+class Cell(ExperimentConfig):
+    experiment_name = "cell"
+    run_process = RunProcess.IN_PROCESS
+    watch_machines = False
+
+    def populate_run_data(self, context):
+        return {{"Energy": {energy}}}
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", [1])], data_columns=["Energy"])
+"""
+
+
+def test_what_is_refused_is_told_in_the_words_of_who_calls_a_function(tmp_path: Path) -> None:
+    def cell(energy: float) -> Any:
+        name, text = f"<cell {energy}>", CELL.format(energy=energy)
+        linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
+        exec(compile(text, name, "exec"), names := {**globals(), "__name__": "nowhere"})  # noqa: S102 - as a notebook
+        return names["Cell"]
+
+    run_experiment(cell(1.5), folder=tmp_path)
+    with pytest.raises(ExecutionError) as refused:
+        run_experiment(cell(2.5), folder=tmp_path, settings={"grace_in_s": 5})
+    line, setting = refused.value.findings
+    assert line.where.startswith("the class:")
+    assert "(accept_changes=True)" in line.fix
+    assert (setting.where, setting.problem.partition(" and ")[2]) == (
+        'settings["grace_in_s"]',
+        'is set by settings={"grace_in_s": "5"}',
+    )
 
 
 INTERRUPTED = """

@@ -40,8 +40,8 @@ OTHERS: dict[str, str] = {
             "core/execution/left_over.py: _is_lock",
             "core/execution/left_over.py: _has_mark",
             "notebook/apart.py: _be_apart",
-            "cli/guard.py: let_go_of_stdout",
             "cli/guard.py: _replace_closed_streams",
+            "cli/harmless_stream.py: let_go_of",
             "measuring/local_host.py: _first_line",
             "core/execution/processes.py: use_no_streams",
             "replication/distributions.py: direct_url",
@@ -114,7 +114,7 @@ OTHERS: dict[str, str] = {
             "replication/opening.py: _header_faults",
             "replication/plain_zip.py: add",
             "replication/plain_zip.py: written_beside",
-            "replication/searched_files.py: _unpack",
+            "replication/searched_files.py: _members_of_tar",
         ),
     }.items()
     for place in places

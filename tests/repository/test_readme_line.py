@@ -29,6 +29,11 @@ def clone(tmp_path):
     return folder
 
 
+#: A hang, s: 40 s of work, which took 190 s where a machine had six times more to do than it could.
+_HANG = 900
+
+
+@pytest.mark.timeout(_HANG + 60)
 def test_a_newcomer_in_an_empty_home_ends_in_identical(clone, tmp_path):
     lines = re.findall(
         r"^\$ (make demo|.*robot-runner replicate .*)$", (clone / "README.md").read_text("utf-8"), re.MULTILINE
@@ -43,7 +48,7 @@ def test_a_newcomer_in_an_empty_home_ends_in_identical(clone, tmp_path):
         env=environment,
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=_HANG,
         check=False,
     )
     assert answer.returncode == 0, answer.stdout[-2000:] + answer.stderr

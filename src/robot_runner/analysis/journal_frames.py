@@ -132,7 +132,9 @@ class _Told:
         return self._once(record["run"]), record["attempt"]
 
     def take_start(self, record: Mapping[str, Any]) -> None:
-        self.begun[self._attempt(record)] = record["at"]
+        attempt = self._attempt(record)
+        self.begun.pop(attempt, None)
+        self.begun[attempt] = record["at"]
 
     def take_end(self, record: Mapping[str, Any]) -> None:
         attempt, measures = self._attempt(record), record["measures"]

@@ -15,8 +15,9 @@ from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATU
 from robot_runner.core.errors import AnalysisError, StorageError
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
-from robot_runner.core.storage.executed_runs import ExcludedRuns
+from robot_runner.core.storage.executed_runs import ExcludedRuns, unrecorded_findings
 from robot_runner.core.storage.journal import read_journal
+from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import read_schema, type_of_values
@@ -198,7 +199,8 @@ def read_run_frame(
         StorageError: there is no run table, or it cannot be read.
     """
     # The journal comes first: a table written meanwhile is newer than what the journal adds to it, never older.
-    newer = _ended_since_table(read_journal(folder.journal, kinds={"attempt_finished", "table_written"}))
+    ended: set[str] = set()
+    newer = _ended_since_table(read_journal(folder.journal, kinds={"attempt_finished", "table_written"}), ended)
     if not folder.run_table.exists():
         fix = "Restore run_table.csv from a backup."
         raise StorageError("there is no run table in the folder", where=str(folder.root), fix=fix)
@@ -214,7 +216,10 @@ def read_run_frame(
         for run_id in rows.values(RUN_ID) if rows.layout.has_exclusions else ():
             rows.exclude(run_id, excluded.reason(run_id))
     warm_ups = tuple(run.run_id for run in rows.planned if run.is_warm_up)
-    return RunFrame(_frame(rows, columns, manifest), rows.warnings, warm_ups)
+    # Of an experiment that is executed the end of a run may have come since the journal was read.
+    done = rows.done_runs if holder_of(folder.lock) is None else ()
+    lost = unrecorded_findings(folder.journal, done, ended, manifest)
+    return RunFrame(_frame(rows, columns, manifest), (*rows.warnings, *lost), warm_ups)
 
 
 def excluded_frame(frame: pd.DataFrame, known: ExcludedRuns) -> pd.DataFrame:
@@ -246,14 +251,16 @@ def treatment_texts(values: pd.Series) -> pd.Series:
     return values.cat.rename_categories([str(each) for each in values.cat.categories])
 
 
-def _ended_since_table(records: Iterable[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    ended: dict[str, Mapping[str, Any]] = {}
+def _ended_since_table(records: Iterable[Mapping[str, Any]], ended: set[str]) -> dict[str, Mapping[str, Any]]:
+    """Return the ends of runs since the table was written last, and note all runs that have ended."""
+    newer: dict[str, Mapping[str, Any]] = {}
     for record in records:
         if record["kind"] == "table_written":
-            ended.clear()
+            newer.clear()
         else:
-            ended[record["run"]] = record
-    return ended
+            newer[record["run"]] = record
+            (ended.discard if record["status"] == "interrupted" else ended.add)(record["run"])
+    return newer
 
 
 def _take(rows: RunTableRows, record: Mapping[str, Any]) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from robot_runner.cli.console import is_live_terminal, output
 from robot_runner.cli.findings import show_error
 from robot_runner.cli.guard import INTERRUPTED, SOME_FAILED, let_go_of_stdout
+from robot_runner.cli.harmless_stream import DroppedOutput
 from robot_runner.cli.screens.live import LiveScreen
 from robot_runner.cli.screens.plain import PlainScreen
 from robot_runner.core.errors import RobotRunnerError
@@ -70,6 +71,18 @@ def execute_on_screen(
     Raises:
         RobotRunnerError: it cannot start.
     """
+    with DroppedOutput():
+        return _executed(experiment, findings, plain=plain, resumption=resumption, waits_for_claims=waits_for_claims)
+
+
+def _executed(
+    experiment: Experiment,
+    findings: Sequence[Finding],
+    *,
+    plain: bool,
+    resumption: Resumption | None,
+    waits_for_claims: bool,
+) -> Execution:
     kind = LiveScreen if is_live_terminal(sys.stdout) and not plain else PlainScreen
     screen = kind(output(), experiment, time.monotonic)
     finished = None

@@ -32,6 +32,7 @@ from robot_runner.core.design.planned_runs import RunOrder
 from robot_runner.core.errors import DesignError, ExecutionError, Finding
 from robot_runner.core.execution.begun_experiment import shown_config, unplanned_additions
 from robot_runner.core.execution.circumstances import keep_config_files, kept_manifest, restored_manifest
+from robot_runner.core.execution.given_values import accept_given
 from robot_runner.core.execution.recovery import (
     ACCEPT,
     Resumption,
@@ -261,6 +262,8 @@ class _Extending:
             journal.append("table_written", sha256=write_run_table(self._folder.run_table, recovered.rows))
         recovered.write_schema(self._folder.schema)
         self._manifest["design"] |= described_design(model)
+        if self._request.accept_changes:
+            accept_given(self._experiment, self._manifest)
         write_manifest(self._folder.manifest, self._manifest)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import sys
 
-from robot_runner.cli.harmless_stream import guard_streams
+from robot_runner.cli.harmless_stream import guard_streams, let_go_of
 
 TYPE_CHECKING = False  # `typing` takes long to import, and `--help` is to be quick
 if TYPE_CHECKING:
@@ -48,14 +48,7 @@ def _executed(command: Callable[[], int], *, show_traceback: bool) -> int:
 
 def let_go_of_stdout() -> None:
     """Point stdout at nothing, so that the interpreter has nowhere to fail when it flushes at its end."""
-    import os  # noqa: PLC0415 - for a quick --help
-
-    try:
-        nothing = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nothing, sys.stdout.fileno())
-        os.close(nothing)
-    except (OSError, ValueError):
-        pass
+    let_go_of(sys.stdout)
 
 
 def show_fault(error: Exception, *, show_traceback: bool) -> None:

@@ -28,7 +28,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         0
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    return guarded(lambda: _execute(words), show_traceback="--debug" in words)
+    code = guarded(lambda: _execute(words), show_traceback="--debug" in words)
+    # Where a config could be loaded, something of its author's may still go on.
+    if argv is None and "robot_runner.core.config.loader" in sys.modules:
+        from robot_runner.cli.leaving import leave_in_time  # noqa: PLC0415 - for a quick --help
+
+        leave_in_time(code)
+    return code
 
 
 def _execute(words: list[str]) -> int:

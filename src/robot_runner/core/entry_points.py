@@ -80,7 +80,7 @@ class EntryPoint:
             found: Any = import_module(self.module)
             for attribute in filter(None, self.value.partition(":")[2].partition("[")[0].strip().split(".")):
                 found = getattr(found, attribute)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise self.refusal(f"cannot be imported: {type(error).__name__}: {error}") from error
         return found
 

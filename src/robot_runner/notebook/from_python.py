@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import threading
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config import dialects, preparation
 from robot_runner.core.entry_points import entry_points
-from robot_runner.core.errors import AnalysisError, ConfigError, ExecutionError, Finding, PluginError
+from robot_runner.core.errors import AnalysisError, ConfigError, ExecutionError, Finding, PluginError, RobotRunnerError
 from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,
@@ -29,10 +30,10 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_duration
 from robot_runner.notebook.apart import execute_forked, execute_in_interpreter
-from robot_runner.notebook.python_config import as_texts, config_of_object, is_config, runs_named
+from robot_runner.notebook.python_config import NAME, PREFIX, as_texts, config_of_object, is_config, runs_named
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     import pandas as pd
 
@@ -150,6 +151,18 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
             where="run_experiment",
             fix="Give the path of a config file, a class with create_run_table, or an instance of one.",
         )
+    with _said_for_python():
+        return _carried_out(config, texts, resumption, asked, say, observer)
+
+
+def _carried_out(
+    config: Any,
+    texts: Mapping[str, str],
+    resumption: Resumption,
+    asked: Mapping[str, Any],
+    say: Callable[[str], object] | None,
+    observer: Observer | None,
+) -> ExperimentResults:
     if _is_free():
         return _results(_executed(config, texts, resumption, observer or _Teller(say)))
     if observer is not None:
@@ -168,6 +181,46 @@ def run_experiment(  # noqa: PLR0913 - one keyword for each thing that the comma
         return _executed(config, texts, resumption, _Teller(tell))
 
     return _results(execute_forked(work, say))
+
+
+#: What a message advises on the command line, and what it is here.
+_IN_PYTHON = {
+    "--accept-changes": "accept_changes=True",
+    "--only": "only",
+    "--redo": "redo",
+    "--table journal": "robot-runner run FILE --table journal",
+    "--table file": "accept_changes=True",
+}
+_SET_TO, _SET = re.compile(r"--set (\w+)=([^\s,;)]*[^\s,;).])"), re.compile(r"--set (\w+)")
+#: The file that a class of a notebook has for a moment.
+_MOMENTARY = re.compile(rf"[^\s']*{PREFIX}\w+/{NAME}")
+
+
+@contextmanager
+def _said_for_python() -> Iterator[None]:
+    """Have what is refused be told in the words of who calls a function, and not those of the command line.
+
+    Raises:
+        RobotRunnerError: what was raised, in other words.
+    """
+    try:
+        yield
+    except RobotRunnerError as error:
+        findings = [
+            replace(each, where=_in_python(each.where), problem=_in_python(each.problem), fix=_in_python(each.fix))
+            for each in error.findings
+        ]
+        if tuple(findings) == tuple(error.findings):
+            raise
+        raise type(error).of_findings(findings) from error
+
+
+def _in_python(text: str) -> str:
+    for option, keyword in _IN_PYTHON.items():
+        text = text.replace(option, keyword)
+    text = _SET_TO.sub(r'settings={"\1": "\2"}', text)
+    text = _SET.sub(r'settings["\1"]', text)
+    return _MOMENTARY.sub("the class", text)
 
 
 def requested(request: Mapping[str, Any], tell: Callable[[str], object]) -> ExperimentFinished:

@@ -27,6 +27,10 @@ if TYPE_CHECKING:
 _NO_FILE = "Write the class to a file and give its path: then all of it is kept."
 
 
+#: The folder and the file in which the source of a class that stands in none is put for a moment.
+PREFIX, NAME = "robot-runner-config-", "config_from_python.py"
+
+
 def is_config(value: object) -> bool:
     """Whether a value can be a config: a class, or an instance of one, that makes a run table."""
     return callable(getattr(value, "create_run_table", None))
@@ -92,7 +96,7 @@ def config_of_object(given: Any, overrides: Mapping[str, str]) -> Iterator[Loade
         ConfigError: it is no config, making it raised, or a parameter that is to be set does not exist.
     """
     kind = given if isinstance(given, type) else type(given)
-    with TemporaryDirectory(prefix="robot-runner-config-") as folder:
+    with TemporaryDirectory(prefix=PREFIX) as folder:
         source, kept, findings = _source(kind, Path(folder))
         with recorded_subscriptions() as subscriptions, raised_in(source.path, "while it was made"):
             # A class of its own each time: what is set for one call must not be there in the next one.
@@ -139,7 +143,7 @@ def _source(kind: type, folder: Path) -> tuple[ConfigSource, str, list[Finding]]
     else:
         kept, problem = "nothing", "it stands in no file, and its source is not kept: it cannot be found"
         text = f"# The source of {kind.__name__} could not be found.\n"
-    path = folder / "config_from_python.py"
+    path = folder / NAME
     path.write_text(text, encoding="utf-8")
     return ConfigSource(path, text, kind.__name__), kept, [Finding.warning(where, problem, _NO_FILE)]
 

@@ -62,7 +62,6 @@ class FollowedExperiment:
         self._error: RobotRunnerError | None = None
         self._doing: dict[str, dict[str, Any]] = {}
         #: What is awaited before a run: places side by side wait for themselves.
-        self._gates: dict[str, dict[str, str]] = {}
         self._slots: dict[str, int] = {}
         self._curves: dict[str, RunCurves] = {}
         self._signs: tuple[Any, ...] = ()
@@ -176,12 +175,6 @@ class FollowedExperiment:
         run = record.get("run")
         if kind == "experiment_started":
             self._doing.clear()
-            self._gates.clear()
-        elif kind == "gate":
-            if record["state"] == "waiting":
-                self._gates[record["run"]] = {name: record[name] for name in ("run", "condition", "seen")}
-            else:
-                self._gates.pop(record["run"], None)
         elif kind == "attempt_started":
             left = record.get("left")
             expected = left.get("run") if isinstance(left, dict) else None
@@ -269,7 +262,7 @@ class FollowedExperiment:
             "told_at": time.time(),
             "in_flight": [self._flying(each) for each in status.in_flight],
             "waiting": self._waiting(waiting) if waiting is not None and status.holder else None,
-            "gates": list(self._gates.values()) if status.holder else [],
+            "gates": [{name: each[name] for name in ("run", "condition", "seen")} for each in status.gates],
             "pause_is_requested": status.pause_is_requested,
             "host": status.holder.host if status.holder else None,
             "started_at": status.started_at,

@@ -48,7 +48,7 @@ def _go_on(experiment: FollowedExperiment, said: Mapping[str, Any]) -> str:
     _, refused = read_answers(questions_of(status), answers)
     if refused:
         raise RefusedAnswersError.of_findings([_for_a_page(each) for each in refused])
-    continue_and_see(ExperimentFolder(experiment.folder), answers, experiment.folder.name)
+    continue_and_see(ExperimentFolder(experiment.folder), waiting, answers, experiment.folder.name)
     return "It goes on."
 
 

@@ -385,7 +385,7 @@ def test_what_is_text_in_both_leaves_the_verdict_to_the_numbers(make_folder):
     one, other = (make_folder(rows=rows, name=name, **made).root for name in ("one", "other"))
     found = compare(one, other, bound="5%")
     assert ([each.label for each in found.measures], found.verdict) == (["E (J)"], Verdict.EQUIVALENT)
-    assert found.notes == ("Not compared, as it is text in both: Robot.",)
+    assert found.notes == ("No means are compared of what is text in both: Robot.",)
     assert compare(one, other, measures="Robot").verdict is Verdict.UNDECIDED
 
 

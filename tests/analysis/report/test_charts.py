@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import pairwise
 
 import numpy as np
 from tests.analysis.experiment_folders import two_tasks
 
+from robot_runner.analysis import load_results
 from robot_runner.analysis.figures.courses import Course, MissionCourses
 from robot_runner.analysis.report.charts import course_chart
+from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.report.outcome_section import attempt_spans
 from robot_runner.analysis.report.writing import write_report
+from robot_runner.analysis.statistics.experiment_statistics import analyse
 
 PRESSURES = (101325.01, 101325.02, 101325.03, 101325.05)
 
@@ -30,6 +35,21 @@ def test_without_known_times_nobody_speaks_of_an_order_of_execution(tmp_path):
     folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
     folder.files.journal.unlink()
     assert _points(folder.root)["place"] == "Place in the order of the table"
+
+
+def test_the_order_of_execution_is_the_journals_also_where_the_clock_was_set_back(tmp_path):
+    folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
+    told = folder.files.journal.read_text().splitlines()
+    is_before = re.compile(r'"run": ?"r_[12]"').search
+    later = [line if is_before(line) else line.replace("T12:", "T11:") for line in told]
+    folder.files.journal.write_text("".join(f"{line}\n" for line in later))
+    points = _points(folder.root)
+    assert points["place"] == "Place in the order of execution"
+    assert points["runs"] == [f"r_{number}" for number in range(1, 9)]
+    results = load_results(folder.root)
+    spans = attempt_spans(Material(results, analyse(results)))
+    assert [span.run_id for span in spans] == points["runs"]
+    assert all(one.start < other.start and one.end <= other.start for one, other in pairwise(spans))
 
 
 def test_a_course_is_rounded_by_its_spread():

@@ -8,14 +8,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import pytest
+from tests.analysis.experiment_folders import searched
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.report.agreement import disagreements
 
 from robot_runner.analysis import load_results
+from robot_runner.analysis.report.design_section import searched_part
+from robot_runner.analysis.report.material import Material
 from robot_runner.analysis.report.outcome_section import failed_pairs
 from robot_runner.analysis.report.writing import ReportFormat, write_report
+from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.numeric_range import Range
+from robot_runner.core.design.outliers import Doubtful
 from robot_runner.designs.blocked import Blocks
 from robot_runner.designs.covering import CoveringArray
 from robot_runner.designs.crossover import Crossover
@@ -107,3 +113,24 @@ def test_failures_are_told_by_pairs_of_treatments() -> None:
     ]
     found = failed_pairs(pd.DataFrame(rows, columns=["A", "B", "status"]), ("A", "B"))
     assert [tuple(each) for each in found] == [("A = x, B = q", 2, 2), ("A = y, B = p", 2, 1)]
+
+
+def test_what_a_search_tried_is_told_without_the_values_that_the_plan_leaves_out(tmp_path):
+    folder = searched(tmp_path / "trial", [("a", 1, 9.0), ("a", 1, 1.0), ("b", 1, 5.0)], is_confirmed=False)
+    journal, manifest = folder / "journal.jsonl", json.loads((folder / "manifest.json").read_text())
+    doubtful = {"E": {"value": 1.0, "owner": "config", "origin": "measured", "doubts": ["it was dark"]}}
+    records = [json.loads(line) for line in journal.read_text().splitlines()]
+    kept = [
+        each | {"measures": doubtful} if (each["kind"], each.get("run")) == ("attempt_finished", "r_2") else each
+        for each in records
+    ]
+    journal.write_text("".join(f"{json.dumps(each, separators=(',', ':'))}\n" for each in kept))
+    manifest["design"]["parameters"] = {"directions": {"E": "minimise"}}
+    for rule, mean in ((Doubtful.KEEP, 5.0), (Doubtful.LEAVE_OUT, 9.0)):
+        plan = AnalysisPlan(measures=["E"], doubtful=rule).as_mapping()
+        (folder / "manifest.json").write_text(json.dumps(manifest | {"analysis": plan}))
+        results = load_results(folder)
+        [part] = searched_part(Material(results, analyse(results)))
+        [table] = part.blocks
+        assert table.rows[0][-1].value == mean
+        assert ("left out, as planned" in table.note) is (rule is Doubtful.LEAVE_OUT)

@@ -60,7 +60,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
     assert facts.pop("bad_values") == {}
     assert [facts.pop(name) for name in ("warm_ups", "warm_ups_done", "batches")] == [0, 0, []]
     assert [each["is_whole"] for each in facts.pop("sessions")] == [True]
-    assert (facts.pop("gate"), facts.pop("gate_seconds")) == (None, 0.0)
+    assert (facts.pop("gates"), facts.pop("gate_seconds")) == ([], 0.0)
     assert facts == {
         "experiment_name": "trial",
         "folder": str(half_done),

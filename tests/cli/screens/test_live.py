@@ -189,6 +189,18 @@ def test_what_a_gate_waits_for_is_shown_until_it_opens(shown: Shown, notices: An
         assert shown.screen.progress.gate_seconds == 162.0
 
 
+def test_each_place_that_waits_at_a_gate_is_shown(shown: Shown, notices: Any) -> None:
+    waits = [GateWaiting(f"r_{run}", run, 4, f"robot {run} is cool", "38 °C", 80.0, 600.0) for run in (1, 2)]
+    with shown.screen:
+        shown.take(notices.started(), *waits)
+        text = "\n".join(shown.lines)
+        assert "(r_1) waits until robot 1 is cool   38 °C" in text
+        assert "(r_2) waits until robot 2 is cool   38 °C" in text
+        shown.take(GatePassed("r_1", "robot 1 is cool", "30 °C", 81.0, "open"))
+        assert "(r_2) waits until robot 2 is cool" in "\n".join(shown.lines)
+        assert "robot 1 is cool" not in shown.lines[-1]
+
+
 def test_a_repetition_that_is_added_is_told_with_why_and_counted(shown: Shown, notices: Any) -> None:
     rule = Precision("Energy", half_width="2 %", at_most=30)
     known = (Known(of="Video", n=5, mean=100.0, half_width=3.0, wanted=2.0),)

@@ -101,6 +101,18 @@ def test_a_gate_is_told_of_once_a_minute_and_when_it_opens(said: Any) -> None:
     ]
 
 
+def test_of_two_gates_that_are_awaited_at_once_each_is_told_by_itself(said: Any) -> None:
+    other = GateWaiting("r_3", 3, 4, "the room is dark", "lit", 2.0, None)
+    lines = said(
+        at_gate(2.0, "12 %"), other, at_gate(3.0, "11 %"), GatePassed("r_3", "the room is dark", "", 3.0, "open")
+    )
+    assert [line.split(" wait")[0] for line in lines if "wait" in line] == [
+        "run 2 of 4 (r_2)",
+        "run 3 of 4 (r_3)",
+        "r_3",
+    ]
+
+
 def test_a_gate_that_is_open_is_not_worth_a_line_and_one_that_stays_shut_is(said: Any) -> None:
     assert said(GatePassed("r_2", "the load is below 10 %", "9 %", 0.0, "open")) == []
     (line,) = said(GatePassed("r_2", "the load is below 10 %", "", 0.0, "failed", "the sensor\nis gone"))

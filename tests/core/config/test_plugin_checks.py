@@ -418,3 +418,9 @@ def test_a_method_of_a_plugin_that_is_called_or_not_like_one_of_ours_is_none_to_
 ) -> None:
     config = write_config(head=MISSPELT.format(of_arm, "gain = 1.0"), table=RATES)
     assert not [each for each in prepare(config).findings if each.where.startswith(("Arm.", "Meter."))]
+
+
+def test_a_check_of_a_plugin_that_ends_the_program_is_told_like_one_that_raises(write_config: Write) -> None:
+    of_meter = "def check(self, circumstances): raise SystemExit(3)"
+    config = write_config(head=MISSPELT.format("gain = 1.0", of_meter), table=RATES)
+    assert any(each.problem == "the check raised SystemExit: 3" for each in prepare(config).findings)

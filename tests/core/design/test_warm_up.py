@@ -80,6 +80,7 @@ def test_a_number_of_runs_is_enough() -> None:
         (True, "True is of type bool", "Give a number of runs"),
         ("2", "'2' is of type str", "WarmUp(2, per="),
         (-1, "the number of runs is -1", "from 1"),
+        (10**9, "the number of runs is 1,000,000,000", "from 1 to 10,000"),
         (WarmUp(per="Tusk"), "no factor 'Tusk'", "Did you mean 'Task'?"),
     ],
 )

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from robot_runner.core.design.factor import Combination
 from robot_runner.core.design.watched_combination import WatchedCombination
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 
 @pytest.mark.parametrize(
@@ -51,3 +52,15 @@ def test_a_watched_combination_is_equal_to_what_it_watches() -> None:
     assert str(watched) == "{'Task': 'Video'}"
     with pytest.raises(KeyError):
         watched["Speed"]
+
+
+@pytest.mark.parametrize(
+    "combination", [Combination({"Task": 0, "Speed": 1}, ("Video", 0.2)), {"Task": "Video", "Speed": 0.2}]
+)
+def test_a_factor_that_a_run_does_not_have_is_told_with_the_nearest_one(combination: Mapping[str, Any]) -> None:
+    watched = WatchedCombination(combination, lambda _: None)
+    with pytest.raises(KeyError, match="the run has no factor 'Sped': did you mean 'Speed'") as raised:
+        watched["Sped"]
+    assert raised.value.args == ("Sped",)
+    assert str(pickle.loads(pickle.dumps(raised.value))) == str(raised.value)  # noqa: S301 - ours
+    assert (watched.get("Sped"), "Sped" in watched) == (None, False)

@@ -334,7 +334,7 @@ def test_runs_that_fail_say_nothing_of_factors(execute: Execute) -> None:
     assert unread(execute("def start_run(self): raise RuntimeError", head=HEAD, table=RATES)) == []
 
 
-def test_a_config_of_an_earlier_tool_is_handed_its_row_and_nothing_is_said(tmp_path: Path) -> None:
+def test_a_config_of_an_earlier_tool_that_reads_its_row_has_nothing_said(tmp_path: Path) -> None:
     config = tmp_path / "RunnerConfig.py"
     config.write_text(
         """
@@ -359,7 +359,7 @@ class RunnerConfig:
         return RunTableModel(factors=[FactorModel("example", ["a", "b"])])
 
     def start_run(self, context):
-        pass
+        print(context.run_variation["example"])
 """,
         encoding="utf-8",
     )

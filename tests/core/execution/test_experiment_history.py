@@ -19,3 +19,11 @@ def test_a_person_is_waited_for_however_many_runs_end_elsewhere_meanwhile() -> N
     assert history.waiting_for == {"next_run": "r_2", "step": "lay the floor", "questions": ()}
     history.take(ended("r_2"))
     assert history.waiting_for is None
+
+
+def test_each_gate_that_is_awaited_is_known_until_it_opens() -> None:
+    gate = {"kind": "gate", "condition": "it is cool", "seen": "52", "seconds": 1.0, "at": "2026-01-31T12:00:01.000Z"}
+    history = ExperimentHistory()
+    for run, state in (("r_1", "waiting"), ("r_2", "waiting"), ("r_1", "open")):
+        history.take({**gate, "run": run, "state": state})
+    assert list(history.gates) == ["r_2"]

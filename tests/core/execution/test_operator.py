@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -208,6 +209,28 @@ def test_answers_from_another_terminal_are_validated_here_too(execute: Callable)
         "there is no answer to this",
     ]
     assert (executed.table[0]["voltage"], executed.table[0]["name"]) == ("12.0", "Ada")
+
+
+def test_who_confirms_the_first_of_two_steps_twice_has_not_done_the_second(execute: Callable) -> None:
+    left: list[bool] = []
+
+    def confirm(waiting: WaitingForUser) -> str:
+        control = waiting.folder / ".control"
+        if waiting.step == "swap the battery":
+            return "\n"
+        send_command(control, Command.CONTINUE, asked=(waiting.run_id, "swap the battery"))
+
+        def confirm_the_second() -> None:
+            left.append(control.exists())
+            send_command(control, Command.CONTINUE, asked=(waiting.run_id, waiting.step))
+
+        threading.Timer(1.0, confirm_the_second).start()
+        return ""
+
+    body = steps('OperatorStep("swap the battery", first=True)', 'OperatorStep("close the door", first=True)')
+    executed, _ = execute(body, confirm)
+    assert left == [True]
+    assert executed.finished.done_count == 4
 
 
 def test_another_attempt_needs_what_each_attempt_needs_and_keeps_the_answers(execute: Callable) -> None:

@@ -281,3 +281,10 @@ def test_a_watcher_that_fails_does_not_go_on_as_the_experiment(monkeypatch: pyte
     finally:
         if os.getpid() != process:
             os.kill(process, signal.SIGKILL)
+
+
+def test_an_error_whose_text_ends_the_program_fails_its_run_and_no_more(execute: Execute) -> None:
+    odd = "type('Odd', (Exception,), {'__str__': lambda self: exit(3)})()"
+    executed = execute(f"def before_run(self, context):\n    if context.run_number == 1: raise {odd}")
+    assert executed.finished.failures == ("r_1: before_run of config: Odd: (its text could not be made: SystemExit)",)
+    assert executed.finished.done_count == 3

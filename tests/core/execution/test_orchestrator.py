@@ -337,7 +337,9 @@ def test_the_order_of_a_resumed_experiment_is_the_recorded_one(execute: Execute)
     assert sorted(order, key=int) != order
     (first.folder / "run_table.csv").unlink()
     (first.folder / "journal.jsonl").unlink()
-    assert [row["N"] for row in execute(table=table).table] == order
+    again = execute(table=table)
+    assert [row["N"] for row in again.table] == order
+    assert any("all runs are executed anew" in each.problem for each in again.finished.findings)
 
 
 def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) -> None:

@@ -105,9 +105,9 @@ def told(what):
 class Meter(Profiler):
     probe_s = 0.05
 
-    def __init__(self, name, value=1.0, doubt=""):
+    def __init__(self, name, value=1.0, doubt="", unit="W"):
         super().__init__(name=name)
-        self.measures = (Measure(f"Power_{name}", "W", "Power."), Measure(f"Spare_{name}", "W", "Never there."))
+        self.measures = (Measure(f"Power_{name}", unit, "Power."), Measure(f"Spare_{name}", "W", "Never there."))
         self.value, self.doubt = value, doubt
 
     def start_measurement(self, context):
@@ -294,7 +294,7 @@ def test_a_probe_can_be_interrupted(robot_runner: Program, study: Callable[..., 
 def test_a_profiler_is_probed_with_the_treatments_of_the_first_run(
     robot_runner: Program, study: Callable[..., Path], here: Path
 ) -> None:
-    study("Meter('A', value=treatment('Load'))")
+    study("Meter('A', value=treatment('Load'), unit='')")
     assert robot_runner("study.py").code == 0
     [probe] = probes(here)
     assert probe["profilers"]["A"]["measures"]["Power_A"] == "heavy"

@@ -42,6 +42,16 @@ class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "trial"
     results_output_path = Path("results")
 """
+#: A meter that publishes nothing, and prints in the first run.
+SILENT = HEAD.replace(
+    "import Measure\n",
+    """import Measure, Profiler
+class Meter(Profiler):
+    measures = (Measure("Power", "W", "Power."),)
+    def stop_measurement(self, context):
+        if context.run_number == 1: print("no sensor")
+""",
+)
 ABOVE = "the value, 11 J, is above 10 J, the largest that is plausible"
 #: Out of its limits at the first attempt of the first run, missing at the second.
 UNSTEADY = """
@@ -169,3 +179,11 @@ def test_a_measure_of_a_plugin_is_not_declared_again(execute: Execute) -> None:
     head = HEAD.replace("\n\n\nclass", "\nfrom robot_runner.plugins.profilers import PsUtil\n\n\nclass")
     with pytest.raises(Exception, match="is declared here, and by plugin PsUtil"):
         execute(body, table=table, head=head)
+
+
+def test_what_is_advised_of_a_missing_value_can_be_done(execute: Execute) -> None:
+    body = "probe = False\nplugins = [Meter()]\ndef populate_run_data(self): return {'Energy': 1.0}"
+    executed = execute(body, head=SILENT, table=LIMITED.replace("data_columns=[", 'data_columns=["Power", '))
+    advised = {each.where: each.fix for each in executed.finished.findings if each.problem == "Power has no value"}
+    assert advised["r_1, Meter"] == "Look at the log of the run."
+    assert advised["r_2, Meter"].startswith("Publish it in populate_run_data"), "it has no log"

@@ -78,6 +78,19 @@ def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, wr
     assert "7" not in (executed.folder / "earlier_configs" / "1" / "config.py").read_text(encoding="utf-8")
 
 
+def test_another_config_that_names_the_same_experiment_is_compared_and_a_renamed_one_goes_on(
+    execute: Execute, write_config: Write
+) -> None:
+    executed = execute(COUNTING)
+    other = write_config(COUNTING.replace("context.attempt", "7"), name="other.py")
+    with pytest.raises(ExecutionError, match=r"other\.py:10: .* and is 'return .\"Energy\": 7.'"):
+        resume(other)
+    executed.config.rename(other)
+    resume(other)
+    manifest = json.loads((executed.folder / "manifest.json").read_text(encoding="utf-8"))
+    assert (executed.folder / "config" / manifest["config"]["file"]).read_bytes() == other.read_bytes()
+
+
 def test_comments_and_blank_lines_are_no_change(execute: Execute, write_config: Write) -> None:
     execute(COUNTING)
     assert len(resume(write_config("# a remark\n\n\n" + COUNTING))) == 4
@@ -262,7 +275,10 @@ def test_what_changed_of_machine_and_software_since_the_first_execution_is_told(
     manifest = json.loads(path.read_text(encoding="utf-8"))
     packages = manifest["software"]["packages"] | {"numpy": "1.0", "gone": "2.1"}
     manifest["software"] |= {"packages": packages, "system_packages": {"libc6": "1"}}
-    path.write_text(json.dumps(manifest), encoding="utf-8")
+    ros = {"distro": "jazzy", "middleware": None, "packages": {"nav2": "1.3"}}
+    path.write_text(json.dumps(manifest | {"ros": ros}), encoding="utf-8")
+    other = {"distro": "jazzy", "middleware": "rmw_zenoh_cpp", "packages": {"nav2": "1.4"}}
+    monkeypatch.setattr(circumstances, "described_circumstances", lambda: {"ros": other})
     monkeypatch.setattr(circumstances, "describe_host", lambda: {**manifest["host"], "processor": "another", "x": 1})
     monkeypatch.setattr(
         circumstances,
@@ -280,6 +296,8 @@ def test_what_changed_of_machine_and_software_since_the_first_execution_is_told(
         "processor": {"was": manifest["host"]["processor"], "is": "another"},
         "package numpy": {"was": "1.0", "is": "2.0"},
         "package gone": {"was": "2.1", "is": None},
+        "ros middleware": {"was": "none", "is": "rmw_zenoh_cpp"},
+        "ros package nav2": {"was": "1.3", "is": "1.4"},
     }
 
 

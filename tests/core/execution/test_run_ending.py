@@ -77,7 +77,8 @@ def failure_of(executed: Any) -> Any:
 
 
 def ended(execute: Execute, mission: str = "pass", **more: str) -> Any:
-    settings = {name: more.pop(name) for name in ("run_process", "robot", "grace_in_s") if name in more}
+    known = ("run_process", "robot", "grace_in_s", "event_deadline_in_s")
+    settings = {name: more.pop(name) for name in known if name in more}
     lines = {"start": "pass", "stop": "pass", "populate": "pass", **more}
     body = BODY.format(mission=mission.replace("\n", "\n    "), **lines)
     began = time.monotonic()
@@ -240,6 +241,22 @@ def test_a_mission_that_does_not_leave_c_is_ended_when_the_grace_is_over(execute
     assert str(failure_of(executed)) == f"launch_mission of config: {expected}"
 
 
+def test_a_closing_event_that_hangs_is_told_with_its_owner_and_where_it_hangs(execute: Execute) -> None:
+    hang = "def stop_measurement(self): threading.Event().wait()"
+    executed = execute(hang, head=HEAD, table=TABLE, event_deadline_in_s=2, grace_in_s=1)
+    because = "the event took longer than event_deadline_in_s = 2 s"
+    assert executed.finished.failures == (f"r_1: stop_measurement of config: {because}",)
+    _, _, stack = executed.log("r_1").partition("stop_measurement of config failed: it was still going on when")
+    assert "in stop_measurement" in stack
+
+
+def test_a_mission_that_swallows_the_request_to_end_is_told_with_where_it_goes_on(execute: Execute) -> None:
+    mission = "try: time.sleep(60)\nexcept BaseException: threading.Event().wait()"
+    executed = ended(execute, mission, grace_in_s="1", event_deadline_in_s="2")
+    assert str(failure_of(executed)).startswith("launch_mission of config: the event took longer")
+    assert "threading.Event().wait()" in failure_of(executed).traceback
+
+
 def test_what_a_thread_raises_fails_the_run_and_ends_the_mission(execute: Execute) -> None:
     executed = ended(execute, "after(0.2, self.throw)\ntime.sleep(3600)")
     (failure,) = executed.journal("failure")
@@ -266,6 +283,46 @@ def test_what_a_thread_raises_while_things_are_closed_is_a_finding(execute: Exec
     executed = ended(execute, stop=stop)
     assert [row["status"] for row in executed.table] == ["Done"]
     assert any("the thread's own" in finding["problem"] for finding in executed.journal("finding"))
+
+
+#: Two runs in one process: a thread of the first one does something while the second one is executed.
+LATE = """
+run_process = RunProcess.IN_PROCESS
+begun, told, thread = threading.Event(), threading.Event(), None
+def launch_mission(self, context):
+    if context.run_number == 2:
+        self.begun.set()
+        self.thread.join()
+        return
+    def late():
+        self.begun.wait()
+        {deed}
+    RobotRunnerConfig.thread = threading.Thread(target=late, name="late", daemon=True)
+    self.thread.start()
+def populate_run_data(self, context): return {{"Energy": float(context.run_number)}}
+"""
+TWO_RUNS = TABLE.replace("[1]", "[1, 2]")
+
+
+@pytest.mark.parametrize(
+    ("deed", "said"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("context.publish('Energy', 9.0)", "r_1 has ended, and this is lost: measure 'Energy'"),
+        ("context.doubt('it was dark')", "r_1 has ended, and this is lost: it was dark"),
+        ("context.fail('too warm')", "r_1 has ended, and this is lost: too warm"),
+    ],
+)
+def test_a_thread_that_its_run_has_left_neither_fails_a_later_one_nor_changes_its_own(
+    execute: Execute, deed: str, said: str
+) -> None:
+    executed = execute(LATE.format(deed=deed), head=HEAD, table=TWO_RUNS)
+    assert [(row["status"], row["Energy"]) for row in executed.table] == [("Done", "1.0"), ("Done", "2.0")]
+    (finding,) = [each for each in executed.journal("finding") if each["owner"].startswith("thread")]
+    assert (finding["run"], finding["owner"]) == ("r_2", "thread late of an earlier run")
+    assert said in finding["problem"]
+    kinds = [each["kind"] for each in executed.journal() if each.get("run") == "r_1"]
+    assert kinds[-1] == "attempt_finished"
 
 
 def test_without_a_run_around_it_a_context_ends_the_callback_in_place(tmp_path: Path) -> None:

@@ -201,15 +201,26 @@ def test_a_truncated_table_is_made_anew_where_the_journal_counts(execute: Execut
 
 
 def test_what_a_spreadsheet_writes_in_another_way_is_no_change(execute: Execute) -> None:
-    executed = execute(COUNTING)
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
     path = executed.folder / "run_table.csv"
     before = text_of(path)
-    path.write_text(before.replace("\n", "\r\n").replace(",11\r", ",11.0\r"), encoding="utf-8-sig")
-    with pytest.raises(TableDisagreementError, match=r"'11\.0'"):
-        resume(executed)
-    path.write_text(before.replace("\n", "\r\n"), encoding="utf-8-sig")
-    resume(executed)
+    # As pandas does beside a missing value, and where it was told to read dates.
+    other = before.replace("\n", "\r\n").replace(",11\r", ",11.0\r").replace("T", " ").replace("Z", "+00:00")
+    path.write_text(other.replace(" ask", "Task"), encoding="utf-8-sig")
+    finished = resume(executed)
     assert text_of(path) == before
+    assert (finished.findings, executed.journal("deviation")) == ((), [])
+
+
+def test_where_one_cause_changed_many_cells_it_is_told_once(execute: Execute) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING, table=SHUFFLED)
+    path = executed.folder / "run_table.csv"
+    path.write_text(text_of(path).replace("1\n", "1.0001\n"), encoding="utf-8")
+    with pytest.raises(TableDisagreementError) as refused:
+        resume(executed)
+    (finding,) = refused.value.findings
+    assert finding.where == f"{path}, column 'Energy'"
+    assert finding.problem.startswith("6 runs have another value than the journal: r_1 has '11.0001' for '11', ")
 
 
 def test_rows_that_a_user_sorts_are_executed_in_that_order_and_told(execute: Execute) -> None:
@@ -246,3 +257,52 @@ def test_runs_that_ended_after_the_table_was_written_are_no_disagreement(execute
     resume(executed)
     assert attempts(executed) == 4
     assert [record["kind"] for record in read_journal(journal, kinds={"deviation"})] == []
+
+
+@pytest.mark.parametrize("lines", [None, 1, "r_2"], ids=["missing", "its first line alone", "to the end of r_2"])
+def test_done_runs_of_which_an_older_journal_has_no_end_are_told_and_settled(
+    execute: Execute, lines: int | str | None
+) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    table, journal = executed.folder / "run_table.csv", executed.folder / "journal.jsonl"
+    before, records = text_of(table), text_of(journal).splitlines(keepends=True)
+    if isinstance(lines, str):
+        lines = 1 + max(place for place, line in enumerate(records) if "attempt_finished" in line and lines in line)
+    unended = {"r_1", "r_2", "r_3", "r_4"} if lines is None or lines == 1 else {"r_3", "r_4"}
+
+    def roll_back() -> None:
+        journal.write_text("".join(records[:lines]), encoding="utf-8") if lines else journal.unlink()
+
+    roll_back()
+    with pytest.raises(TableDisagreementError, match=r"are done in the run table, and the journal has no end") as told:
+        resume(executed)
+    assert all(run in str(told.value) for run in unended)
+    assert "Restore journal.jsonl" in str(told.value)
+    assert [each for each in read_status(executed.folder).findings if "no end of" in each.problem]
+    finished = resume(executed, table=TableChoice.FILE)
+    assert (finished.done_count, text_of(table)) == (4, before)
+    assert any("no end of them" in each.problem for each in finished.findings)
+    assert {each["run"] for each in executed.journal("deviation")} == unended
+    assert not any("no end" in each.problem for each in resume(executed).findings)  # it was accepted, and is told once
+
+
+def test_done_runs_that_an_older_journal_does_not_know_can_be_executed_again(execute: Execute) -> None:
+    executed = execute("run_process = RunProcess.IN_PROCESS" + COUNTING)
+    (executed.folder / "journal.jsonl").unlink()
+    finished = resume(executed, table=TableChoice.JOURNAL)
+    assert attempts(executed) == finished.done_count == 4
+    assert (executed.folder / "earlier_tables" / "1.csv").exists()
+
+
+def test_runs_that_are_done_in_a_table_written_by_hand_are_no_fault(execute: Execute, write_config: Any) -> None:
+    config = write_config(COUNTING)
+    path = config.parent / "results" / "trial" / "run_table.csv"
+    path.parent.mkdir(parents=True)
+    path.write_text("Task,Repetition,status,Energy\nNetwork,1,Done,5\nNetwork,2,-,\n", encoding="utf-8")
+    executed = execute(COUNTING)
+    assert resume(executed).done_count == 2
+    assert attempts(executed) == 1
+    assert not any("no end" in each.problem for each in read_status(executed.folder).findings)
+    (executed.folder / "journal.jsonl").unlink()
+    with pytest.raises(TableDisagreementError, match=r"1 run is done .* \(r_2\): it is missing"):
+        resume(executed)

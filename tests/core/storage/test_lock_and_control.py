@@ -168,6 +168,15 @@ def test_a_command_is_taken_once(tmp_path: Path) -> None:
     assert take_command(control) is None
 
 
+def test_a_command_that_answers_one_question_is_left_alone_by_who_asks_another(tmp_path: Path) -> None:
+    control = tmp_path / ".control"
+    send_command(control, Command.CONTINUE, asked=("r_3", "swap the battery"))
+    assert take_command(control, ("r_3", "close the door")) is None
+    assert take_command(control, ("r_3", "swap the battery")) is Command.CONTINUE
+    send_command(control, Command.CONTINUE)  # of an older client
+    assert take_command(control, ("r_3", "close the door")) is Command.CONTINUE
+
+
 def test_a_command_can_be_forgotten_and_nonsense_is_none(tmp_path: Path) -> None:
     control = tmp_path / ".control"
     send_command(control, Command.CONTINUE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import subprocess
@@ -82,6 +83,22 @@ def test_a_lock_file_that_everybody_may_write_is_not_relied_upon(tmp_path: Path)
     with held(path, "O_RDWR", "LOCK_EX"), ExperimentLock(path):
         assert f"executed by process {os.getpid()}" in outcome_elsewhere(path)
     assert rights(path) == 0o600
+
+
+def test_a_file_system_whose_files_all_have_the_same_permissions_is_no_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "fchmod", refuse)
+    tmp_path.chmod(0o777)
+    path = tmp_path / ".lock"
+    path.touch()
+    path.chmod(0o777)  # as all files of such a file system
+    with ExperimentLock(path):
+        assert f"executed by process {os.getpid()}" in outcome_elsewhere(path)
+    assert "taken" in outcome_elsewhere(path)
 
 
 _STRANGER = """

@@ -6,12 +6,14 @@ import errno
 import os
 import stat
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TextIO
 
 import pytest
 
 from robot_runner.core.errors import StorageError
 from robot_runner.core.storage.guarded_files import replace
+from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.safe_write import write_beside_and_rename
 from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
 
@@ -130,7 +132,7 @@ def test_a_folder_that_is_missing_or_a_file_is_named_with_a_fix(tmp_path: Path) 
         write_beside_and_rename(tmp_path / "file" / "table.csv", lambda file: file.write("x"))
 
 
-def test_a_file_system_that_flushes_no_folders_is_no_reason_to_fail(
+def test_a_file_system_that_flushes_neither_folders_nor_files_is_no_reason_to_fail(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(number: int) -> None:
@@ -138,9 +140,21 @@ def test_a_file_system_that_flushes_no_folders_is_no_reason_to_fail(
 
     monkeypatch.setattr(os, "fsync", lambda _: refuse(errno.EINVAL))
     fsync_folder(tmp_path)
+    write_beside_and_rename(tmp_path / "table.csv", lambda file: file.write("whole"))
+    assert (tmp_path / "table.csv").read_text(encoding="utf-8") == "whole"
+    with Journal(tmp_path / "journal.jsonl") as journal:
+        journal.append("table_written")
     monkeypatch.setattr(os, "fsync", lambda _: refuse(errno.EIO))
     with pytest.raises(OSError, match="refused"):
         fsync_folder(tmp_path)
+
+
+def test_a_disk_with_room_and_without_inodes_is_told_as_that(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    full = OSError(errno.ENOSPC, "No space left on device")
+    for free, expected in ((0, "df -i"), (5, "Make room on the disk")):
+        found = SimpleNamespace(f_files=100, f_favail=free, f_bavail=1000)
+        monkeypatch.setattr(os, "statvfs", lambda _, found=found: found)
+        assert expected in storage_error(tmp_path / "table.csv", "written", full).fix
 
 
 def test_an_error_without_a_number_is_said_as_it_is() -> None:

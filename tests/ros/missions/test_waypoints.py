@@ -164,3 +164,19 @@ def test_what_is_no_waypoint_is_refused(given: object) -> None:
 def test_a_parameter_out_of_its_range_is_refused(parameter: str, value: object) -> None:
     with pytest.raises(PluginError, match=f"{parameter} is"):
         Waypoints([(1.0, 0.0)], **{parameter: value})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "more", "robot", "is_told"),
+    [
+        ([(1.0, 0.0)], {}, "ros2", True),
+        ([(1.0, 0.0), (0.0, 0.0)], {}, "ros2", False),
+        ([(1.0, 0.0)], {"relative_to": "start"}, "ros2", False),
+        ([(1.0, 0.0)], {}, "simulated", False),
+    ],
+)
+def test_a_way_that_ends_elsewhere_than_it_began_is_told_of_where_nobody_puts_the_robot_back(
+    waypoints: Any, more: Any, robot: str, is_told: bool
+) -> None:
+    found = [each.problem for each in Waypoints(waypoints, **more).check(Circumstances(robot=robot))]
+    assert any("from there the next run sets out" in each for each in found) is is_told

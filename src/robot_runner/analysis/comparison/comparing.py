@@ -114,7 +114,7 @@ def compare(
     notes = [
         *_notes_on_searches(called, given),
         *matching.notes,
-        *([f"Not compared, as it is text in both: {listed(texts)}."] if texts else []),
+        *([f"No means are compared of what is text in both: {listed(texts)}."] if texts else []),
         *_notes_on_values((ours, theirs), called, chosen),
     ]
     return Comparison(

@@ -81,7 +81,7 @@ def points_chart(material: Material) -> Chart | None:
     done = material.done
     if not numeric or done.empty:
         return None
-    begun = list(material.last_attempts.dropna(subset=["started_at"]).sort_values("started_at")["run_id"])
+    begun = list(in_order_of_execution(material, material.last_attempts)["run_id"])
     is_known = set(done[RUN_ID]) <= set(begun)
     places = {run_id: place for place, run_id in enumerate(begun if is_known else material.runs[RUN_ID], start=1)}
     order = "order of execution" if is_known else "order of the table"
@@ -107,6 +107,17 @@ def points_chart(material: Material) -> Chart | None:
     }
     caption = f"{counted(len(ordered), 'run')} in the {order}. Point at one for its id and its value."
     return Chart("chart-runs", "points", caption, data)
+
+
+def in_order_of_execution(material: Material, attempts: pd.DataFrame) -> pd.DataFrame:
+    """Return the attempts that tell when they began, in the order in which they did.
+
+    That is the order of the journal, also where this machine's clock was set back in between. One that was written when
+    an experiment was imported has the order of the table, and times from elsewhere.
+    """
+    told = attempts.dropna(subset=["started_at"])
+    is_imported = material.results.manifest.get("origin") == "imported"
+    return told.sort_values("started_at", kind="stable") if is_imported else told
 
 
 def _dash(look: Look) -> list[float]:

@@ -16,8 +16,10 @@ from robot_runner.analysis.statistics.nested_factors import IDLE
 from robot_runner.analysis.statistics.tested import named_within
 from robot_runner.analysis.wording import ALPHA, MINUS, about_intervals, listed, sentence, with_unit
 from robot_runner.core.design.batch import CONFIRMATION
-from robot_runner.core.design.columns import STATUS
+from robot_runner.core.design.columns import RUN_ID, STATUS
+from robot_runner.core.design.outliers import Doubtful
 from robot_runner.core.design.repeated_intervals import METHOD
+from robot_runner.core.events.measure import Quality
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.analysis.report.material import Material
+    from robot_runner.analysis.results import Results
     from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
     from robot_runner.analysis.statistics.tested import Interval
@@ -341,17 +344,33 @@ def searched_part(material: Material) -> Iterator[Part]:
     if results.batch is not None:
         runs = runs[~runs[results.batch].isin(results.confirming_batches)]
     factors = list(results.factors)
+    note, plan = _NOTE, results.plan
+    if plan is not None and plan.doubtful is Doubtful.LEAVE_OUT:
+        runs, left_out = _without_doubtful(runs, results, measures)
+        note += f" {sentence(counted(left_out, 'doubtful value'))} left out, as planned." * bool(left_out)
     tried = [_tried(treatments, own, measures) for treatments, own in runs.groupby(factors, observed=True, sort=False)]
     tried.sort(key=lambda each: each["place"])
     columns = [text(name, _reader("treatments", place)) for place, name in enumerate(factors)]
     columns += [number("Runs done", lambda each: each["done"])]
     columns += [number(results.label(name), _reader("means", place)) for place, name in enumerate(measures)]
-    table = build_table("searched", "What was tried in search of the best.", tried, columns, _NOTE)
+    table = build_table("searched", "What was tried in search of the best.", tried, columns, note)
     yield Part("design-searched", "What was tried", (table,), is_folded=len(tried) > _FEW)
 
 
 #: So many rows are shown without being asked for.
 _FEW = 30
+
+
+def _without_doubtful(runs: pd.DataFrame, results: Results, measures: list[str]) -> tuple[pd.DataFrame, int]:
+    """Return the runs without their doubtful values, and how many these are."""
+    told = results.quality
+    doubtful = told[(told["quality"] == Quality.DOUBTFUL.value) & told["run_id"].isin(runs[RUN_ID])]
+    without, count = runs.copy(), 0
+    for name in measures:
+        is_doubtful = without[RUN_ID].isin(doubtful.loc[doubtful["measure"] == name, "run_id"])
+        without[name] = without[name].mask(is_doubtful)
+        count += int(is_doubtful.sum())
+    return without, count
 
 
 def _tried(treatments: tuple[Any, ...], runs: pd.DataFrame, measures: list[str]) -> dict[str, Any]:

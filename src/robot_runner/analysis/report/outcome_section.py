@@ -23,6 +23,7 @@ from robot_runner.analysis.report.blocks import (
     Table,
     Tone,
 )
+from robot_runner.analysis.report.charts import in_order_of_execution
 from robot_runner.analysis.report.material import by_plugin
 from robot_runner.analysis.report.tables import Field, build_table, field, number, number_cell, text
 from robot_runner.analysis.wording import MISSING, kind_of, listed
@@ -46,7 +47,7 @@ def outcome_section(material: Material) -> Section:
     if failures:
         blocks.append(Remarks(tuple(Remark(title, reason, Tone.BAD, "Failed") for title, reason in failures)))
     blocks += failed_pair_parts(material)
-    spans = _spans(material)
+    spans = attempt_spans(material)
     if spans:
         blocks.append(_timeline(material, spans))
     blocks.append(Part("outcome-runs", "Each run", (_run_table(material),)))
@@ -202,26 +203,31 @@ def _timeline(material: Material, spans: tuple[AttemptSpan, ...]) -> FigureBlock
     )
 
 
-def _spans(material: Material) -> tuple[AttemptSpan, ...]:
+def attempt_spans(material: Material) -> tuple[AttemptSpan, ...]:
     """Return all attempts with their times, in their order."""
-    attempts = material.results.attempts.dropna(subset=["started_at"])
+    attempts = in_order_of_execution(material, material.results.attempts)
     if attempts.empty:
         return ()
-    began = attempts["started_at"].min()
+    began = attempts["started_at"].iloc[0]
+    earlier = AttemptSpan("", "", 0.0, 0.0, None, is_done=True)
     events = material.results.events()
     stamps = {(run, str(event)): at for run, event, at in events[["run_id", "event", "at"]].itertuples(index=False)}
     last = set(attempts.drop_duplicates("run_id", keep="last").index)
     spans = []
-    for row in attempts.sort_values("started_at").itertuples():
+    for row in attempts.itertuples():
         label = material.labels.get(row.run_id, "")
         if not label:  # its run is no longer in the table
             continue
         start = (row.started_at - began).total_seconds()
+        if start < earlier.start:  # the clock was set back: the attempt is drawn behind the one before it
+            began -= pd.Timedelta(seconds=earlier.end - start)
+            start = earlier.end
         end = start + (0.0 if pd.isna(row.seconds) else float(row.seconds))
         edges = [stamps.get((row.run_id, name)) for name in ("start_measurement", "stop_measurement")]
         known = [(edge - began).total_seconds() for edge in edges if edge is not None and row.Index in last]
         measured = (known[0], known[1]) if len(known) == len(edges) else None
-        spans.append(AttemptSpan(row.run_id, label, start, end, measured, is_done=row.status == "done"))
+        earlier = AttemptSpan(row.run_id, label, start, end, measured, is_done=row.status == "done")
+        spans.append(earlier)
     return tuple(spans)
 
 

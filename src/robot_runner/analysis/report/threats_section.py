@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.report.blocks import Block, Gallery, Paragraph, Remark, Remarks, Section, Tone
 from robot_runner.analysis.report.design_section import shown_stamp
@@ -23,7 +23,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.statistics.outcome import MeasureStatistics
@@ -292,6 +292,9 @@ def _circumstances(material: Material) -> Threats:
     if ExperimentFolder(material.results.folder).earlier_configs.is_dir():
         text = "Configs that were executed before are in earlier_configs/: see what changed, and for which runs."
         yield "The config changed on the way", text, Tone.WARNING
+    if values := list(_changed_values(executions)):
+        text = f"What the config was given changed between executions: {listed(values, shown=20)}."
+        yield "Values were changed on the way", text, Tone.WARNING
     deviations: dict[str, object] = dict(material.manifest("deviations", default={}))
     for execution in executions:
         deviations |= execution.get("deviations") or {}
@@ -304,6 +307,14 @@ def _circumstances(material: Material) -> Threats:
         shown = listed((f"{name} = {value}" for name, value in shown_settings(deviations).items()), shown=20)
         text = f"Set on the command line, against what the config says: {shown}."
         yield "Parameters were set by hand", text, Tone.NOTE
+
+
+def _changed_values(executions: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield each value that a later execution was given otherwise, as it may come from the environment."""
+    for execution in executions:
+        for name, pair in (execution.get("changed_values") or {}).items():
+            was, now = (repr(pair[each]) if each in pair else "not given" for each in ("was", "is"))
+            yield f"{name} from {was} to {now}"
 
 
 def _odd(material: Material) -> Threats:

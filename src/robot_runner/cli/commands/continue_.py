@@ -48,7 +48,7 @@ def execute(arguments: Namespace) -> int:
         return 0
     require_waiting(status, shown_path(status.folder))
     answers = _answers(arguments.answer, questions_of(status), shown_path(status.folder))
-    continue_and_see(folder, answers, shown_path(folder.root))
+    continue_and_see(folder, status.waiting_for, answers, shown_path(folder.root))
     step = (status.waiting_for or {}).get("step")
     number = status.done + status.failed + 1
     done = f"{step!r} is done" if step else f"{number} of {status.run_count} runs begun"

@@ -91,8 +91,7 @@ def _bar(status: ExperimentStatus) -> Text:
 def _now(status: ExperimentStatus) -> Iterator[tuple[str, str]]:
     """Yield what happens at this moment: a line for each place, where there are several."""
     heading = "Now"
-    if status.gate is not None:
-        gate = status.gate
+    for gate in status.gates:
         seen = f": {one_line(gate['seen'])}" if gate["seen"] else ""
         after = f"after {shown_duration(gate['seconds'])}, at {gate['at']}"
         yield heading, f"{gate['run']} waits until {one_line(gate['condition'])}{seen} ({after})"
@@ -182,6 +181,7 @@ def _as_json(status: ExperimentStatus) -> dict[str, Any]:
         "sessions": [_session_as_json(session) for session in status.sessions],
         "findings": as_json(status.findings),
         "in_flight": list(map(asdict, status.in_flight)),
+        "gates": list(status.gates),
     }
 
 

@@ -54,7 +54,7 @@ from robot_runner.core.storage.lock import is_requested
 from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from typing import Self
 
     from rich.console import RenderableType
@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from robot_runner.cli.console import UserConsole
     from robot_runner.cli.screens.progress import CurrentRun
     from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.notices import GateWaiting
 
 _BAR = 40
 #: The arrow and the id of a run.
@@ -266,12 +267,14 @@ class LiveScreen:
     def _current(self) -> list[Text]:
         """Return what happens now: two lines of the only run, or one line of each place."""
         runs = list(self.progress.in_flight.values())
-        if not runs:
-            return list(self._between_runs())
+        waits = list(self.progress.gates.values())
+        if not runs and len(waits) <= 1:
+            return self._between_runs(waits)
         if len(runs) == 1 and not runs[0].task.place:
             return [self._run(runs[0], with_count=True), self._event(runs[0], self._pause())]
-        width = max(cell_len(each.task.place) for each in runs)
-        return [self._at_place(each, width) for each in sorted(runs, key=lambda each: each.task.slot)]
+        width = max((cell_len(each.task.place) for each in runs), default=0)
+        places = [self._at_place(each, width) for each in sorted(runs, key=lambda each: each.task.slot)]
+        return [*places, *(self._at_gate(each).append(f"   {waited_so_far(each)}", style="default") for each in waits)]
 
     def _at_place(self, current: CurrentRun, width: int) -> Text:
         line = Text(f"  {current.task.place.ljust(width)}", style="dim", no_wrap=True, overflow="ellipsis")
@@ -293,12 +296,13 @@ class LiveScreen:
     def _pause(self) -> str:
         return ", pauses after this run" if is_requested(self._experiment.folder.pause) else ""
 
-    def _between_runs(self) -> tuple[Text, Text]:
-        waiting = self.progress.gate
-        if waiting is None:
-            return Text(f"  between two runs{self._pause()}", style="dim"), Text("")
-        line = Text(f"  ▷ {waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")
-        return line, Text(f"    {waited_so_far(waiting)}", no_wrap=True, overflow="ellipsis")
+    def _between_runs(self, waits: Sequence[GateWaiting]) -> list[Text]:
+        if not waits:
+            return [Text(f"  between two runs{self._pause()}", style="dim"), Text("")]
+        return [self._at_gate(waits[0]), Text(f"    {waited_so_far(waits[0])}", no_wrap=True, overflow="ellipsis")]
+
+    def _at_gate(self, waiting: GateWaiting) -> Text:
+        return Text(f"  ▷ {waiting_at_gate(waiting)}", style="cyan", no_wrap=True, overflow="ellipsis")
 
     def _event(self, current: CurrentRun, pause: str) -> Text:
         line = Text("    ", no_wrap=True, overflow="ellipsis")

@@ -192,7 +192,7 @@ class PlainScreen:
         self._console = console
         self._model = experiment.model
         self._units: Mapping[str, str] = {}
-        self._gate_told: float | None = None
+        self._gates_told: dict[str, float] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -250,16 +250,16 @@ class PlainScreen:
 
     def _tell_of_gate(self, notice: GateWaiting | GatePassed) -> None:
         if isinstance(notice, GatePassed):
-            if self._gate_told is not None or notice.problem:
+            if self._gates_told.pop(notice.run_id, None) is not None or notice.problem:
                 self._print(gate_passed(notice))
-            self._gate_told = None
             return
-        if self._gate_told is None and notice.seconds < _GATE_AFTER:
+        told = self._gates_told.get(notice.run_id)
+        if told is None and notice.seconds < _GATE_AFTER:
             return
-        if self._gate_told is None:
-            self._print(waiting_at_gate(notice))
-        if self._gate_told is None or notice.seconds - self._gate_told >= _GATE_EVERY:
-            self._gate_told = notice.seconds
+        if told is None or notice.seconds - told >= _GATE_EVERY:
+            self._gates_told[notice.run_id] = notice.seconds
+            if told is None or len(self._gates_told) > 1:  # of several it has to be said which one is meant
+                self._print(waiting_at_gate(notice))
             self._print(f"  {waited_so_far(notice)}")
 
     def refresh(self) -> None:

@@ -63,7 +63,7 @@ class Progress:
         origins: where the values of the run table came from, with the measures of each origin.
         bad_values: the runs of this session whose values are not good, by measure and quality.
         is_waiting: whether the user is asked to go on, or the experiment is paused.
-        gate: what is awaited before the next run, if anything is.
+        gates: what is awaited before runs, by run: several places may wait at the same time.
         gate_seconds: how long gates were awaited in this session, those that are over, s of their clocks.
         has_begun: whether any run was begun in this session.
     """
@@ -84,7 +84,7 @@ class Progress:
         self.origins: dict[str, dict[str, None]] = {}
         self.bad_values: dict[str, dict[str, list[str]]] = {}
         self.is_waiting = False
-        self.gate: GateWaiting | None = None
+        self.gates: dict[str, GateWaiting] = {}
         self.gate_seconds = 0.0
         self.has_begun = False
 
@@ -135,9 +135,9 @@ class Progress:
             case WaitingForUser() | Paused() | UserHasContinued():
                 self.is_waiting = not isinstance(notice, UserHasContinued)
             case GateWaiting():
-                self.gate = notice
+                self.gates[notice.run_id] = notice
             case GatePassed():
-                self.gate = None
+                self.gates.pop(notice.run_id, None)
                 self.gate_seconds += notice.seconds
             case ExperimentFinished():
                 self.done, self.failed = notice.done_count, notice.failed_count

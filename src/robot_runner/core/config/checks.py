@@ -235,7 +235,7 @@ def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugi
     for point in entry_points("checks"):
         try:
             findings += instances_of(Finding, point.load()(where, parameters, plugins))
-        except Exception as error:  # noqa: BLE001 - a stranger's code, as above
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code, as above
             findings.append(failed_check(point.where, error))
     return findings
 

@@ -158,7 +158,7 @@ def check_workers(
     try:
         held_claims(claims, model)
         common = claims.common(run.combination for run in islice(model.plan(), _LOOKED_AT)) if count > 1 else {}
-    except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         return [failed_check(f"{where}.plugins", error, "asking plugins for their claims")]
     if parameters.run_process is RunProcess.IN_PROCESS and parameters.workers != 1:
         problem = "run_process is IN_PROCESS: the orchestrator executes one run at a time, and other workers are idle"

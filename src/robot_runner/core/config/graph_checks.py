@@ -94,7 +94,7 @@ def _needs(
                 for need in built.required_graph(Circumstances(robot, factors, tuple(plugins))):
                     name = need.name if need.name.startswith("/") or not prefix else f"{prefix[1:]}/{need.name}"
                     wanted[replace(need, name=name)] = None
-        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
             failed.append(failed_check(where, error, "required_graph"))
         if wanted:
             needs[where] = list(wanted)

@@ -38,7 +38,7 @@ def named_inputs(
     for where, ask in asked:
         try:
             found |= dict.fromkeys(instances_of(InputFile, ask()))
-        except Exception as error:  # noqa: BLE001 - a stranger's code; an experiment is worth more than a copy
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; an experiment is worth more than a copy
             _log.warning("%s: which files it reads is not known: %s", where, error)
     return tuple(found)
 

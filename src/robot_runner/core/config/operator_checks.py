@@ -98,7 +98,7 @@ def _tried(at: str, step: OperatorStep, model: RunTableModel) -> Iterator[Findin
     for run in islice(model.plan(), _TRIED):
         try:
             step.suits(run.combination)
-        except Exception as error:  # noqa: BLE001 - the user's own function
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - the user's own function
             problem = f"before({run.combination}) raised {type(error).__name__}: {error}"
             yield Finding.error(at, problem, "Mend the function: it is given the treatments by factor.")
             return

@@ -59,7 +59,7 @@ def companions(parameters: Parameters, plugins: Sequence[Plugin]) -> tuple[tuple
     for point in entry_points("companions"):
         try:
             added += point.load()(parameters, plugins)
-        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
             findings.append(failed_check(point.where, error, "it"))
     return tuple(added), findings
 
@@ -114,7 +114,7 @@ def instances_of(kind: type[T], returned: Iterable[T]) -> list[T]:
     return found
 
 
-def failed_check(where: str, error: Exception, what: str = "the check") -> Finding:
+def failed_check(where: str, error: BaseException, what: str = "the check") -> Finding:
     """Return the finding that takes the place of what a check, or whatever else it was, would have returned."""
     if isinstance(error, RobotRunnerError):
         return Finding.error(error.where or where, error.problem, error.fix)
@@ -167,7 +167,7 @@ def _names_in(code: CodeType | None) -> Iterator[str]:
 def _asked(plugin: Plugin, circumstances: Circumstances) -> list[Finding]:
     try:
         return instances_of(Finding, plugin.check(circumstances))
-    except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         return [failed_check(plugin.name, error)]
 
 
@@ -325,7 +325,7 @@ def _unbuilt(plugin: Plugin, combination: Mapping[str, Any], built: list[Plugin]
         built.append(built_with(plugin, combination))
     except RobotRunnerError as error:
         return [Finding.error(where, error.problem, error.fix)]
-    except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         problem = f"the plugin cannot be built: {type(error).__name__}: {error}"
         return [Finding.error(where, problem, "Change this treatment, or what is bound to its factor.")]
     return _malformed(built[-1])
@@ -338,7 +338,7 @@ def _malformed(plugin: Plugin) -> list[Finding]:
         return [Finding.error(where, refused.problem, refused.fix)]
     try:
         measures = instances_of(Measure, plugin.measures)
-    except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
         problem = f"measures: {error if isinstance(error, TypeError) else f'{type(error).__name__}: {error}'}"
         return [Finding.error(where, problem, 'Give a list, such as [Measure("Energy", "J")].')]
     counts = Counter(each.name for each in measures)
@@ -380,7 +380,7 @@ def _checked_with_each(
             asked: Plugin = built_with(plugin, combination)
             # It stands last: of two that clash the later one says so, and the others are not asked with each treatment.
             others = tuple(built_with(each, combination) for each in plugins if each is not plugin)
-        except Exception as error:  # noqa: BLE001 - a stranger's code, which could be built a moment ago
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code, which could be built a moment ago
             return [failed_check(plugin.name, error)]
         listed = [each.name for each in plugins]
         return _asked(asked, Circumstances(circumstances.robot, circumstances.factors, (*others, asked), listed))

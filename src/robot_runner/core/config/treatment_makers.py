@@ -82,7 +82,7 @@ def maker_findings(factors: Sequence[Factor], folder: ExperimentFolder) -> list[
     for point in entry_points("preparations"):
         try:
             findings += instances_of(Finding, point.load().findings(factors, known.get(point.name, {})))
-        except Exception as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
             findings.append(failed_check(point.where, error))
     return findings
 

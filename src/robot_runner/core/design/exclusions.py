@@ -190,7 +190,8 @@ def _named(
 def _predicate_failed(where: str, combination: Combination, error: Exception) -> Finding:
     name = error.args[0] if isinstance(error, KeyError) and error.args else None
     is_unknown_factor = isinstance(name, str) and name not in combination
-    problem = f"the predicate raised {type(error).__name__}: {error} for the combination {combination}"
+    raised = f"KeyError: {name!r}" if is_unknown_factor else f"{type(error).__name__}: {error}"
+    problem = f"the predicate raised {raised} for the combination {combination}"
     return Finding.error(where, problem, did_you_mean(str(name), combination) if is_unknown_factor else "Mend it.")
 
 

@@ -293,6 +293,28 @@ def _listed(where: str, treatments: object) -> tuple[tuple[Any, ...], list[Findi
     return listed, []
 
 
+class UnknownFactorError(KeyError):
+    """A run's combination was asked for a factor that it does not have; says which is meant.
+
+    Example:
+        >>> str(UnknownFactorError("Sped", ["Speed", "Task"]))
+        "the run has no factor 'Sped': did you mean 'Speed'?"
+    """
+
+    def __init__(self, factor: object, known: Iterable[str]) -> None:
+        super().__init__(factor)
+        self.known = tuple(known)
+
+    def __str__(self) -> str:
+        near = nearest(self.args[0], self.known) if isinstance(self.args[0], str) else None
+        meant = f"did you mean {near!r}?" if near else f"it has {', '.join(map(repr, self.known))}"
+        return f"the run has no factor {self.args[0]!r}: {meant}"
+
+    def __reduce__(self) -> tuple[type[UnknownFactorError], tuple[object, tuple[str, ...]]]:
+        """Return how a copy is made, as another process gets it."""
+        return type(self), (self.args[0], self.known)
+
+
 class Combination(Mapping[str, Any]):
     """One treatment for each factor, by the factor's name. Read-only.
 
@@ -310,7 +332,10 @@ class Combination(Mapping[str, Any]):
         self.treatments = treatments
 
     def __getitem__(self, factor: str) -> Any:
-        return self.treatments[self._places[factor]]
+        try:
+            return self.treatments[self._places[factor]]
+        except KeyError:
+            raise UnknownFactorError(factor, self._places) from None
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 #: What `WarmUp.per` is where each combination is warmed up for.
 COMBINATION = "combination"
+#: More warm-up runs are a slip, and would be planned for minutes.
+_MOST_RUNS = 10_000
+_READABLE = 10**15
 
 
 @dataclass(frozen=True, slots=True, init=False)
@@ -134,8 +137,11 @@ def _findings(runs: object, per: object, each_session: object) -> Iterator[Findi
     if isinstance(runs, bool) or not isinstance(runs, int):
         problem = f"the number of runs is {runs!r}, of type {type(runs).__name__}"
         yield Finding.error("warm_up", problem, "Give a whole number from 1.")
-    elif runs < 1:
-        yield Finding.error("warm_up", f"the number of runs is {runs}", "Give a whole number from 1.")
+    elif not 1 <= runs <= _MOST_RUNS:
+        shown = f"{runs:,}" if abs(runs) < _READABLE else "a number of many digits"
+        yield Finding.error(
+            "warm_up", f"the number of runs is {shown}", f"Give a whole number from 1 to {_MOST_RUNS:,}."
+        )
     if per is not None and not isinstance(per, str | Factor):
         problem = f"per is {per!r}, of type {type(per).__name__}"
         yield Finding.error("warm_up", problem, f"Give the name of a factor, {COMBINATION!r}, or leave it out.")

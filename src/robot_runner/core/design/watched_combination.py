@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.factor import UnknownFactorError
 from robot_runner.core.errors import Finding
 
 if TYPE_CHECKING:
@@ -29,7 +30,10 @@ class WatchedCombination(Mapping[str, Any]):
         self._unread = set(combination)
 
     def __getitem__(self, factor: str) -> Any:
-        treatment = self._combination[factor]
+        try:
+            treatment = self._combination[factor]
+        except KeyError:
+            raise UnknownFactorError(factor, self._combination) from None
         self._read(factor)
         return treatment
 

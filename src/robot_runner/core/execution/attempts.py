@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.gate_parameters import GuardAction
 from robot_runner.core.config.parameters import FailurePolicy
-from robot_runner.core.errors import Finding
+from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
 from robot_runner.core.execution.between_runs import BetweenRuns
@@ -29,6 +29,8 @@ from robot_runner.core.treatments import bind, factors_of, values_of
 from robot_runner.core.words import plain
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from robot_runner.core.design.held_order import HeldOrder
     from robot_runner.core.execution.orchestrator_events import OngoingExperiment
     from robot_runner.core.execution.patience import Steps
@@ -131,7 +133,11 @@ class Attempts:
             has_attempts_left=task.attempts_left > 0,
         )
 
+        is_over = False
+
         def report(kind: str, fields: dict[str, Any]) -> None:
+            if is_over:
+                raise _told_too_late(task, kind, fields)
             self._progress.record(task, kind, fields)
             ongoing.notify(RunRecord(task.run_id, kind, fields))
             if kind == "guard" and fields["action"] == GuardAction.STOP.value:
@@ -152,6 +158,7 @@ class Attempts:
         if not builder.has_failed:
             ongoing.events.emit_to_run(RobotRunnerEvents.BEFORE_RUN, task, report_own, place.experiment)
         if builder.has_failed or ongoing.is_interrupted:
+            is_over = True
             return builder.outcome(interrupted=ongoing.is_interrupted)
         watch = Watch(
             interruption=ongoing.patience.interruption,
@@ -161,7 +168,9 @@ class Attempts:
         )
         with closing(place.begin(task, builder, watch)) as run:
             yield run
-            return run.outcome()
+            outcome = run.outcome()  # which may tell something, too
+        is_over = True
+        return outcome
 
     def _bind_plugins(self, task: RunTask, report: Report) -> None:
         """Build plugins with bound parameters with the treatments of a run; what they raise fails the run."""
@@ -176,3 +185,11 @@ class Attempts:
                 bind(plugin, task.combination)
             except Exception as error:  # noqa: BLE001 - a stranger's code
                 report("failure", {"event": "", "owner": plugin.name, **failure_fields(error)})
+
+
+def _told_too_late(task: RunTask, kind: str, fields: Mapping[str, Any]) -> PluginError:
+    """Return the error that a thread of this process tells something of a run that is over."""
+    what = f"measure {fields['name']!r}" if kind == "measure" else fields.get("problem") or f"what is told ({kind})"
+    problem = f"{task.run_id} has ended, and this is lost: {what}"
+    fix = "Publish in populate_run_data at the latest, and end the thread in stop_run, or in after_experiment."
+    return PluginError(problem, where=str(fields.get("owner", "")), fix=fix)

@@ -11,6 +11,7 @@ from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
+from robot_runner.core.execution.given_values import changed_values, given_values
 from robot_runner.core.execution.recovery import config_files
 from robot_runner.core.plugin import described_circumstances, installed_plugins
 from robot_runner.core.secret_names import hidden_settings
@@ -38,12 +39,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
     return {
         **described_circumstances(),  # first, so that none of them takes the place of what follows
         "experiment_name": experiment.parameters.experiment_name,
-        "config": {
-            "file": experiment.config_path.name,
-            "class": experiment.class_name,
-            # A class from a notebook has no file of its own: what was kept of it is said.
-            **({} if experiment.kept == "file" else {"kept": experiment.kept}),
-        },
+        "config": _config(experiment),
         # What was set from outside the config file: a replication has to know.
         "deviations": hidden_settings(experiment.overrides),
         "robot": experiment.parameters.robot,
@@ -65,6 +61,12 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "software": describe_software(),
         "executions": [_execution(experiment)],
     }
+
+
+def _config(experiment: Experiment) -> dict[str, str]:
+    # A class from a notebook has no file of its own: what was kept of it is said.
+    kept = {} if experiment.kept == "file" else {"kept": experiment.kept}
+    return {"file": experiment.config_path.name, "class": experiment.class_name, **kept}
 
 
 #: What an experiment that goes on is compared with.
@@ -91,7 +93,11 @@ def kept_manifest(experiment: Experiment) -> dict[str, Any]:
 
 def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[str, Any]:
     """Return the manifest of an experiment that goes on."""
-    manifest["executions"].append(_execution(experiment) | {"changed": changed_circumstances(manifest)})
+    # Asked about before, and accepted: what was given otherwise is part of the account of this execution.
+    others = {"changed_values": values} if (values := changed_values(experiment, manifest)) else {}
+    manifest["executions"].append(_execution(experiment) | {"changed": changed_circumstances(manifest)} | others)
+    manifest.pop("given_to_extension", None)
+    manifest["config"] = _config(experiment)  # the file may have another name by now, and is kept by it
     if experiment.model.batches:  # the journal has them, and an extension that broke off left the manifest behind
         manifest["design"] |= described_design(experiment.model)
     if _analysis(experiment) != manifest.get("analysis"):
@@ -123,6 +129,7 @@ def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, An
         *((name, then[name], software[name]) for name in ("python", "robot_runner") if name in then),
         *_pairs("package", then.get("packages"), software["packages"]),
         *_pairs("system package", then.get("system_packages"), software["system_packages"]),
+        *_described_pairs(manifest),
     ]
     return {name: {"was": was, "is": now} for name, was, now in pairs if was != now}
 
@@ -130,6 +137,20 @@ def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, An
 def _pairs(what: str, before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
     """Yield what each package was and is, None where it is gone; those that have come were nobody's before."""
     return ((f"{what} {name}", release, now.get(name)) for name, release in (before or {}).items())
+
+
+def _described_pairs(manifest: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    """Yield what was and is of the facts that packages add, such as the distribution and middleware of ROS."""
+    for name, described in described_circumstances().items():
+        before, now = manifest.get(name) or {}, described or {}
+        if name not in manifest or not (isinstance(before, dict) and isinstance(now, dict)):
+            continue
+        for part in dict.fromkeys([*before, *now]):
+            was, is_now = before.get(part), now.get(part)
+            if isinstance(was, dict) and isinstance(is_now, dict):
+                yield from _pairs(f"{name} {part.removesuffix('s')}", was, is_now)
+            elif not isinstance(was, dict) and not isinstance(is_now, dict):
+                yield f"{name} {part}", "none" if was is None and is_now is not None else was, is_now
 
 
 def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> tuple[Finding, ...]:
@@ -264,6 +285,7 @@ def _repeat_until(experiment: Experiment) -> dict[str, Any] | None:
 
 def _execution(experiment: Experiment) -> dict[str, Any]:
     execution = {"started_at": utc_now(), "pid": os.getpid(), "deviations": hidden_settings(experiment.overrides)}
+    execution["given"] = given_values(experiment)
     state = repository_state(experiment.config_path.parent)
     return execution if state is None else execution | {"repository": state.facts()}
 

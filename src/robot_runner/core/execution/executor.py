@@ -152,7 +152,7 @@ def _begun_in_process(
 
 
 def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
-    gate, refused = InterruptGate(), list[RobotRunnerError]()
+    gate, refused, is_over = InterruptGate(), list[RobotRunnerError](), False
 
     def report(kind: str, fields: dict[str, Any]) -> None:
         fields = sentences_without_secrets(fields)  # as on the way from another process
@@ -161,6 +161,8 @@ def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilde
             watch.report(kind, fields)
             watch.refresh()
         except RobotRunnerError as error:  # a full disk: before it ends the experiment, the run is closed and made safe
+            if is_over:  # it is for the thread of the run that tells too late
+                raise
             refused.append(error)
             gate.end_run(RunInterrupted(f"what the run tells cannot be kept: {error.problem}"))
 
@@ -168,6 +170,7 @@ def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilde
     with log, redirect_stdout(log), redirect_stderr(log), passed_on:
         execute_run(experiment, task, report, gate)
     report(FINISHED, {})
+    is_over = True
     if refused:
         raise refused[0]
     return EndedRun(builder.outcome(interrupted=watch.interruption.is_requested))

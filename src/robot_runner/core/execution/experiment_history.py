@@ -79,7 +79,8 @@ class ExperimentHistory:
         self._begun: dict[str, None] = {}
         #: Also of runs that the table does not have.
         self.exclusions = ExcludedRuns()
-        self.gate: dict[str, Any] | None = None
+        #: The gates that are awaited, by run: several places may wait at the same time.
+        self.gates: dict[str, dict[str, Any]] = {}
         self.gate_seconds = 0.0
         self._in_flight: dict[str, InFlight] = {}
         self.started_at: str | None = None
@@ -170,6 +171,11 @@ class ExperimentHistory:
         return list(self._begun)
 
     @property
+    def ended(self) -> set[str]:
+        """The runs whose last attempt came to an end by the journal, well or not."""
+        return {run for run, end in self._ends.items() if end is not RunStatus.TODO}
+
+    @property
     def excluded(self) -> dict[str, str]:
         """Why runs of the table are left out, by id."""
         return {run: each.reason for run, each in self.exclusions.present.items() if run in self.statuses}
@@ -194,7 +200,8 @@ class ExperimentHistory:
         self.started_at = record["at"]
         self.finished_at = None
         self._planned = int(record.get("runs", 0))
-        self.gate = self.waiting_for = None
+        self.waiting_for = None
+        self.gates.clear()
         self.is_paused = False
         self._in_flight.clear()
         self.sessions.append(Session(record["at"], record["at"], selection=record.get("selection", {})))
@@ -268,10 +275,10 @@ class ExperimentHistory:
         self.findings.append(Finding.warning(where, record["problem"], record["fix"]))
 
     def _take_gate(self, record: Mapping[str, Any]) -> None:
-        self.gate = None
         if record["state"] == "waiting":
-            self.gate = {name: record[name] for name in ("run", "condition", "seen", "seconds", "at")}
+            self.gates[record["run"]] = {name: record[name] for name in ("run", "condition", "seen", "seconds", "at")}
         else:
+            self.gates.pop(record["run"], None)
             self.gate_seconds += record["seconds"]
 
     def _take_waiting(self, record: Mapping[str, Any]) -> None:

@@ -13,7 +13,7 @@ from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.durations import Durations, TimeLeft
 from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs
+from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs, unrecorded_findings
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import Command, Holder, holder_of, is_requested, send_command
 from robot_runner.core.storage.manifest import read_manifest
@@ -48,8 +48,8 @@ class ExperimentStatus:
         seconds_left: how long the runs take that are still to be executed, as it was estimated last; None where that is
             not known, or nothing is left.
         left_is_least: whether something comes on top of that of which nobody knew how long it takes.
-        gate: the gate that is awaited at this moment, or None: its run, condition, what was `seen` of it at the time
-            `at` (at most a minute ago), and for how many `seconds` it had been awaited then.
+        gates: each gate that is awaited at this moment: its run, condition, what was `seen` of it at the time `at` (at
+            most a minute ago), and for how many `seconds` it had been awaited then.
         gate_seconds: how long gates were awaited in all, s of their clocks.
         bad_values: the runs that are done whose values are not good, by measure and quality.
         warm_ups: how many of the runs only warm up.
@@ -97,7 +97,7 @@ class ExperimentStatus:
     repeated: str = ""
     precision: tuple[str, ...] = ()
     decided: str = ""
-    gate: Mapping[str, Any] | None = None
+    gates: tuple[Mapping[str, Any], ...] = ()
     gate_seconds: float = 0.0
     waiting_for: Mapping[str, Any] | None = None
     in_flight: tuple[InFlight, ...] = ()
@@ -128,6 +128,9 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
     counting = {run: status for run, status in statuses.items() if run not in out}
     holder = holder_of(files.lock)
     left = _time_left(files, history, is_executed=holder is not None)
+    done = [run for run, status in statuses.items() if status is RunStatus.DONE]
+    # Of an experiment that is executed the end of a run may have come since the journal was read.
+    lost = () if holder is not None else unrecorded_findings(files.journal, done, history.ended, manifest)
     return ExperimentStatus(
         experiment_name=manifest.get("experiment_name", files.root.name),
         folder=files.root,
@@ -143,7 +146,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         failures=tuple(
             f"{run}: {reason}" for run, reason in history.failures.items() if counting.get(run) is RunStatus.FAILED
         ),
-        findings=tuple(history.findings),
+        findings=(*history.findings, *lost),
         started_at=history.started_at,
         finished_at=history.finished_at,
         seconds_left=left.after(history.since_left if holder else 0.0) if left is not None else None,
@@ -162,7 +165,7 @@ def status_of(files: ExperimentFolder, history: ExperimentHistory) -> Experiment
         repeated=rule_in_words(*rules_of_mapping(manifest.get("repeat_until"))),
         precision=history.precision,
         decided=history.decided or str((manifest.get("design", {}).get("facts") or {}).get("decides", "")),
-        gate=history.gate if holder else None,
+        gates=tuple(history.gates.values()) if holder else (),
         gate_seconds=history.gate_seconds,
     )
 
@@ -246,20 +249,30 @@ def require_waiting(status: ExperimentStatus, where: str) -> None:
         )
 
 
-def continue_and_see(files: ExperimentFolder, answers: Mapping[str, str], where: str) -> None:
+def continue_and_see(
+    files: ExperimentFolder, waiting_for: Mapping[str, Any] | None, answers: Mapping[str, str], where: str
+) -> None:
     """Tell an experiment that waits to go on, and see that it has taken the request.
+
+    Args:
+        files: the experiment's.
+        waiting_for: what the person has seen that it waits for: the request counts for nothing else.
+        answers: texts by the names of the questions.
+        where: what an error is about.
 
     Raises:
         StorageError: the folder cannot be written.
         ExecutionError: the request was not taken within five seconds.
     """
-    send_command(files.control, Command.CONTINUE, answers)
+    asked = None if waiting_for is None else (str(waiting_for["next_run"]), str(waiting_for["step"]))
+    send_command(files.control, Command.CONTINUE, answers, asked)
     end = time.monotonic() + _PATIENCE
     while files.control.exists():
         if time.monotonic() > end:
             raise ExecutionError(
                 f"the experiment has not taken the request after {_PATIENCE:g} s",
                 where=where,
-                fix="Press ENTER in its own terminal; the request is taken once the experiment looks again.",
+                fix="Look at what it waits for now (robot-runner status): somebody else may have answered. If it is "
+                "still the same, press ENTER in its own terminal.",
             )
         time.sleep(_LOOK)

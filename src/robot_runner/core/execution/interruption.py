@@ -5,6 +5,7 @@ A stop request is taken at moments at which nothing is lost by it.
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
@@ -13,6 +14,7 @@ import time
 import traceback
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self
+from weakref import WeakSet
 
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInterrupted, fails_run
@@ -75,11 +77,12 @@ class InterruptGate:
         self._is_listening = False
         self._run_ends: RunInterrupted | None = None
         self._mission_ends: RunInterrupted | None = None
+        self.held_up: Callable[[FrameType | None], None] = lambda _frame: None
 
     def listen(self) -> None:
         """Take the stop signals of this process, also those that came while they were blocked.
 
-        Call it in the main thread of the run's process.
+        What one of them does not end is told to `held_up`. Call it in the main thread of the run's process.
         """
         for number in STOP_SIGNALS:
             signal.signal(number, self._take_signal)
@@ -154,8 +157,9 @@ class InterruptGate:
             signal.pthread_kill(self._runner, _WAKE)
 
     def _take_signal(self, number: int, frame: FrameType | None) -> None:
-        del number, frame
+        del number
         self.request()
+        self.held_up(frame)
 
     def _raise_request(self) -> None:
         error = self._run_ends or (self._mission_ends if self._is_mission else None)
@@ -240,19 +244,27 @@ class Interruption:
             self._gate.request(at_once=self._count > 1)
 
 
+#: Threads that runs of this process have started and not ended: what they raise is no fault of a later run.
+_left_over: WeakSet[threading.Thread] = WeakSet()
+
+
 class RunEnding:
     """Knows whether a run has failed, and ends it, or its mission, from any of its threads.
 
     Attributes:
         has_failed: whether a failure was recorded.
         event: the event that is being emitted, None before the first one.
+        callback: the event and the owner of what is being executed, as a failure names them.
     """
 
     def __init__(self, report: Report, gate: InterruptGate) -> None:
         self.has_failed = False
         self.event: RobotRunnerEvents | None = None
+        self.callback = ("", "")
         self._report = report
         self._gate = gate
+        self._gate.held_up = self._tell_held_up
+        self._has_told_held_up = False
         self._failed_by: set[str] = set()
         self._process = os.getpid()
         self._earlier_hook = threading.excepthook
@@ -262,11 +274,13 @@ class RunEnding:
         """While this lasts, other threads can end what this one executes, and an exception in one of them does."""
         self._earlier_hook = threading.excepthook
         threading.excepthook = self._take_unhandled
+        before = set(threading.enumerate())
         try:
             with self._gate.woken_by_threads(), fails_run(self.fail_for):
                 yield
         finally:
             threading.excepthook = self._earlier_hook
+            _left_over.update(set(threading.enumerate()) - before)
 
     def fail(self, owner: str, reason: str) -> None:
         """Fail the run and end what it is doing; a second call for the same owner only ends it."""
@@ -284,14 +298,29 @@ class RunEnding:
 
     def fail_for(self, error: BaseException, where: str) -> None:
         """Fail the run for what was raised where nobody else handles it, and end what it is doing."""
+        if threading.current_thread() in _left_over:
+            self._find(error, where)
+            return
         problem = f"{where} raised {type(error).__name__}: {_text_of(error)}"
         self._fail("", {**failure_fields(error), "problem": problem})
         self._gate.end_run(RunFailed(problem))
 
     def record(self, event: str, owner: str, error: BaseException) -> None:
         """Record what a callback raised; what `fail` and `stop_mission` raise in it is recorded already."""
-        if not isinstance(error, RunFailed | MissionStopped):
+        told = RunInterrupted if self._has_told_held_up else RunFailed | MissionStopped
+        if not isinstance(error, told):
             self._write(event, owner, failure_fields(error))
+
+    def _tell_held_up(self, frame: FrameType | None) -> None:
+        """Record once what goes on though the run was told to end: the closing, or what swallowed that request."""
+        if self._has_told_held_up or self.has_failed or not self.callback[0]:
+            return
+        self._has_told_held_up = self.has_failed = True
+        stack = "".join(traceback.format_stack(frame))
+        fields = {"problem": "it was still going on when the run was told to end", "traceback": stack}
+        # In a thread, as this is a signal's handler: what it has interrupted may hold the lock of what is reported.
+        # One of `threading` has locks of its own.
+        _thread.start_new_thread(self._write, (*self.callback, fields))
 
     @property
     def _is_closing(self) -> bool:
@@ -311,13 +340,13 @@ class RunEnding:
             self._earlier_hook(raised)
         elif raised.exc_value is not None and not isinstance(raised.exc_value, SystemExit | RunInterrupted):
             where = f"thread {raised.thread.name if raised.thread else '(ended)'}"
-            if self._is_closing:
-                self._find(raised.exc_value, where)
-            else:
-                self.fail_for(raised.exc_value, where)
+            tell = self._find if self._is_closing else self.fail_for
+            tell(raised.exc_value, where)
 
     def _find(self, error: BaseException, where: str) -> None:
-        """Record that a thread raised something while things are closed: it may have tripped over one of them."""
+        """Record what a thread raised while things are closed, or after its run: it may have tripped over that."""
+        if threading.current_thread() in _left_over:
+            where += " of an earlier run"
         problem = f"{where} raised {type(error).__name__}: {_text_of(error)}"
         _print_to_log(f"{problem}\n{failure_fields(error)['traceback']}")
         fix = "Look at its traceback in the run's log, and end the thread before what it uses is closed."
@@ -341,5 +370,5 @@ def _text_of(error: BaseException) -> str:
     """Return what an error says; some have a `__str__` that raises."""
     try:
         return str(error)
-    except Exception as later:  # noqa: BLE001 - a stranger's code
+    except BaseException as later:  # noqa: BLE001 - a stranger's code
         return f"(its text could not be made: {type(later).__name__})"

@@ -23,7 +23,6 @@ import fcntl
 import os
 import select
 import signal
-import sys
 import time
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Self
@@ -33,6 +32,7 @@ from robot_runner.core.execution.left_over import RunMark, left_over_ended
 from robot_runner.core.execution.processes import (
     adopt_orphans,
     children,
+    flush_streams,
     forked,
     group_ended,
     has_children,
@@ -125,8 +125,7 @@ class Keeper:
         self.was_killed = False
 
     def __enter__(self) -> Self:
-        sys.stdout.flush()  # or the run would print it once more
-        sys.stderr.flush()
+        flush_streams()  # or the run would print it once more
         mark = RunMark(self._folder)
         with ExitStack() as undone:  # where no process is to be had, nothing stays open
             undone.callback(mark.close)

@@ -17,7 +17,7 @@ from robot_runner.core.events.measure import OPERATOR_OWNER, Origin
 from robot_runner.core.execution.notices import AnswersRefused, QuestionAsked, UserHasContinued, WaitingForUser
 from robot_runner.core.execution.patience import Pause
 from robot_runner.core.storage.journal import read_journal
-from robot_runner.core.storage.lock import Command, forget_command, take_request
+from robot_runner.core.storage.lock import Command, take_request
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from robot_runner.core.execution.orchestrator_events import OngoingExperiment
     from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.task import PendingRun, Report, RunTask
+    from robot_runner.core.storage.lock import Asked
 
 
 #: How often a second terminal is listened to, in seconds.
@@ -189,7 +190,7 @@ class Operator:
         asked = [question.as_mapping() for question in questions]
         self._progress.note("waiting", next_run=run.run_id, step=name, questions=asked)
         self._notify(self._waiting(run, name, questions))
-        answers = yield from self._answered(questions)
+        answers = yield from self._answered((run.run_id, name), questions)
         self._progress.note("continued")
         self._notify(UserHasContinued())
         return answers
@@ -209,9 +210,9 @@ class Operator:
             left=self._progress.time_left,
         )
 
-    def _answered(self, questions: Sequence[Question]) -> Steps[dict[str, MeasureValue] | None]:
+    def _answered(self, asked: Asked, questions: Sequence[Question]) -> Steps[dict[str, MeasureValue] | None]:
         control = self._experiment.folder.control
-        forget_command(control)
+        take_request(control, asked)  # it was left before anybody asked
         given: dict[str, MeasureValue] = {}
         left = deque(questions)
         self._put_question(left)
@@ -222,7 +223,7 @@ class Operator:
                     self._take_line(line, left, given)
                 if not left:
                     return given
-            request = take_request(control)
+            request = take_request(control, asked)
             if request is not None and request.command is Command.CONTINUE:
                 answers, findings = read_answers(questions, request.answers, given)
                 if not findings:

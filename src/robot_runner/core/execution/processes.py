@@ -94,6 +94,13 @@ def leave_after(work: Callable[[], None], report: Report) -> NoReturn:
             os._exit(code)
 
 
+def flush_streams() -> None:
+    """Hand what was printed to the system; a callback may have closed a stream, or taken it away."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(AttributeError, OSError, ValueError):
+            stream.flush()
+
+
 def settle_streams() -> None:
     """Print line by line, in UTF-8, and not on the orchestrator's screen, which may stand in for the streams.
 
@@ -107,7 +114,8 @@ def settle_streams() -> None:
 def _settled(stream: TextIO | None) -> TextIO | None:
     if not isinstance(stream, TextIOWrapper):
         return stream
-    stream.flush()
+    with suppress(OSError):  # a full disk: the orchestrator has said so
+        stream.flush()
     return MaskedText(stream.detach(), encoding="utf-8", errors="backslashreplace", line_buffering=True)
 
 

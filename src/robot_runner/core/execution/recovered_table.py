@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import EXCLUSION_KINDS, ExcludedRuns
+from robot_runner.core.storage.executed_runs import DONE_BEFORE, EXCLUSION_KINDS, ExcludedRuns
 from robot_runner.core.storage.journal import journal_lines, parsed_record, utc_now
 from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
@@ -42,7 +42,7 @@ _EXCLUSION = tuple(f'{{"kind":"{kind}"'.encode() for kind in EXCLUSION_KINDS)
 _FINDING = b'{"kind":"finding"'
 _KINDS = EXCLUSION_KINDS | {"experiment_started", "attempt_started", "attempt_finished", "table_written", "finding"}
 # Quotes inside a text are escaped: these stand nowhere else.
-_IS_DONE, _HAS_DOUBTS = b'"status":"done"', b'"doubts":['
+_IS_DONE, _IS_INTERRUPTED, _HAS_DOUBTS = b'"status":"done"', b'"status":"interrupted"', b'"doubts":['
 
 
 @dataclass(slots=True)
@@ -56,6 +56,7 @@ class TableHistory:
         failed: the ends of attempts that did not end well.
         written: the digest of the table as it was written last; empty where that is not known.
         has_ends: whether any attempt has ended.
+        ended: the runs whose last attempt came to an end, well or not.
         excluded: the runs that are left out.
         doubtful: the last end of each run that has doubtful values: where we were killed, the schema is older.
         doubts: what was found in runs, by owner, as `RecoveredTable` has it.
@@ -67,6 +68,7 @@ class TableHistory:
     failed: list[bytes] = field(default_factory=list)
     written: str = ""
     has_ends: bool = False
+    ended: set[str] = field(default_factory=set)
     excluded: ExcludedRuns = field(default_factory=ExcludedRuns)
     doubtful: dict[str, bytes] = field(default_factory=dict)
     doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
@@ -108,6 +110,7 @@ class TableHistory:
                 self.doubtful[run_id] = line
             self.has_ends = True
             self.newer.append(line)
+            (self.ended.discard if _IS_INTERRUPTED in line else self.ended.add)(run_id)
             if _IS_DONE not in line:
                 self.failed.append(line)
 
@@ -184,6 +187,7 @@ class RecoveredTable:
         findings: what looked odd in the file.
         is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
         deviations: what was changed by hand since the last execution.
+        done_before: the runs that were done before the first execution; None where this is not the first one.
     """
 
     experiment: Experiment
@@ -194,6 +198,7 @@ class RecoveredTable:
     findings: tuple[Finding, ...] = ()
     is_on_disk: bool = False
     deviations: tuple[Deviation, ...] = ()
+    done_before: list[str] | None = None
     origins: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     _kinds: set[tuple[str, Any]] = field(default_factory=set)
     doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
@@ -237,6 +242,8 @@ class RecoveredTable:
 
     def keep_deviations(self, journal: Journal, manifest: dict[str, Any]) -> None:
         """Record what was changed by hand: in the journal, and for readers of the manifest."""
+        if self.done_before:
+            manifest["design"][DONE_BEFORE] = self.done_before
         for each in self.deviations:
             fields = {"run": each.run, "column": each.column, "was": each.was, "is": each.is_now}
             journal.append("deviation", flush=True, **fields)

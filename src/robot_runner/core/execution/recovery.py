@@ -9,12 +9,14 @@ from enum import Enum
 from importlib.util import decode_source
 from itertools import repeat
 from operator import is_
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, STATUS, WARM_UP
 from robot_runner.core.design.selection import Chosen, RunChooser
 from robot_runner.core.design.warm_up import with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.execution.given_values import changed_values
 from robot_runner.core.secret_names import is_same_setting, shown_settings
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.guarded_files import read_bytes
@@ -23,7 +25,6 @@ from robot_runner.core.storage.manifest import is_damaged, read_manifest
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
-    from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.planned_runs import PlannedRun
@@ -148,6 +149,7 @@ def _contradictions(
 ACCEPT = "--accept-changes"
 
 _CONFIG_FIX = f"Undo the change, accept it ({ACCEPT}), or choose another experiment_name."
+_FROM_OUTSIDE = ", and comes from outside of the file, as a variable of the environment does"
 _TABLE_FIX = f"Undo the change, let the table count ({ACCEPT}), or choose another experiment_name."
 
 
@@ -176,16 +178,30 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
         return []
     manifest = read_manifest(folder.manifest)
     ignored = frozenset() if of_design else _DESIGN
+    files = config_files(experiment)
+    if (earlier := _earlier_name(experiment, manifest)) is not None:
+        files[experiment.config_path] = folder.config / earlier
     findings = [
         finding
-        for source, kept in config_files(experiment).items()
+        for source, kept in files.items()
         if kept.exists()
         for finding in _changed_lines(source, _text(read_bytes(kept, folder.root)), _text(source.read_bytes()), ignored)
     ]
     if of_settings:
         findings += input_changes(experiment.inputs, folder.config)
-        findings += _changed_settings(_last_settings(manifest), experiment.overrides)
+        settings = _last_settings(manifest)
+        findings += _changed_settings(settings, experiment.overrides)
+        told = "" if findings else _FROM_OUTSIDE
+        findings += _changed_values(experiment, manifest, settings.keys() | experiment.overrides.keys(), told)
     return findings
+
+
+def _earlier_name(experiment: Experiment, manifest: Mapping[str, Any]) -> str | None:
+    """Return what the config file of the experiment was called, where it has another name now."""
+    name = str((manifest.get("config") or {}).get("file"))
+    kept = experiment.folder.config
+    has_other = name not in {experiment.config_path.name, "", ".", ".."} and Path(name).name == name
+    return name if has_other and not (kept / experiment.config_path.name).exists() else None
 
 
 def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterator[Finding]:
@@ -265,6 +281,17 @@ def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iter
         if not (is_another_scheduler or is_same_setting(was, is_now)):
             problem = f"the parameter was {_setting(name, was)} and is {_setting(name, is_now)}"
             yield Finding.error(f"--set {name}", problem, _CONFIG_FIX)
+
+
+def _changed_values(
+    experiment: Experiment, manifest: Mapping[str, Any], settings: Collection[str], why: str
+) -> Iterator[Finding]:
+    """Yield each value that is another one, but for those that are set, of which their settings tell."""
+    for name, pair in changed_values(experiment, manifest).items():
+        if name not in settings:
+            was, is_now = (repr(pair[each]) if each in pair else "not given" for each in ("was", "is"))
+            where = f"{experiment.config_path}, {name}"
+            yield Finding.error(where, f"it was {was} and is {is_now}{why}", _CONFIG_FIX)
 
 
 def _setting(name: str, value: str | None) -> str:

@@ -144,6 +144,7 @@ class _Run:
             with closing(self._resources), self._recorded("", "link"):
                 self._open()
                 self._emit_events()
+                self._ending.callback = (closed_last, "link")
             self._is_closed = True
         if self._systems is not None and self._is_safe:
             self._systems.set(Care.SAFE)
@@ -227,6 +228,7 @@ class _Run:
     def _make_safe(self) -> None:
         for system in reversed(self._experiment.systems):
             with self._recorded("make_safe", system.name):
+                self._ending.callback = ("make_safe", system.name)
                 made_safe(system, self._context_for(system.name))
                 self._made_safe.add(system.name)
 
@@ -252,6 +254,7 @@ class _Run:
             emission = self._call(event, but_not)
         except RunInterrupted as error:  # between two callbacks: whom the event reached is not known, so all are closed
             emission = Emission((), self._owners(), (CallbackFailure(event, "", error),))
+        self._ending.callback = ("", "")
         for failure in emission.failures:
             self._is_stopped = self._is_stopped or isinstance(failure.error, MissionStopped)
             self._ending.record(event.value, failure.owner, failure.error)
@@ -259,11 +262,16 @@ class _Run:
 
     def _call(self, event: RobotRunnerEvents, but_not: Collection[str]) -> Emission:
         events, gate = self._experiment.events, self._gate
+
+        def context_for(owner: str) -> RobotRunnerContext:
+            self._ending.callback = (event.value, owner)
+            return self._context_for(owner)
+
         if event.is_closing:
-            return events.emit(event, self._context_for, but_not=but_not)
+            return events.emit(event, context_for, but_not=but_not)
         try:
             gate.arm(is_mission=event is RobotRunnerEvents.LAUNCH_MISSION)
-            return events.emit(event, self._context_for, but_not=but_not)
+            return events.emit(event, context_for, but_not=but_not)
         finally:
             gate.disarm()
 

@@ -194,13 +194,18 @@ def missing_measures(experiment: Experiment, task: RunTask, outcome: RunOutcome)
     """Return a warning for each measure of a run that is done and has no value of it."""
     if outcome.status is not AttemptStatus.DONE:
         return []
+    has_log = experiment.folder.log(task.run_id).exists()
     return [
-        Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _fix(column.owner))
+        Finding.warning(f"{task.run_id}, {column.owner}", f"{column.name} has no value", _fix(column.owner, has_log))
         for column in experiment.columns.in_table
         if column.owner != OPERATOR_OWNER  # a person is asked before some runs only
         if outcome.measures.get(column.name) is None or outcome.measures[column.name].value is None
     ]
 
 
-def _fix(owner: str) -> str:
-    return "Return it from populate_run_data." if owner == "config" else "Look at the log of the run."
+def _fix(owner: str, has_log: bool) -> str:
+    if owner == CONFIG_OWNER:
+        return "Return it from populate_run_data."
+    if has_log:
+        return "Look at the log of the run."
+    return "Publish it in populate_run_data; where there is no value, tell why by context.doubt."

@@ -13,10 +13,9 @@ from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import EXCLUDED, RUN_ID
-from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.design.columns import EXCLUDED, STATUS
+from robot_runner.core.errors import Finding, Severity, StorageError
 from robot_runner.core.execution.recovered_table import (
-    ENDS,
     FINISHED,
     Deviation,
     RecoveredTable,
@@ -32,7 +31,15 @@ from robot_runner.core.execution.recovery import (
     refuse_differences,
     table_differences,
 )
-from robot_runner.core.storage.cells import RunStatus, measure_text
+from robot_runner.core.execution.table_deviations import (
+    ORDER,
+    ROW,
+    cell_deviations,
+    changed_exclusions,
+    deviation_findings,
+)
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.executed_runs import unrecorded_in_words, unrecorded_runs
 from robot_runner.core.storage.guarded_files import (
     MissingFileError,
     make_folder,
@@ -53,7 +60,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTable
     from robot_runner.core.execution.recovery import Resumption
-    from robot_runner.core.storage.executed_runs import ExcludedRuns
     from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 
 
@@ -61,8 +67,12 @@ _CHOOSE = (
     "Let what was executed count (--table journal), or let the file count (--table file): each change is recorded."
 )
 _REBUILD = "Restore it from a backup, or make it anew from the plan and the journal: --table journal."
-#: In a deviation: what stands for a row that is not there any more, and for rows that changed places.
-_ROW, _ORDER = "row", "order"
+_BEGINS_ANEW = "the journal and the run table are missing: all runs are executed anew"
+_KEPT_ATTEMPTS = "Restore both from a backup to go on instead. What runs had left is put into earlier_attempts/."
+_SETTLE_JOURNAL = (
+    "Restore journal.jsonl from a backup, or have it synchronised. Or go on without: let the rows count as they are "
+    "(--table file), which is recorded, or have these runs executed again (--table journal)."
+)
 
 
 def recover_table(experiment: Experiment, manifest: Mapping[str, Any], resumption: Resumption) -> RecoveredTable:
@@ -84,6 +94,8 @@ class _Recovery:
         self._is_by_hand = manifest["design"]["source"] != "config"
         self._path = folder.run_table
         self._journal = folder.journal
+        self._manifest = manifest
+        self._is_first = len(manifest["executions"]) == 1 and "restored_at" not in manifest
         self._plan: RunTable = experiment.model.plan(manifest["seed"])
         self._schema, self._schema_findings = _schema_of(folder.schema)
         self._history = TableHistory.of(folder.journal)
@@ -100,6 +112,8 @@ class _Recovery:
         elif is_empty:
             table = RecoveredTable(self._experiment, RunTableRows.of_plan(self._plan, self._layout))
             self._leave_out(table)
+            if not self._is_first and not self._journal.exists():
+                table.findings = (Finding.warning(str(self._journal), _BEGINS_ANEW, _KEPT_ATTEMPTS),)
         else:
             table = self._read()
         attempted = set(history.attempted)
@@ -129,6 +143,7 @@ class _Recovery:
             findings = [*error.findings, Finding.error(str(self._path), "runs of the table were executed", _REBUILD)]
             raise TableDisagreementError.of_findings(findings) from error
         rows, added = with_later_batches(self._path, self._plan, rows)
+        unrecorded = self._unrecorded(rows)  # first: where the journal is older, the plan may lack what was added since
         if not self._is_by_hand and self._choice is TableChoice.JOURNAL and lacks_runs(self._plan, rows):
             return self._rebuilt("the run table lacked runs that are planned")
         if not self._is_by_hand and not self._accepts_changes and self._choice is not TableChoice.JOURNAL:
@@ -139,7 +154,36 @@ class _Recovery:
             self._reconcile(table)
         else:
             self._leave_out(table)
+        table.done_before = rows.done_runs if self._is_first else None
+        if unrecorded:
+            self._settle_unrecorded(table, unrecorded)
         return self._with_order(table)
+
+    def _unrecorded(self, rows: RunTableRows) -> list[str]:
+        """Return the runs that are done and of which the journal has no end: it is older than the table, or missing.
+
+        Raises:
+            ExecutionError: there are some, and nobody has said what counts.
+        """
+        found = [] if self._is_first else unrecorded_runs(rows.done_runs, self._history.ended, self._manifest)
+        if found and self._choice is None:
+            told = unrecorded_in_words(found, self._journal)
+            raise TableDisagreementError(told, where=str(self._journal), fix=_SETTLE_JOURNAL)
+        return found
+
+    def _settle_unrecorded(self, table: RecoveredTable, found: list[str]) -> None:
+        told = unrecorded_in_words(found, self._journal)
+        if self._choice is TableChoice.FILE:
+            table.deviations += tuple(Deviation(run, STATUS, "", RunStatus.DONE.value) for run in found)
+            table.findings += (Finding.warning(str(self._journal), told),)
+            return
+        self._put_aside()
+        for run_id in found:
+            if table.rows.place_of(run_id) is not None:  # it may have been made anew
+                table.rows.clear(run_id)
+        table.is_on_disk = False
+        again = f"{told}; {'it is' if len(found) == 1 else 'they are'} to do again"
+        table.findings += (Finding.warning(str(self._journal), again, self._kept_fix()),)
 
     def _reconcile(self, table: RecoveredTable) -> None:
         """Compare each executed run with its row, and let count what was chosen.
@@ -155,17 +199,17 @@ class _Recovery:
             has_come = place is not None and table.rows.status(place) in {RunStatus.DONE, RunStatus.FAILED}
             if run_id in newer and not has_come:
                 continue  # it ended after the file was written: the journal alone has it
-            found += _deviations(table.rows, parsed_record(self._journal, line), earlier)
-        found += _changed_exclusions(table.rows, self._history.excluded)
+            found += cell_deviations(table.rows, parsed_record(self._journal, line), earlier)
+        found += changed_exclusions(table.rows, self._history.excluded)
         table.is_on_disk = False  # from here on it is as we write it, so that it need not be compared again
         if not found:
             return
         if self._choice is None:
-            refuse_differences((self._as_finding(each, is_error=True) for each in found), TableDisagreementError)
+            refuse_differences(deviation_findings(self._path, found, Severity.ERROR, _CHOOSE), TableDisagreementError)
         if self._choice is TableChoice.FILE:
             table.deviations = tuple(found)
-            table.findings = (*table.findings, *(self._as_finding(each, is_error=False) for each in found))
-        elif any(each.column == _ROW for each in found):
+            table.findings = (*table.findings, *deviation_findings(self._path, found, Severity.WARNING))
+        elif any(each.column == ROW for each in found):
             rebuilt = self._rebuilt("the run table lacked runs that were executed")
             table.rows, table.findings = rebuilt.rows, rebuilt.findings
         else:
@@ -198,7 +242,7 @@ class _Recovery:
 
     def _leave_out(self, table: RecoveredTable) -> None:
         """Leave out the runs that the journal has left out, and no others."""
-        for each in tuple(_changed_exclusions(table.rows, self._history.excluded)):
+        for each in tuple(changed_exclusions(table.rows, self._history.excluded)):
             table.rows.exclude(each.run, each.was or None)
             table.is_on_disk = False
 
@@ -271,23 +315,13 @@ class _Recovery:
         """Note where the rows of a planned table were put into another order."""
         if self._is_by_hand or self._is_known_to_be_reordered or not is_reordered(self._plan, table.rows):
             return table
-        deviation = Deviation("", _ORDER, "as planned", "changed by hand")
+        deviation = Deviation("", ORDER, "as planned", "changed by hand")
         table.deviations = (*table.deviations, deviation)
         problem = (
             "the rows of the run table were put into another order: runs are executed, and reported, in that order"
         )
         table.findings = (*table.findings, Finding.warning(str(self._path), problem))
         return table
-
-    def _as_finding(self, each: Deviation, *, is_error: bool) -> Finding:
-        where = f"{self._path}, run {each.run}"
-        if each.column == _ROW:
-            problem = "the run was executed, and the table has no such run any more"
-        else:
-            where += f", column {each.column!r}"
-            now, before = (repr(text) if text else "nothing" for text in (each.is_now, each.was))
-            problem = f"the table has {now}, the journal {before}"
-        return Finding.error(where, problem, _CHOOSE) if is_error else Finding.warning(where, problem)
 
     def _put_aside(self) -> None:
         folder = self._experiment.folder.earlier_tables
@@ -310,46 +344,6 @@ def is_reordered(plan: RunTable, rows: RunTableRows) -> bool:
         return False
     both = set(planned) & set(there)
     return [each for each in planned if each in both] != [each for each in there if each in both]
-
-
-def _deviations(
-    rows: RunTableRows, record: Mapping[str, Any], changed: Mapping[tuple[str, str], str]
-) -> Iterator[Deviation]:
-    """Yield each cell of a run's row that is not what its last attempt, and changes since, have left."""
-    run_id = record["run"]
-    if record["status"] not in ENDS:  # it was interrupted, and is to do again
-        return
-    place = rows.place_of(run_id)
-    if place is None:
-        if changed.get((run_id, _ROW)) is None:
-            yield Deviation(run_id, _ROW, record["status"], "")
-        return
-    row, layout = rows.row(place), rows.layout
-    expected: dict[str, str] = {}
-    if layout.spelling.tells_apart(ENDS[record["status"]], row["status"]):
-        expected["status"] = ENDS[record["status"]].value
-    for event, stamp in record["stamps"].items():
-        if f"{event}_at" in layout.stamps:
-            expected[f"{event}_at"] = stamp
-    for name in layout.measures:
-        expected[name] = measure_text(record["measures"].get(name, {}).get("value"))
-    for name, text in expected.items():
-        was = changed.get((run_id, name), text)
-        is_now = _text(row[name])
-        if is_now != was:
-            yield Deviation(run_id, name, was, is_now)
-
-
-def _changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[Deviation]:
-    """Yield each run that a table leaves out otherwise than the journal does."""
-    for run_id, found in zip(rows.values(RUN_ID), rows.values(EXCLUDED), strict=True) if excluded.were_any else ():
-        reason = excluded.reason(run_id)
-        if reason != found:
-            yield Deviation(run_id, EXCLUDED, reason or "", found or "")
-
-
-def _text(cell: Any) -> str:
-    return str(cell.value) if isinstance(cell, RunStatus) else measure_text(cell)
 
 
 def _has_content(path: Path) -> bool:

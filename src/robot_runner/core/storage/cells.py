@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+from datetime import UTC, datetime
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
@@ -178,6 +179,21 @@ def are_stamps(texts: Sequence[str]) -> bool:
     """Return whether all these texts are time stamps as the journal writes them (UTC, ISO 8601, milliseconds)."""
     lines = "\n".join((*texts, ""))
     return lines.count("\n") == len(texts) and _STAMPS.fullmatch(lines) is not None
+
+
+def as_stamp(text: str) -> str | None:
+    """Return a moment that is written in another way, such as pandas', as the journal writes it; None where it is none.
+
+    Example:
+        >>> as_stamp("2026-01-31 13:00:00.250+01:00")
+        '2026-01-31T12:00:00.250Z'
+    """
+    try:
+        moment = datetime.fromisoformat(text.strip())
+        is_whole = moment.tzinfo is not None and moment.microsecond % 1000 == 0
+        return f"{moment.astimezone(UTC):%Y-%m-%dT%H:%M:%S}.{moment.microsecond // 1000:03d}Z" if is_whole else None
+    except (ValueError, OverflowError):
+        return None
 
 
 def checked_measure(name: str, value: Any) -> CellValue:

@@ -6,12 +6,13 @@ from bisect import bisect_left
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import EXCLUDED
+from robot_runner.core.design.columns import EXCLUDED, STATUS
+from robot_runner.core.errors import Finding
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
 
@@ -23,6 +24,58 @@ def done_runs(journal: Path) -> set[str]:
     """
     last = {record["run"]: record["status"] for record in read_journal(journal, kinds={"attempt_finished"})}
     return {run_id for run_id, status in last.items() if status == "done"}
+
+
+def ended_runs(journal: Path) -> set[str]:
+    """Return the ids of the runs whose last attempt came to an end, well or not; none where there is no journal.
+
+    Raises:
+        StorageError: the journal cannot be read.
+    """
+    last = {record["run"]: record["status"] for record in read_journal(journal, kinds={"attempt_finished"})}
+    return {run_id for run_id, status in last.items() if status != "interrupted"}
+
+
+#: In the manifest's design: the runs that were done before the first execution, in a table of the user's own.
+DONE_BEFORE = "done_before"
+#: What helps, for who only looks at the results.
+_RESTORE_JOURNAL = "Restore journal.jsonl from a backup, or have it synchronised; the rows stay as they are."
+_MOST_NAMED = 8
+
+
+def unrecorded_runs(done: Iterable[str], ended: Container[str], manifest: Mapping[str, Any]) -> list[str]:
+    """Return the runs that are done by the run table, and of which the journal has no end: it is older, or missing.
+
+    Args:
+        done: the runs that are done by the table.
+        ended: those of which the journal has an end.
+        manifest: tells which runs a user has declared to be done, which is no fault.
+    """
+    design = manifest.get("design") or {}
+    if design.get("source") != "config" and DONE_BEFORE not in design:
+        return []  # of a table of the user's own, earlier versions did not note what was done in it
+    declared = {each["run"] for each in manifest.get("table_deviations") or () if each["column"] == STATUS}
+    known = declared.union(design.get(DONE_BEFORE) or ())
+    return [run_id for run_id in done if run_id not in ended and run_id not in known]
+
+
+def unrecorded_in_words(runs: Sequence[str], journal: Path) -> str:
+    """Return what is wrong where runs are done of which the journal has no end, and what is lost."""
+    is_are, them, their = ("is", "it", "its") if len(runs) == 1 else ("are", "them", "their")
+    older = f"it is older than the table, or {their} status was written by hand"
+    return (
+        f"{counted(len(runs), 'run')} {is_are} done in the run table, and the journal has no end of {them} "
+        f"({listed(runs, _MOST_NAMED)}): {older if journal.exists() else 'it is missing'}; origin and doubts of "
+        f"{their} values, attempts, events and findings are lost with it"
+    )
+
+
+def unrecorded_findings(
+    journal: Path, done: Iterable[str], ended: Container[str], manifest: Mapping[str, Any]
+) -> Iterator[Finding]:
+    """Yield a warning where runs are done of which the journal has no end, as `unrecorded_runs` tells."""
+    if found := unrecorded_runs(done, ended, manifest):
+        yield Finding.warning(str(journal), unrecorded_in_words(found, journal), _RESTORE_JOURNAL)
 
 
 def executed_order(journal: Path) -> list[str]:

@@ -52,6 +52,8 @@ class _Execution(TypedDict):
     selection: NotRequired[dict[str, list[str]]]
     repository: NotRequired[Repository | None]
     changed: NotRequired[dict[str, "_Change"]]
+    given: NotRequired[dict[str, Any]]
+    changed_values: NotRequired[dict[str, dict[str, Any]]]
 
 
 _Change = TypedDict("_Change", {"was": Scalar, "is": Scalar})
@@ -115,6 +117,7 @@ class Manifest(TypedDict):
     host: NotRequired[dict[str, Any] | None]
     software: NotRequired[_Software]
     executions: NotRequired[list[_Execution]]
+    given_to_extension: NotRequired[dict[str, Any] | None]
     clocks: NotRequired[dict[str, dict[str, Any]]]
     revisions: NotRequired[dict[str, dict[str, Repository]]]
     table_deviations: NotRequired[list[_TableDeviation]]
@@ -178,6 +181,8 @@ class RequestFile(TypedDict):
 
     command: str
     answers: NotRequired[dict[str, str]]
+    run: NotRequired[str]
+    step: NotRequired[str]
 
 
 class ClaimFile(TypedDict):

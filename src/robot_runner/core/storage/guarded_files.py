@@ -38,7 +38,7 @@ from robot_runner.core.storage.guarded_paths import (
     refusals,
     rights_of,
 )
-from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
+from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -310,7 +310,7 @@ def _beside(path: Path, folder: int, name: str, mode: int, is_lasting: bool) -> 
             yield file
             file.flush()
             if is_lasting:
-                os.fsync(file.fileno())
+                fsync_file(file.fileno())
         os.replace(beside, name, src_dir_fd=folder, dst_dir_fd=folder)
     except BaseException:
         _unlink(beside, folder)

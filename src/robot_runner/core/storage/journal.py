@@ -25,7 +25,7 @@ from robot_runner.core.storage.guarded_files import (
 )
 from robot_runner.core.storage.lock_files import is_at
 from robot_runner.core.storage.record_shapes import RECORDS, Record
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import fsync_file, storage_error
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
@@ -129,7 +129,7 @@ class Journal:
             self._descriptor = -1
 
     def _flush(self) -> None:
-        os.fsync(self._descriptor)
+        fsync_file(self._descriptor)
         if os.fstat(self._descriptor).st_nlink == 0:
             self._put_back()
 

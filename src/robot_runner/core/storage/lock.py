@@ -148,6 +148,10 @@ def _refusal(path: Path, holder: Holder) -> ExecutionError:
     )
 
 
+#: What somebody is asked before a run, or in it: the run, and the step; empty where it is whether the run may start.
+Asked = tuple[str, str]
+
+
 class Command(Enum):
     """What can be said."""
 
@@ -156,34 +160,48 @@ class Command(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A command, and the answers that go with it: texts by the names of the questions."""
+    """A command, the answers that go with it: texts by the names of the questions; and what the person was asked."""
 
     command: Command
     answers: Mapping[str, str] = field(default_factory=dict)
+    asked: Asked | None = None
 
 
 #: A longer request is none of ours.
 _MOST_BYTES = 64 * 1024
 
 
-def send_command(control: Path, command: Command, answers: Mapping[str, str] | None = None) -> None:
+def send_command(
+    control: Path, command: Command, answers: Mapping[str, str] | None = None, asked: Asked | None = None
+) -> None:
     """Leave a command for the orchestrator, with answers to what it asks.
+
+    Args:
+        control: the file for it.
+        command: what is said.
+        answers: texts by the names of the questions.
+        asked: what the person has answered, so that it counts for nothing else; None where that is not known.
 
     Raises:
         StorageError: the experiment's folder cannot be written.
     """
-    request = json.dumps({"command": command.value, "answers": dict(answers or {})})
-    replace(control, request)
+    said = {} if asked is None else {"run": asked[0], "step": asked[1]}
+    replace(control, json.dumps({"command": command.value, "answers": dict(answers or {}), **said}))
 
 
-def take_command(control: Path) -> Command | None:
-    """Return the command that was left, and remove it; None where there is none, or none that is known."""
-    request = take_request(control)
+def take_command(control: Path, asked: Asked | None = None) -> Command | None:
+    """Return the command that was left, and remove it; as `take_request`."""
+    request = take_request(control, asked)
     return request.command if request else None
 
 
-def take_request(control: Path) -> Request | None:
-    """Return the request that was left, and remove it; None where there is none, or none that can be understood."""
+def take_request(control: Path, asked: Asked | None = None) -> Request | None:
+    """Return the request that was left, and remove it; None where there is none, or none that can be understood.
+
+    Args:
+        control: the file for it.
+        asked: what is asked; a request that answers something else is left to whoever asks that. None takes any.
+    """
     try:
         text = read_bytes(control, limit=_MOST_BYTES)
     except MissingFileError:
@@ -191,10 +209,20 @@ def take_request(control: Path) -> Request | None:
     except StorageError:  # nothing that we wrote
         forget_command(control)
         return None
+    request = _understood(text)
+    if request is not None and asked is not None and request.asked not in {None, asked}:
+        return None
     forget_command(control)
+    return request
+
+
+def _understood(text: bytes) -> Request | None:
     try:
         said = parsed_json(text.decode())
-        return None if faults_of(said, RequestFile) else Request(Command(said["command"]), said.get("answers", {}))
+        if faults_of(said, RequestFile):
+            return None
+        asked = (said["run"], said.get("step", "")) if "run" in said else None
+        return Request(Command(said["command"]), said.get("answers", {}), asked)
     except (ValueError, RecursionError):
         return None
 

@@ -42,7 +42,7 @@ def open_to_lock(path: Path, root: Path) -> int:
     descriptor = open_descriptor(path, root, mode=wanted)
     found = os.fstat(descriptor)
     if found.st_uid == os.geteuid() and wanted & ~found.st_mode:  # the umask took the group's rights
-        os.fchmod(descriptor, stat.S_IMODE(found.st_mode) | wanted)
+        _set_rights(descriptor, stat.S_IMODE(found.st_mode) | wanted)
     return descriptor
 
 
@@ -111,11 +111,22 @@ def _put_in_place(path: Path, old: int) -> int | None:
 
 def _narrowed(descriptor: int, path: Path) -> int:
     if os.fstat(descriptor).st_uid == os.geteuid():
-        os.fchmod(descriptor, _wanted(path.parent))
+        _set_rights(descriptor, _wanted(path.parent))
     return descriptor
 
 
+def _set_rights(descriptor: int, mode: int) -> None:
+    """Change a file's permissions where its file system has any: on FAT, say, all files have the same."""
+    try:
+        os.fchmod(descriptor, mode)
+    except OSError as error:
+        if error.errno not in {errno.EPERM, errno.EACCES, errno.ENOTSUP, errno.ENOSYS}:
+            raise
+
+
 def _strangers_may_write(descriptor: int, path: Path) -> bool:
+    if os.stat(path.parent).st_mode & (stat.S_IWOTH | stat.S_ISVTX) == stat.S_IWOTH:  # noqa: PTH116 - as `rights_of`
+        return False  # whoever may remove the file needs no lock; without permissions in its file system, all may
     return bool(os.fstat(descriptor).st_mode & 0o022 & ~_wanted(path.parent))
 
 

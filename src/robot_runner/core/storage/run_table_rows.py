@@ -158,6 +158,11 @@ class RunTableRows:
         """Return the id of the run at `place`."""
         return self._rows[place].run.run_id
 
+    @property
+    def done_runs(self) -> list[str]:
+        """The ids of the runs that are done, in the order of the table."""
+        return [row.run.run_id for row in self._rows if row.status is RunStatus.DONE]
+
     def place_of(self, run_id: str) -> int | None:
         """Return the place of a run, or None where there is no such run."""
         numbered = _NUMBERED.fullmatch(run_id)

@@ -1,4 +1,4 @@
-"""What the system refuses of a file or folder, as an error with a fix; and folders flushed where it lets us."""
+"""What the system refuses of a file or folder, as an error with a fix; and both flushed where it lets us."""
 
 from __future__ import annotations
 
@@ -25,6 +25,23 @@ _FIXES = {
 }
 
 
+#: Of file systems that have no way to flush something: FUSE, networks, the pseudo-files of some containers.
+_CANNOT_FLUSH = frozenset({errno.EINVAL, errno.ENOTSUP, errno.ENOSYS})
+
+
+def fsync_file(descriptor: int) -> None:
+    """Flush an open file or folder to the disk, where its file system has a way to.
+
+    Raises:
+        OSError: it cannot be flushed.
+    """
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _CANNOT_FLUSH:
+            raise
+
+
 def fsync_folder(folder: Path) -> None:
     """Flush a folder to the disk, so that what was made or renamed in it is still there after a power cut.
 
@@ -33,10 +50,7 @@ def fsync_folder(folder: Path) -> None:
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in {errno.EINVAL, errno.ENOTSUP}:  # some network file systems flush no folders
-            raise
+        fsync_file(descriptor)
     finally:
         os.close(descriptor)
 
@@ -45,5 +59,16 @@ def storage_error(path: Path, action: str, error: OSError) -> StorageError:
     """Return the error to raise where the system refused a file."""
     reason = error.strerror or str(error)
     fix = _FIXES.get(error.errno or 0, "Mend what the system names, then try again.")
+    if error.errno == errno.ENOSPC and _lacks_inodes(path.parent):
+        fix = "Remove files, however small: the disk has room, and no inodes (df -i). Then try again."
     kind = "folder" if action == "made" or os.path.isdir(path) else "file"  # noqa: PTH112  # it raises nothing for a name that is too long
     return StorageError(f"the {kind} cannot be {action}: {reason}", where=str(path), fix=fix)
+
+
+def _lacks_inodes(folder: Path) -> bool:
+    """Return whether a disk that refuses another file has room: then `df` shows nothing, and `df -i` does."""
+    try:
+        found = os.statvfs(folder)
+    except OSError:
+        return False
+    return found.f_files > 0 and found.f_favail == 0 and found.f_bavail > 0

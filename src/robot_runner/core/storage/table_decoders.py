@@ -12,6 +12,7 @@ from robot_runner.core.errors import Finding, Severity, StorageError, did_you_me
 from robot_runner.core.storage.cells import (
     RunStatus,
     are_stamps,
+    as_stamp,
     number_of,
     status_of_word,
     treatment_position,
@@ -355,7 +356,8 @@ class TextDecoder:
         """Return text, and say which is no time stamp where all are to be."""
         if not any(cells):
             return [None] * len(cells)
-        has_odd = self._is_stamp and not are_stamps(list(filter(None, cells)))
+        if has_odd := self._is_stamp and not are_stamps(list(filter(None, cells))):
+            cells = [as_stamp(cell) or cell if cell and not are_stamps([cell]) else cell for cell in cells]
         for place, cell in enumerate(cells) if has_odd else ():
             if cell and not are_stamps([cell]):
                 fix = "Write it as in 2026-01-31T12:00:00.250Z."

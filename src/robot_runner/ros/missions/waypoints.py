@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.events.measure import Measure
-from robot_runner.core.links.connect import connect_robot, robot_namespace
+from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
 from robot_runner.ros.robot_system import check_numbers
+from robot_runner.ros.simulators.simulation_system import Simulation
 from robot_runner.ros.turtlebot3.motion import COMMAND_TOPIC, Ramp
 from robot_runner.ros.turtlebot3.odometry import POSE_TOPIC, Odometer, Pose, wrapped
 from robot_runner.ros.turtlebot3.steered_robot import Robot, SteeredSystem
@@ -120,13 +121,27 @@ class Waypoints(SteeredSystem):
         self.measures = (*type(self).measures[: None if with_yaw else -1], *_legs(len(self.waypoints)))
 
     def check(self, circumstances: Circumstances) -> Iterable[Finding]:
-        """Yield what stands in the way: no robot; and yaws that are probably in degrees."""
+        """Yield what stands in the way: no robot; a way whose runs differ; and yaws that are probably in degrees."""
         yield from super().check(circumstances)
         for each in self.waypoints:
             if each.yaw is not None and abs(each.yaw) > _MOST_YAW:
                 problem = f"the yaw {each.yaw:g} rad of a waypoint is more than a full turn"
                 fix = f"Yaws are in rad: {each.yaw:g} degrees are {math.radians(each.yaw):.4g}."
                 yield Finding.warning(f"plugin {self.name}", problem, fix)
+        last = self.waypoints[-1]
+        if math.hypot(last.x, last.y) > self.tolerance_m and self._is_left_where_it_ends(circumstances):
+            problem = f"the way ends at ({last.x:g}, {last.y:g}), and from there the next run sets out"
+            fix = (
+                "Let it end where the first run sets out, mostly at (0, 0); or count from where the robot stands "
+                "(relative_to='start'), and have it put back before each run."
+            )
+            yield Finding.warning(f"plugin {self.name}", problem, fix)
+
+    def _is_left_where_it_ends(self, circumstances: Circumstances) -> bool:
+        """Whether nobody puts the robot back between runs, nor can: the odometry would not know."""
+        robot = circumstances.robot
+        is_reset = any(isinstance(each, Simulation) and each.reset != "none" for each in circumstances.plugins)
+        return self.relative_to == "odom" and robot is not None and not (is_simulated(robot) or is_reset)
 
     def duration_s(self, combination: Mapping[str, Any]) -> float | None:
         """Return how long the legs between the waypoints take, s; None where the first begins anywhere."""

@@ -1,0 +1,67 @@
+"""The end of the program: what a callback has started and not ended is named, and does not keep the program for ever.
+
+Python waits for threads that are no daemons, for children of `multiprocessing`, and for what `atexit` was given. It has
+no deadline and says nothing: a queue or a CI job would wait as well.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.words import enumerated, shown_duration
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+#: How long the program may take to end before it says what it waits for, and how long after that it is ended, s.
+TELL_AFTER, END_AFTER = 5.0, 600.0
+
+
+def leave_in_time(code: int, tell_after: float = TELL_AFTER, end_after: float = END_AFTER) -> None:
+    """Have this process end in time, with an exit code, though something keeps it. Call it once all is done.
+
+    Args:
+        code: the exit code.
+        tell_after: how long it may take without a word, s.
+        end_after: how long what keeps it may take after that was told, s.
+    """
+    # A daemon lives until Python has waited for everything else.
+    threading.Thread(target=_watch, args=(code, tell_after, end_after), name="leaving", daemon=True).start()
+
+
+def _watch(code: int, tell_after: float, end_after: float) -> None:
+    time.sleep(tell_after)
+    most = shown_duration(end_after)
+    with suppress(OSError, ValueError):
+        sys.stderr.write(
+            f"All is done, and the program waits for {enumerated(_awaited())}, for {most} at most.\n"
+            "  fix: End in after_experiment what a callback has started, or make it a daemon.\n"
+        )
+        sys.stderr.flush()
+    time.sleep(end_after)
+    for child in _children():
+        with suppress(OSError):
+            child.kill()
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+    os._exit(code)
+
+
+def _awaited() -> list[str]:
+    """Return what keeps the process: where nothing else does, the line of what `atexit` was given."""
+    main = threading.main_thread()
+    threads = [f"thread {each.name!r}" for each in threading.enumerate() if not each.daemon and each is not main]
+    children = [f"child process {each.pid} ({each.name})" for each in _children()]
+    frame = sys._current_frames().get(main.ident or 0)  # noqa: SLF001 - the documented way to another thread's stack
+    line = "" if frame is None else f" at {frame.f_code.co_filename}:{frame.f_lineno}"
+    return [*threads, *children] or [f"what a callback has registered with atexit{line}"]
+
+
+def _children() -> Iterator[Any]:
+    multiprocessing = sys.modules.get("multiprocessing")
+    return iter(multiprocessing.active_children() if multiprocessing is not None else ())

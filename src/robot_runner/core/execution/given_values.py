@@ -1,0 +1,341 @@
+"""What an experiment was given, in plain words: static parameters, and what its plugins were made with.
+
+The text of a config does not tell what it takes from outside: a variable of the environment, the name of the machine.
+So each execution records the values, and a later one is compared with them. What has no faithful text (an object, a
+folder of temporary files, a moment, a secret) has its name recorded, and is not compared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import re
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from datetime import UTC, date, datetime
+from enum import Enum
+from numbers import Number
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.config import dialects
+from robot_runner.core.config.loader import own_parameters
+from robot_runner.core.config.parameters import PARAMETERS
+from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.events.condition import Condition
+from robot_runner.core.secret_names import REDACTED, is_secret_name, without_environment_secrets
+from robot_runner.core.treatments import Bindable, Treatment, given_to
+from robot_runner.core.vain_parameters import CONFIG_MODULE
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+
+    from robot_runner.core.config.experiment import Experiment
+
+
+#: Stands for a value that has no faithful text; for a secret, it is what stands for secrets everywhere.
+LEFT_OUT = "(left out)"
+#: They change no value, or are compared in another way.
+_UNCOMPARED = frozenset(
+    {"experiment_name", "results_output_path", "workers", "cluster", "registration", "smoke", "notify"}
+    | {"analysis", "authors", "licence", "citation"}
+)
+#: Longer texts, characters, and lists, values, are recorded by their SHA-256.
+_LONGEST = 1000
+_MOST = 200
+#: Structures that are nested deeper have no text.
+_DEEPEST = 8
+_ADDRESS = re.compile(r"\b(?:at|id=) ?0x[0-9a-fA-F]{6,}")
+#: Who logs in, with a password, in an address or a header.
+_LOGIN = re.compile(r"(?<=://)[^/\s@]+(?=@)|(?<=\bBearer )\S+|(?<=\bBasic )[A-Za-z0-9+/=]{8,}")
+_ASSIGNED = re.compile(r"(\w+)['\"]?\s*[=:]")
+#: A set of texts, which has another order in each process.
+_SET = re.compile(r"\{(['\"][^:{}]*)\}")
+_DAY_S = 86_400
+
+
+def given_values(experiment: Experiment) -> dict[str, Any]:
+    """Return the values that an experiment was given, each by its name: JSON data.
+
+    `robot` and `task_s` are static parameters and attributes of the config, where they are not as they are by default;
+    `Meter.gain` is a parameter of a plugin, `gates[0].timeout_s` a part of one, `lab.py: GAIN` of a module.
+    """
+    words = _Words(experiment.config_path.parent)
+    pairs = [*_static(experiment), *_attributes(experiment), *_of_modules(experiment), *_plugins(experiment)]
+    values: dict[str, Any] = {}
+    for name, given in pairs:
+        try:
+            values |= dict(words.leaves(name, given))
+        except Exception:  # noqa: BLE001 - a stranger's object; an experiment is worth more than its description
+            values[name] = LEFT_OUT
+    return values
+
+
+def _static(experiment: Experiment) -> Iterator[tuple[str, Any]]:
+    parameters = experiment.parameters
+    for name, parameter in PARAMETERS.items():
+        value = getattr(parameters, name)
+        is_default = repr(value) == repr(parameter.default) or (not value and parameter.default in ((), {}))
+        if name == "robot" and parameters.robots:
+            yield name, parameters.robots
+        elif name not in _UNCOMPARED and not is_default:
+            yield name, value
+
+
+def _attributes(experiment: Experiment) -> Iterator[tuple[str, Any]]:
+    config = experiment.config
+    if not _is_from_file(experiment):  # an object in memory may have been changed by callbacks of an earlier execution
+        yield from own_parameters(type(config)).items()
+        return
+    found = {name: value for kind in reversed(type(config).__mro__) for name, value in vars(kind).items()}
+    found |= getattr(config, "__dict__", {})
+    yield from ((name, value) for name, value in _data_of(found) if name not in PARAMETERS)
+
+
+def _is_from_file(experiment: Experiment) -> bool:
+    """Whether the config was loaded from its file: one that is an object of a script has executed more than itself."""
+    loaded = sys.modules.get(CONFIG_MODULE)
+    return experiment.kept == "file" and getattr(loaded, "__file__", None) == str(experiment.config_path)
+
+
+def _of_modules(experiment: Experiment) -> Iterator[tuple[str, Any]]:
+    """Yield the names of the config file that hold data, and the constants of the modules that it imports."""
+    if _is_from_file(experiment):
+        yield from ((f"top level: {name}", value) for name, value in _data_of(vars(sys.modules[CONFIG_MODULE])))
+    local = set(map(str, experiment.local_modules))
+    for module in [each for each in list(sys.modules.values()) if getattr(each, "__file__", None) in local]:
+        constants = ((name, value) for name, value in _data_of(vars(module)) if name.isupper())
+        yield from ((f"{Path(str(module.__file__)).name}: {name}", value) for name, value in constants)
+
+
+def _plugins(experiment: Experiment) -> Iterator[tuple[str, Any]]:
+    listed = getattr(experiment.config, "plugins", ())
+    own = set(map(id, listed)) if isinstance(listed, list | tuple) else set()  # others may be added by packages
+    yield from ((plugin.name, plugin) for plugin in experiment.plugins if id(plugin) in own)
+
+
+def _data_of(names: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    return ((name, value) for name, value in list(names.items()) if not name.startswith("_") and _is_data(value))
+
+
+def _is_data(value: Any, depth: int = 0) -> bool:
+    if isinstance(value, Mapping) or type(value) in {list, tuple}:
+        inside = [*value, *value.values()] if isinstance(value, Mapping) else value
+        return depth < _DEEPEST and len(inside) <= _MOST and all(_is_data(each, depth + 1) for each in inside)
+    return value is None or isinstance(value, str | bool | int | float | PurePath | Enum)
+
+
+class _Words:
+    """Says values in words that are the same elsewhere and at another time, as long as the values are."""
+
+    def __init__(self, beside: Path) -> None:
+        own = dict.fromkeys([str(beside), str(beside.resolve())], ".")
+        folders = own | {sys.prefix: "(python)", str(Path.home()): "~"}
+        self._folders = {folder: short for folder, short in folders.items() if folder != "/"}
+        now = datetime.now(UTC)
+        days = {f"{each:{form}}" for each in (now, now.astimezone()) for form in ("%Y-%m-%d", "%Y%m%d")}
+        self._passing = re.compile("|".join(map(re.escape, [*days, f"{tempfile.gettempdir()}/"])))
+
+    def leaves(self, name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
+        """Yield a value, or each part of one that has parts, with its place."""
+        if is_secret_name(name.rpartition(".")[2]):
+            yield name, REDACTED
+        elif (parts := _parts(name, value)) is None or depth > _DEEPEST:
+            yield name, self._plain(value) if depth <= _DEEPEST else LEFT_OUT
+        else:
+            if not isinstance(value, Mapping | list | tuple):
+                yield name, type(value).__qualname__
+            found = [leaf for place, each in parts for leaf in self.leaves(place, each, depth + 1)]
+            if len(found) <= _MOST:
+                yield from found
+            else:
+                yield name, _digest(repr([leaf for leaf in found if leaf[1] != LEFT_OUT]))
+
+    def _plain(self, value: Any) -> Any:
+        if hasattr(value, "tolist"):  # an array or a number of NumPy's
+            value = value.tolist()
+        match value:
+            case None | bool():
+                return value
+            case Enum():
+                return value.name
+            case int() | float():
+                return self._number(value)
+        if isinstance(value, list | tuple | set | frozenset):
+            return self._listed(value)
+        return self._text(str(value) if isinstance(value, str | PurePath) else _own_text(value))
+
+    def _listed(self, values: Collection[Any]) -> Any:
+        plain = list(map(self._plain, values))
+        if not isinstance(values, list | tuple):
+            plain.sort(key=str)
+        return LEFT_OUT if LEFT_OUT in plain else plain if len(plain) <= _MOST else _digest(repr(plain))
+
+    @staticmethod
+    def _number(value: float) -> Any:
+        if isinstance(value, float) and not math.isfinite(value):
+            return str(value)
+        if isinstance(value, int) and value.bit_length() > _LONGEST:
+            return _digest(hex(value))
+        is_moment = any(abs(value - unit * time.time()) < unit * _DAY_S for unit in (1, 1_000, 1_000_000_000))
+        return LEFT_OUT if is_moment or value == os.getpid() else value
+
+    def _text(self, text: str) -> str:
+        if text == sys.executable:
+            return "(python)"
+        for folder, short in self._folders.items():
+            text = short if text == folder else text.replace(f"{folder}/", f"{short}/")
+        if self._passing.search(text) or _ADDRESS.search(text):
+            return LEFT_OUT
+        text = _LOGIN.sub(REDACTED, without_environment_secrets(text))
+        return text if len(text) <= _LONGEST else _digest(text)
+
+
+def _parts(name: str, value: Any) -> Iterable[tuple[str, Any]] | None:
+    """Return the parts of a value, with their places; None where it has none that are named."""
+    if isinstance(value, Bindable):
+        return [(f"{name}.{each}", part) for each, part in given_to(value).items()]
+    if isinstance(value, Mapping):
+        return [
+            (f"{name}.{key}" if is_secret_name(str(key)) else f"{name}[{str(key)!r}]", part)
+            for key, part in value.items()
+        ]
+    if is_dataclass(value) and not isinstance(value, type):
+        given = [(each, getattr(value, each.name, None)) for each in fields(value)]
+        # What is as it is by default is left out: a later version may have more of it.
+        return [(f"{name}.{each.name}", part) for each, part in given if repr(part) != repr(each.default)]
+    if isinstance(value, list | tuple) and not all(_is_scalar(each) for each in value):
+        return [(f"{name}[{place}]", part) for place, part in enumerate(value)]
+    return None
+
+
+def _is_scalar(value: object) -> bool:
+    return value is None or isinstance(value, str | Number | PurePath | Enum)
+
+
+def _own_text(value: Any) -> str:
+    """Return the text by which an object of any kind is told from others; that of one that has none is left out."""
+    if isinstance(value, bytes | bytearray):
+        return _digest(value)
+    if isinstance(value, Condition | date | Treatment):
+        return repr(value) if isinstance(value, Treatment) else str(value)
+    name = getattr(value, "__qualname__", "")
+    if isinstance(name, str) and name and "<" not in name:  # a function or a class: the text of its file is compared
+        return f"{getattr(value, '__module__', '')}.{name}"
+    if callable(value) or getattr(type(value), "__repr__", None) is object.__repr__:
+        return LEFT_OUT
+    return _shown(value)
+
+
+def _shown(value: Any) -> str:
+    try:
+        text = repr(value)
+    except Exception:  # noqa: BLE001 - a stranger's code
+        return LEFT_OUT
+    if any(map(is_secret_name, _ASSIGNED.findall(text))):
+        return LEFT_OUT
+    return _SET.sub(lambda found: f"{{{', '.join(sorted(found[1].split(', ')))}}}", text)
+
+
+def _digest(content: str | bytes | bytearray) -> str:
+    data = content.encode("utf-8", "surrogatepass") if isinstance(content, str) else content
+    return f"SHA-256 {hashlib.sha256(data).hexdigest()}"
+
+
+# What has changed since.
+
+
+def changed_values(experiment: Experiment, manifest: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return what is given otherwise than at the last execution: `was` and `is` by name, without what is not there.
+
+    What another loading of the config would give otherwise again, such as a random number, differs by itself.
+    """
+    before, now = last_given(manifest), given_values(experiment)
+    changed = dict(_differing(before, now)) if before is not None else {}
+    return _steady(experiment, now, changed) if changed else {}
+
+
+def last_given(manifest: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    """Return what the experiment was given last, by its manifest; None where an earlier version recorded nothing."""
+    executions = manifest.get("executions") or [{}]
+    given = manifest.get("given_to_extension", executions[-1].get("given"))
+    return given if isinstance(given, dict) else None
+
+
+def given_elsewhere(experiment: Experiment, original: Mapping[str, Any], settings: Collection[str]) -> list[str]:
+    """Return in words what an experiment is given otherwise than the one that it replicates, by that one's manifest.
+
+    A file may lie elsewhere, and what is set on purpose is told in another way.
+    """
+    before, now = last_given(original), given_values(experiment)
+    told: list[str] = []
+    changed = dict(_differing(before, now)) if before is not None else {}
+    for name, pair in _steady(experiment, now, changed).items() if changed else ():
+        texts = [str(pair.get(each, "not given")) for each in ("was", "is")]
+        is_hidden = any(REDACTED in text or "~" in text for text in texts)
+        lies_elsewhere = all("/" in text for text in texts) and len({PurePath(text).name for text in texts}) == 1
+        if name not in settings and not is_hidden and not lies_elsewhere:
+            told.append(f"{name} ({texts[0]}, here {texts[1]})")
+    return told
+
+
+def accept_given(experiment: Experiment, manifest: dict[str, Any]) -> None:
+    """Have the next execution compared with what is given now, as an extension has accepted that the config changed.
+
+    Where other static parameters are set now than were then, it is not compared.
+    """
+    settings = (manifest.get("executions") or [{}])[-1].get("deviations") or {}
+    is_set_alike = settings.keys() == experiment.overrides.keys()
+    manifest["given_to_extension"] = given_values(experiment) if is_set_alike else None
+
+
+def _differing(before: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    for name in dict.fromkeys([*now, *before]):
+        pair = {which: given[name] for which, given in (("was", before), ("is", now)) if name in given}
+        is_left_out = bool({LEFT_OUT, REDACTED}.intersection(map(str, pair.values())))
+        if not is_left_out and (len(pair) == 1 or not _are_same(pair["was"], pair["is"])):
+            yield name, pair
+
+
+def _are_same(was: Any, is_now: Any) -> bool:
+    """Whether two values are the same; a list that was made of a set has another order in each process."""
+    if isinstance(was, list) and isinstance(is_now, list) and all(isinstance(each, str) for each in (*was, *is_now)):
+        return sorted(was) == sorted(is_now)
+    return bool(was == is_now)
+
+
+def _steady(
+    experiment: Experiment, now: Mapping[str, Any], changed: dict[str, dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    if not _is_from_file(experiment):
+        return changed
+    again = None
+    with _loaded_anew(experiment), suppress(RobotRunnerError, OSError):
+        found = dialects.prepare(experiment.config_path, experiment.overrides, is_for_here=False).experiment
+        again = None if found is None else given_values(found)
+    if again is None:
+        return changed
+    # The robot that `auto` has found is none of the config's.
+    return {name: pair for name, pair in changed.items() if name == "robot" or again.get(name) == now.get(name)}
+
+
+@contextmanager
+def _loaded_anew(experiment: Experiment) -> Iterator[None]:
+    """While it lasts, have the modules beside the config executed once more where they are imported."""
+    local = set(map(str, experiment.local_modules))
+    before = {
+        name: module
+        for name, module in list(sys.modules.items())
+        if name == CONFIG_MODULE or getattr(module, "__file__", None) in local
+    }
+    for name in before:
+        del sys.modules[name]
+    try:
+        yield
+    finally:
+        sys.modules.update(before)

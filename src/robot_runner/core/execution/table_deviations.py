@@ -1,0 +1,109 @@
+"""Which cells of a run table are not as the journal has them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from robot_runner.core.design.columns import EXCLUDED, RUN_ID
+from robot_runner.core.errors import Finding, Severity
+from robot_runner.core.execution.recovered_table import ENDS, Deviation
+from robot_runner.core.storage.cells import RunStatus, measure_text
+from robot_runner.core.words import listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from robot_runner.core.storage.executed_runs import ExcludedRuns
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+
+
+#: In a deviation: what stands for a row that is not there any more, and for rows that changed places.
+ROW, ORDER = "row", "order"
+
+
+def cell_deviations(
+    rows: RunTableRows, record: Mapping[str, Any], changed: Mapping[tuple[str, str], str]
+) -> Iterator[Deviation]:
+    """Yield each cell of a run's row that is not what its last attempt, and changes since, have left.
+
+    The same number in other digits (`11.0` for 11, as pandas writes beside a missing value) is put back.
+    """
+    run_id = record["run"]
+    if record["status"] not in ENDS:  # it was interrupted, and is to do again
+        return
+    place = rows.place_of(run_id)
+    if place is None:
+        if changed.get((run_id, ROW)) is None:
+            yield Deviation(run_id, ROW, record["status"], "")
+        return
+    row = rows.row(place)
+    for name, text in _expected(rows, row["status"], record).items():
+        was, is_now = changed.get((run_id, name), text), _text(row[name])
+        if is_now == was:
+            continue
+        value = record["measures"].get(name, {}).get("value")
+        if was == text and _are_same_number(row[name], value):
+            rows.record(run_id, measures={name: value})
+        else:
+            yield Deviation(run_id, name, was, is_now)
+
+
+def _expected(rows: RunTableRows, status: Any, record: Mapping[str, Any]) -> dict[str, str]:
+    """Return the text of each cell of a run's row as the end of its last attempt has left it."""
+    layout, expected = rows.layout, {}
+    if layout.spelling.tells_apart(ENDS[record["status"]], status):
+        expected["status"] = ENDS[record["status"]].value
+    stamps = {f"{event}_at": stamp for event, stamp in record["stamps"].items()}
+    expected |= {name: stamp for name, stamp in stamps.items() if name in layout.stamps}
+    return expected | {name: measure_text(record["measures"].get(name, {}).get("value")) for name in layout.measures}
+
+
+def changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[Deviation]:
+    """Yield each run that a table leaves out otherwise than the journal does."""
+    for run_id, found in zip(rows.values(RUN_ID), rows.values(EXCLUDED), strict=True) if excluded.were_any else ():
+        reason = excluded.reason(run_id)
+        if reason != found:
+            yield Deviation(run_id, EXCLUDED, reason or "", found or "")
+
+
+def _are_same_number(one: Any, other: Any) -> bool:
+    return {type(one), type(other)} <= {int, float} and one == other
+
+
+def _text(cell: Any) -> str:
+    return str(cell.value) if isinstance(cell, RunStatus) else measure_text(cell)
+
+
+#: Of one column, so many cells are told one by one; of more, how many they are.
+_MOST_CELLS = 5
+_SHOWN_CELLS = 3
+
+
+def deviation_findings(path: Path, found: Sequence[Deviation], severity: Severity, fix: str = "") -> Iterator[Finding]:
+    """Yield a finding for each cell that differs, and one for all of a column in which many do: they have one cause."""
+    columns: dict[str, list[Deviation]] = {}
+    for each in found:
+        columns.setdefault(each.column, []).append(each)
+    for column, members in columns.items():
+        if len(members) <= _MOST_CELLS:
+            yield from (Finding(severity, *_place_and_problem(path, each), fix) for each in members)
+        elif column == ROW:
+            lost = listed([each.run for each in members], _SHOWN_CELLS)
+            problem = f"{len(members):,} runs were executed, and the table has no such runs any more: {lost}"
+            yield Finding(severity, str(path), problem, fix)
+        else:
+            shown = [f"{each.run} has {_shown(each.is_now)} for {_shown(each.was)}" for each in members[:_SHOWN_CELLS]]
+            problem = f"{len(members):,} runs have another value than the journal: {', '.join(shown)}, ..."
+            yield Finding(severity, f"{path}, column {column!r}", problem, fix)
+
+
+def _place_and_problem(path: Path, each: Deviation) -> tuple[str, str]:
+    where = f"{path}, run {each.run}"
+    if each.column == ROW:
+        return where, "the run was executed, and the table has no such run any more"
+    return f"{where}, column {each.column!r}", f"the table has {_shown(each.is_now)}, the journal {_shown(each.was)}"
+
+
+def _shown(text: str) -> str:
+    return repr(text) if text else "nothing"

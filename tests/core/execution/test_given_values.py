@@ -1,0 +1,219 @@
+"""What a config takes from outside is recorded with each execution, and a later one is compared with it."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.given_values import LEFT_OUT, given_elsewhere, given_values
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+from robot_runner.core.execution.recovery import Resumption, config_changes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+
+METER = """\
+import os
+import random
+import tempfile
+import time
+from datetime import date
+from pathlib import Path
+from robot_runner import *
+from robot_runner.plugins import Measure, Profiler
+
+
+class Meter(Profiler):
+    measures = (Measure("V", "V", "What a voltmeter shows."),)
+
+    def __init__(self, *, gain=1.0, limits=(), wifi_password="", told=None, name=None):
+        super().__init__(name=name)
+        self.gain = gain
+
+    def populate_run_data(self, context):
+        context.publish("V", self.gain)
+
+
+HERE = Path(__file__).parent
+
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path("results")
+    run_process = RunProcess.IN_PROCESS
+"""
+TABLE = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", [1, 2])])
+"""
+
+
+@pytest.fixture
+def of_meter(write_config: Callable[..., Path]) -> Callable[..., Path]:
+    """Return what writes a config whose meter is made with these arguments."""
+
+    def write(arguments: str, body: str = "") -> Path:
+        return write_config(f"{body}\nplugins = [Meter({arguments})]", head=METER, table=TABLE)
+
+    return write
+
+
+def start(config: Path, **asked: Any) -> Any:
+    return execute_experiment(prepare_or_refuse(config), SilentObserver(), resumption=Resumption(**asked))
+
+
+def manifest_of(config: Path) -> dict[str, Any]:
+    manifest: dict[str, Any] = json.loads((config.parent / "results" / "trial" / "manifest.json").read_text("utf-8"))
+    return manifest
+
+
+def given(config: Path) -> dict[str, Any]:
+    return given_values(prepare_or_refuse(config))
+
+
+def test_a_value_of_a_plugin_from_the_environment_that_changes_is_told_like_a_changed_config(
+    of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = of_meter('gain=float(os.environ["GAIN"])')
+    monkeypatch.setenv("GAIN", "1")
+    start(config, only=("r_1",))
+    assert not config_changes(prepare_or_refuse(config))
+    monkeypatch.setenv("GAIN", "5")
+    with pytest.raises(ExecutionError) as refused:
+        start(config)
+    (finding,) = refused.value.findings
+    assert finding.where == f"{config}, Meter.gain"
+    assert finding.problem.startswith("it was 1.0 and is 5.0, and comes from outside of the file")
+    assert "--accept-changes" in finding.fix
+    start(config, accept_changes=True)
+    first, second = manifest_of(config)["executions"]
+    assert (first["given"]["Meter.gain"], second["given"]["Meter.gain"]) == (1.0, 5.0)
+    assert second["changed_values"] == {"Meter.gain": {"was": 1.0, "is": 5.0}}
+    assert start(config).done_count == 2  # it was accepted, and is told once
+
+
+@pytest.mark.parametrize(
+    ("body", "name"),
+    [
+        ('robot = os.environ.get("OF_TEST")', "robot"),
+        ('attempts = int(os.environ["OF_TEST_N"])', "attempts"),
+        ('task_s = float(os.environ["OF_TEST_N"])', "task_s"),
+        ('def __init__(self): self.levels = [1, int(os.environ["OF_TEST_N"])]', "levels"),
+        (
+            'gates = [Gate(port_open(1, host="localhost"), timeout_s=int(os.environ["OF_TEST_N"]))]',
+            "gates[0].timeout_s",
+        ),
+    ],
+)
+def test_static_parameters_and_attributes_from_the_environment_are_compared(
+    write_config: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, body: str, name: str
+) -> None:
+    config = write_config(body, head=METER)
+    monkeypatch.setenv("OF_TEST_N", "1")
+    before = given(config)
+    monkeypatch.setenv("OF_TEST_N", "2")
+    monkeypatch.setenv("OF_TEST", "simulated")
+    after = given(config)
+    assert {each for each in {*before, *after} if before.get(each) != after.get(each)} == {name}
+
+
+def test_what_differs_by_itself_is_no_change(of_meter: Callable[..., Path]) -> None:
+    config = of_meter(
+        "gain=random.random(), told=[object(), time.time(), tempfile.mkdtemp(), str(date.today()), os.getpid(), print]",
+        "seed = random.randrange(1 << 60)\nbegan = time.monotonic()",
+    )
+    start(config, only=("r_1",))
+    assert start(config).done_count == 2
+
+
+def test_the_order_of_a_set_which_is_another_in_each_process_is_no_change(of_meter: Callable[..., Path]) -> None:
+    config = of_meter("told=['scan', 'odom', frozenset({'a', 'b'})]")
+    start(config, only=("r_1",))
+    path, manifest = config.parent / "results" / "trial" / "manifest.json", manifest_of(config)
+    manifest["executions"][0]["given"]["Meter.told[2]"].reverse()
+    path.write_text(json.dumps(manifest), "utf-8")
+    assert not config_changes(prepare_or_refuse(config))
+
+
+def test_what_is_large_is_told_by_its_checksum_and_what_cannot_be_looked_at_is_left_out(
+    of_meter: Callable[..., Path],
+) -> None:
+    class_of_stranger = 'type("Odd", (dict,), {"items": lambda self: 1 / 0})()'
+    config = of_meter(f"limits=[(x, x + 1) for x in range(1000)]), Meter(name='second', told={class_of_stranger}")
+    values = given(config)
+    assert values["second"] == LEFT_OUT
+    assert values["Meter.limits"].startswith("SHA-256 ")
+    assert len(values) < 20
+
+
+def test_a_plugin_that_is_there_no_more_is_told(of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    config = of_meter(')] + [Meter(name="second")] * ("OF_TEST" in os.environ) + [Meter(name="third"')
+    monkeypatch.setenv("OF_TEST", "1")
+    before = given(config)
+    monkeypatch.delenv("OF_TEST")
+    assert before.keys() - given(config).keys() == {"second", "second.name"}
+
+
+def test_a_folder_of_results_and_its_config_may_lie_elsewhere(of_meter: Callable[..., Path], tmp_path: Path) -> None:
+    config = of_meter('told={"room": HERE / "lab.toml", "url": f"file://{HERE}/lab.toml"}')
+    before = given(config)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    config = config.rename(elsewhere / config.name)
+    assert given(config) == before
+    assert before["Meter.told['room']"] == "./lab.toml"
+
+
+def test_secrets_are_not_recorded(of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LAB_TOKEN", "open-sesame")
+    monkeypatch.setenv("OF_TEST", "rtsp://ada:lovelace@10.0.0.7/stream")
+    config = of_meter(
+        'wifi_password="swordfish", told=["Bearer " + os.environ["LAB_TOKEN"], {"api_key": "abcdefgh"}]',
+        'url = os.environ["OF_TEST"]',
+    )
+    start(config)
+    text = (config.parent / "results" / "trial" / "manifest.json").read_text("utf-8")
+    assert "Meter.wifi_password" in text
+    assert not any(secret in text for secret in ("swordfish", "open-sesame", "abcdefgh", "lovelace"))
+    assert manifest_of(config)["executions"][0]["given"]["url"] == "rtsp://REDACTED@10.0.0.7/stream"
+
+
+def test_an_experiment_of_an_older_version_that_recorded_nothing_goes_on(
+    of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = of_meter('gain=float(os.environ.get("GAIN", 1))')
+    start(config, only=("r_1",))
+    path, manifest = config.parent / "results" / "trial" / "manifest.json", manifest_of(config)
+    del manifest["executions"][0]["given"]
+    path.write_text(json.dumps(manifest), "utf-8")
+    monkeypatch.setenv("GAIN", "5")
+    assert start(config).done_count == 2
+
+
+def test_what_is_set_from_outside_is_told_once(of_meter: Callable[..., Path]) -> None:
+    config = of_meter("")
+    start(config, only=("r_1",))
+    (finding,) = config_changes(prepare_or_refuse(config, {"grace_in_s": "5"}))
+    assert finding.where == "--set grace_in_s"
+
+
+def test_a_replication_is_told_what_the_original_was_given_otherwise_but_for_places_and_what_is_set(
+    of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GAIN", "1")
+    config = of_meter(
+        'gain=float(os.environ["GAIN"]), limits=(random.random(),), told=Path(os.environ["GAIN"], "lab/a.toml")'
+    )
+    start(config)
+    monkeypatch.setenv("GAIN", "5")
+    experiment = prepare_or_refuse(config)
+    assert given_elsewhere(experiment, manifest_of(config), ()) == ["Meter.gain (1.0, here 5.0)"]
+    assert given_elsewhere(experiment, manifest_of(config), {"Meter.gain"}) == []
+    assert given_elsewhere(experiment, {"executions": [{}]}, ()) == []
