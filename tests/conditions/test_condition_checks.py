@@ -10,9 +10,12 @@ from robot_runner import Condition, Gate, Guard, all_of, battery_above, load_bel
 from robot_runner.conditions.condition_checks import check_conditions
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.plugins import treatment
+from robot_runner.plugins.profilers import Battery, Ina219, PsUtil
 from robot_runner.plugins.systems import Together, Waypoints
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from robot_runner.plugins import Plugin
 
 WAY = [(1.0, 0.0)]
@@ -47,3 +50,17 @@ def test_a_condition_about_a_robot_that_is_driven_is_none_to_tell_of() -> None:
     assert found(battery_above(10), Waypoints(WAY)) == []
     assert found(battery_above(10), pair(), robot="ros2") == []
     assert found(battery_above(10), Waypoints(WAY, namespace=treatment("Robot"))) == []
+
+
+@pytest.mark.parametrize("profiler", [Battery, PsUtil, Ina219])
+def test_a_profiler_of_a_simulated_robot_that_nobody_drives_is_found(profiler: Callable[..., Plugin]) -> None:
+    parameters = Parameters(robot="simulated")
+    (finding,) = check_conditions("config.py", parameters, [pair(), profiler()])
+    assert "which no system commands: they command /alice, /bob" in finding.problem
+    assert not list(check_conditions("config.py", parameters, [pair(), profiler(namespace="/bob")]))
+    assert not list(check_conditions("config.py", parameters, [Waypoints(WAY), profiler()]))
+    assert not list(check_conditions("config.py", Parameters(robot="ros2"), [pair(), profiler()]))
+
+
+def test_a_profiler_of_a_computer_that_is_named_is_about_no_robot() -> None:
+    assert not list(check_conditions("config.py", Parameters(robot="simulated"), [pair(), PsUtil(host="localhost")]))

@@ -128,10 +128,14 @@ def test_the_newest_message_counts_and_an_old_one_does_not(robot: Robot) -> None
         assert "the newest message on /battery_state is 1" in look().seen
 
 
-def test_a_robot_that_does_not_tell_its_charge_is_not_charged(robot: Robot) -> None:
-    robot.sends("battery_state", {"percentage": float("nan"), "voltage": 12.1}, at=0.1)
+@pytest.mark.parametrize("condition", [battery_above(10), battery_below(10)], ids=str)
+@pytest.mark.parametrize("unknown", [float("nan"), -0.01])  # as some pass on the -1 % of an autopilot
+def test_a_robot_that_does_not_tell_its_charge_is_neither_charged_nor_flat(
+    robot: Robot, condition: Condition, unknown: float
+) -> None:
+    robot.sends("battery_state", {"percentage": unknown, "voltage": 12.1}, at=0.1)
     with pytest.raises(ConditionError, match="the robot does not tell its charge"):
-        robot.waits(battery_above(10), timeout_s=1.0)
+        robot.waits(condition, timeout_s=1.0)
 
 
 def test_a_charge_in_percent_is_not_taken_for_a_share(robot: Robot) -> None:

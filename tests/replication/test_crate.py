@@ -20,7 +20,8 @@ with warnings.catch_warnings():
 
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 from robot_runner.replication.about import About
-from robot_runner.replication.crate import Executed, crate_text
+from robot_runner.replication.crate import crate_text
+from robot_runner.replication.crate_actions import ExecutedRun
 from robot_runner.replication.crate_requirements import crate_faults
 from robot_runner.replication.packing import pack
 
@@ -180,7 +181,7 @@ def test_what_has_no_ascii_name_keeps_an_identity_of_its_own():
         ColumnDescription(name=name, role=ColumnRole.MEASURE) for name in ("エネルギー", "時間", "CPU %", "CPU_")
     ]
     about = About("small", authors, None, None, "2026-01-31T12:00:00Z")
-    entities = json.loads(crate_text(about, {}, Executed(columns, [], {}), []))["@graph"]
+    entities = json.loads(crate_text(about, {}, [], columns=columns, runs=[], run_folders={}))["@graph"]
     names = {each["@id"]: each["name"] for each in entities if "name" in each}
     people = [each for each in entities if each["@type"] == "Person"]
     assert {each["name"]: names[each["affiliation"]["@id"]] for each in people} == {
@@ -188,3 +189,12 @@ def test_what_has_no_ascii_name_keeps_an_identity_of_its_own():
     }
     root = next(each for each in entities if each["@id"] == "./")
     assert [names[each["@id"]] for each in root["variableMeasured"]] == [each.name for each in columns]
+
+
+def test_an_experiment_that_was_killed_ended_with_its_last_run_and_not_when_it_began():
+    about = About("small", (), None, None, "2026-01-31T12:00:00Z")
+    manifest = {"executions": [{"started_at": "2026-01-31T12:00:00Z"}]}
+    run = ExecutedRun("r_1", True, "2026-01-31T12:01:00Z", "2026-01-31T12:03:00Z")
+    text = crate_text(about, manifest, [], columns=[], runs=[run], run_folders={})
+    (action,) = [each for each in json.loads(text)["@graph"] if each["@id"] == "#experiment"]
+    assert (action["endTime"], action["error"]) == ("2026-01-31T12:03:00+00:00", "1 run failed.")

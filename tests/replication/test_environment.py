@@ -32,6 +32,16 @@ def test_what_the_program_needs_is_told_from_what_happens_to_be_installed(manife
     assert "mdurl" in closure(["rich"])
 
 
+def test_what_it_needs_and_was_uninstalled_since_is_listed(manifest, tmp_path):
+    (tmp_path / "config.py").write_text("import left_pad\nimport rich\n", encoding="utf-8")
+    manifest["software"]["packages"] |= {"left_pad": "1.0", "unrelated": "1.0"}
+    environment = record_environment(manifest, tmp_path)
+    assert "left-pad==1.0" in [each.requirement for each in environment.needed]
+    assert "unrelated" not in [each.name for each in environment.needed]
+    (finding,) = environment.findings
+    assert "left-pad" in finding.problem
+
+
 def test_a_hash_is_required_only_where_all_are_known(manifest, tmp_path):
     environment = record_environment(manifest, tmp_path)
     some = environment.requirements({"robot-runner": "ab" * 32})

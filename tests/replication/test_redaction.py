@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 
 from robot_runner.replication.code_secrets import secrets_in_code
+from robot_runner.replication.named_secrets import Grammar
 from robot_runner.replication.redaction import Hits, Redactor, grammar_of, is_binary
 
 
 def _clean(text, *, loose=True, secrets=(), home=None):
-    return Redactor.knowing(secrets, home=home).redacted(text.encode(), Counter(), loose=loose).decode()
+    return (
+        Redactor.knowing(secrets, home=home).redacted(text.encode(), Grammar.TEXT if loose else Grammar.MARKUP).decode()
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,7 +65,7 @@ def test_bytes_of_pictures_and_samples_are_no_hashes_of_passwords():
     of_a_figure = b"$1$\x8e\xc4\x93D\xd2\x8d\xa4\x92\xee\xf8\xccE\xc2\xf0*\x04\xfbB@\xe7\xf0"
     of_samples = b"$1$3$6$9$;$>$@CEHJMPRUWZ\\_adgilnqsvy{~\x80\x83"
     for seen in (of_a_figure, of_samples):
-        assert Redactor.knowing((), home=None).redacted(seen, Counter(), loose=True) == seen
+        assert Redactor.knowing((), home=None).redacted(seen, Grammar.TEXT) == seen
 
 
 def test_a_log_may_be_cleaned_more_loosely_than_code():

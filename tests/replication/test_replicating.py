@@ -122,7 +122,7 @@ def test_what_a_replication_decides_itself_is_not_ignored_where_it_is_set(unpack
 def test_what_was_set_originally_is_set_again(of_a_table_by_hand):
     original, replication = of_a_table_by_hand
     assert replication.experiment.parameters.robot == "simulated:task_power_factor=1.5"
-    assert replication.deviations == {}
+    assert replication.experiment.replication["deviations"] == {}
     assert identical_values(original, replication.experiment.folder.root)["Energy"].is_complete
 
 

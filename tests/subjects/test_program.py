@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import fcntl
 import json
 import os
 import re
@@ -12,6 +13,7 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from threading import Timer
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -24,10 +26,11 @@ from tests.subjects.conftest import alive, gone
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.treatment_makers import Workshop
 from robot_runner.core.errors import PluginError, StorageError
+from robot_runner.core.events.context import SystemClock
 from robot_runner.plugins.systems import Program
 from robot_runner.subjects import supervisor
 from robot_runner.subjects.work_tree import WorkTree
-from robot_runner.testing import SystemContract, make_context
+from robot_runner.testing import SystemContract, make_context, rehearse
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -169,6 +172,20 @@ def test_a_subject_of_the_experiment_is_started_once_and_told_of_in_each_run(
     assert (done.folder / "subjects/World/1/stdout.txt").read_text().startswith("started")
     assert "StartupTime" not in done.table[0]
     assert alive(token) == []
+
+
+def test_the_wait_for_the_end_of_an_earlier_start_is_no_part_of_the_startup_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = (tmp_path / "lock").open("w")
+    fcntl.flock(held, fcntl.LOCK_EX)
+    monkeypatch.setattr(Program, "_lock", lambda *_: tmp_path / "lock")
+    program = Program(["sleep", "100"])
+    context = make_context(tmp_path, program, clock=SystemClock())
+    Timer(2.0, held.close).start()
+    begun = time.monotonic()
+    startup_time = rehearse(context, program)["StartupTime"]
+    assert startup_time < time.monotonic() - begun - 2.0
 
 
 def test_a_subject_of_the_experiment_that_died_is_started_again_for_the_next_run(

@@ -184,3 +184,8 @@ def test_scripts_are_told_from_options_and_inline_programs() -> None:
 def test_a_single_text_is_no_list_of_files() -> None:
     with pytest.raises(PluginError, match=r"reads is 'hall.csv'"):
         Program(["planner"], reads="hall.csv")
+
+
+def test_an_argument_that_is_longer_than_any_name_of_a_file_is_no_file() -> None:
+    launch = RosLaunch("nav", "nav.launch.py", arguments={"params": f'{{"a": "{"b" * 300}"}}'}, ros=2)
+    assert list(launch.input_files()) == []

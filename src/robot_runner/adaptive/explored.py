@@ -127,17 +127,21 @@ def in_direction(name: str, direction: Direction) -> str:
     return f"the {'least' if direction is Direction.MINIMISE else 'most'} {name}"
 
 
+def decided(name: str, words: str, facts: Mapping[str, Any], **more: Any) -> Decision:
+    """Return a decision whose reason is said and kept in the same words."""
+    return Decision(name=name, in_words=words, facts={"why": words, **facts}, **more)
+
+
 # What comes after a search: runs that confirm what it found.
 
 
 def confirmation(points: Sequence[Explored], often: int, known: str, facts: Mapping[str, Any]) -> Decision:
     """Return the decision to confirm what was found, by so many runs of each of these combinations."""
-    runs = [
-        (each.combination, each.repetition + number) for number in range(1, often + 1) for each in points
-    ]  # as written, each once, then all again
+    # As written: each once, then all again.
+    runs = [(each.combination, each.repetition + number) for number in range(1, often + 1) for each in points]
     what = listed(shown(each.combination) for each in points)
     words = f"{known}. Next: {counted(often, 'run')} each to confirm it, {what}"
-    return Decision(name="confirmation", in_words=words, runs=runs, confirms=True, facts={"why": words, **facts})
+    return decided("confirmation", words, facts, runs=runs, confirms=True)
 
 
 # What is wrong with what was asked for.

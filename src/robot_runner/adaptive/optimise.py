@@ -17,6 +17,7 @@ from robot_runner.adaptive.explored import (
     best_of,
     confirmation,
     count_findings,
+    decided,
     direction_findings,
     explored,
     in_direction,
@@ -25,7 +26,6 @@ from robot_runner.adaptive.explored import (
     without_values,
 )
 from robot_runner.adaptive.searched_space import Places, SearchedSpace, baseline_findings, baseline_of
-from robot_runner.core.design.asking import Decision
 from robot_runner.core.design.design import ChosenCombinations
 from robot_runner.core.errors import DesignError, Finding
 from robot_runner.core.words import counted, enumerated, listed
@@ -33,7 +33,7 @@ from robot_runner.core.words import counted, enumerated, listed
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from robot_runner.core.design.asking import Told
+    from robot_runner.core.design.asking import Decision, Told
     from robot_runner.core.design.design import IsAllowed
     from robot_runner.core.design.factor import Combination, Factor
     from robot_runner.core.design.planned_runs import PlannedRun
@@ -140,13 +140,9 @@ class Optimise:
         """Return the search as plain data."""
         return {
             "kind": "optimise",
+            **{name: getattr(self, name) for name in self.__slots__},
             "directions": {name: each.value for name, each in self.directions.items()},
-            "runs": self.runs,
-            "start": self.start,
-            "at_a_time": self.at_a_time,
-            "confirm": self.confirm,
             "baseline": {name: str(each) for name, each in self.baseline.items()},
-            "seed": self.seed,
         }
 
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
@@ -212,22 +208,21 @@ class _Search:
         words = self._in_words(points, best)
         if any(each.run.batch > 1 for each in told):
             words = f"{words}. The runs that confirm it are done"
-            return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
+            return decided("end", words, facts, findings=odd)
         # Where nothing has a value, the fault is not in the treatments: the runs that are left are worth keeping.
         left = design.runs // self._repetitions - len(points) if best else 0
         wanted = self._next(points, min(design.at_a_time, left)) if left > 0 else []
         if wanted:
             words = f"{words}. Next: {listed(shown(each) for each in wanted)}"
             runs = [(each, number) for number in range(1, self._repetitions + 1) for each in wanted]
-            name = f"combination {len(points) + 1}"
-            return Decision(name=name, in_words=words, runs=runs, facts={"why": words, **facts})
+            return decided(f"combination {len(points) + 1}", words, facts, runs=runs)
         if not best:
             odd = [*odd, without_values(self.measures)]
         ended = "the search has had its runs" if left <= 0 else "no further combination is allowed"
         words = f"{words}: {ended if best else 'nothing tells where to search'}"
         if design.confirm and best:
             return confirmation(self._to_confirm(points, best), design.confirm, words, facts)
-        return Decision(name="end", in_words=words, facts={"why": words, **facts}, findings=odd)
+        return decided("end", words, facts, findings=odd)
 
     def _next(self, points: Sequence[Explored], count: int) -> list[Combination]:
         space = self._space

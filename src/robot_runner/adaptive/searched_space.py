@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain, product
 from math import prod
 from random import Random
 from typing import TYPE_CHECKING
@@ -117,18 +118,10 @@ class SearchedSpace:
         """Return any combination that is allowed and not among these; None where none is found."""
         draw = Random(seed).random  # noqa: S311 - reproducible, not secret
         drawn = (tuple(int(draw() * len(levels)) for levels in self.levels) for _ in range(_DRAWS))
-        candidates = [each for each in drawn if each not in tried]
-        if self.size <= _FEW:
-            candidates += [each for each in self._all() if each not in tried]
-        return next((each for each in candidates if self.is_allowed(each)), None)
-
-    def _all(self) -> Iterator[Places]:
-        for number in range(self.size):
-            places = []
-            for levels in self.levels:
-                number, place = divmod(number, len(levels))  # noqa: PLW2901 - what is left of it
-                places.append(place)
-            yield tuple(places)
+        # The first factor changes first, as it always did: the same seed gives the same runs.
+        listed = (each[::-1] for each in product(*(range(len(levels)) for levels in reversed(self.levels))))
+        candidates = chain(drawn, listed) if self.size <= _FEW else drawn
+        return next((each for each in candidates if each not in tried and self.is_allowed(each)), None)
 
 
 def settings(factor: Factor) -> list[Any]:

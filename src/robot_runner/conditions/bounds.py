@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import ConditionError, Finding, LinkError
@@ -19,17 +19,8 @@ if TYPE_CHECKING:
     from robot_runner.core.events.context import RobotRunnerContext
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
-    """What a quantity was found to be.
-
-    Attributes:
-        value: in its unit; None where it is not known.
-        reason: why it is not known.
-    """
-
-    value: float | None
-    reason: str = ""
+#: What a quantity was found to be, in its unit; a text says why it is not known.
+Reading: TypeAlias = float | str
 
 
 class Quantity(ABC):
@@ -104,11 +95,12 @@ class Bound(Condition):
             try:
                 reading = read()
             except LinkError as error:
-                return Look(holds=False, seen=error.problem, is_known=False)
-            if reading.value is None or not math.isfinite(reading.value):
-                return Look(holds=False, seen=reading.reason or f"{self.quantity} is not known", is_known=False)
-            holds = reading.value < self.limit if self.is_below else reading.value > self.limit
-            return Look(holds, _shown(reading.value, self.quantity.unit), reading.value)
+                reading = error.problem
+            if isinstance(reading, str) or not math.isfinite(reading):
+                seen = reading if isinstance(reading, str) else f"{self.quantity} is not known"
+                return Look(holds=False, seen=seen, is_known=False)
+            holds = reading < self.limit if self.is_below else reading > self.limit
+            return Look(holds, _shown(reading, self.quantity.unit), reading)
 
         return look
 
@@ -161,9 +153,8 @@ class Measured(Quantity):
         def read() -> Reading:
             value = context.measures.get(self.name)
             if isinstance(value, int | float) and not isinstance(value, bool):
-                return Reading(value)
-            published = self.name in context.measures
-            return Reading(None, f"{self} {f'is {value!r}' if published else 'was not published yet'}")
+                return value
+            return f"{self} {f'is {value!r}' if self.name in context.measures else 'was not published yet'}"
 
         return read
 

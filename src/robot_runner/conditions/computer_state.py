@@ -9,7 +9,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from robot_runner.conditions.bounds import Bound, Quantity, Reading
+from robot_runner.conditions.bounds import Bound, Quantity
 from robot_runner.conditions.computers import ComputerName
 from robot_runner.core.errors import ConditionError
 from robot_runner.core.links.declared_host import LOCAL
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from contextlib import ExitStack
     from pathlib import Path
 
+    from robot_runner.conditions.bounds import Reading
     from robot_runner.core.errors import Finding
     from robot_runner.core.events.condition import Condition
     from robot_runner.core.events.context import RobotRunnerContext
@@ -153,7 +154,7 @@ class _Temperature(_OfComputer):
             texts = link.read_files(paths) if paths else []
             values = [int(text) * _MILLI for text in texts if text and re.fullmatch(r"-?\d+", text.strip())]
             plausible = [value for value in values if _COLDEST < value < _HOTTEST]
-            return Reading(max(plausible)) if plausible else Reading(None, self._silence(kinds))
+            return max(plausible, default=self._silence(kinds))
 
         return read
 
@@ -185,15 +186,15 @@ class _Load(_OfComputer):
 
         def read() -> Reading:
             nonlocal before
-            now = _cpu_times(link.read_files(["/proc/stat"])[0]) or (
-                _psutil_times() if self.computer.host == LOCAL else None
-            )
+            now = _cpu_times(link.read_files(["/proc/stat"])[0])
+            if now is None and self.computer.host == LOCAL:
+                now = _psutil_times()
             if now is None:
-                return Reading(None, f"{self.computer} does not tell its load")
+                return f"{self.computer} does not tell its load"
             then, before = before, now
             if then is None or now[0] <= then[0]:
-                return Reading(None, "the second look tells")
-            return Reading(_PERCENT * min(1.0, max(0.0, (now[1] - then[1]) / (now[0] - then[0]))))
+                return "the second look tells"
+            return _PERCENT * min(1.0, max(0.0, (now[1] - then[1]) / (now[0] - then[0])))
 
         return read
 
@@ -223,9 +224,9 @@ class _ClockOffset(_OfComputer):
     def reader(self, link: LocalHost | SshHost) -> Callable[[], Reading]:
         def read() -> Reading:
             if not isinstance(link, SshHost):
-                return Reading(None, "the clock of this machine is the one that is compared with")
+                return "the clock of this machine is the one that is compared with"
             offset = link.clock_offset()
-            return Reading(abs(offset.wall_offset) + offset.uncertainty)
+            return abs(offset.wall_offset) + offset.uncertainty
 
         return read
 
@@ -243,13 +244,9 @@ class ComputerBattery(_OfComputer):
         """Return what reads it."""
 
         def read() -> Reading:
-            paths = link.list_files(self._supplies)
-            folders = [path.removesuffix("capacity") for path in paths]
-            texts = (
-                link.read_files([f"{folder}{name}" for folder in folders for name in ("capacity", "scope")])
-                if paths
-                else []
-            )
+            folders = [path.removesuffix("capacity") for path in link.list_files(self._supplies)]
+            wanted = [f"{folder}{name}" for folder in folders for name in ("capacity", "scope")]
+            texts = link.read_files(wanted) if wanted else []
             # A mouse has a battery, too: its scope is a device's, and not the system's.
             charges = [
                 float(charge)
@@ -258,7 +255,7 @@ class ComputerBattery(_OfComputer):
             ]
             if not charges and self.computer.host == LOCAL:
                 charges = _psutil_charge()
-            return Reading(min(charges)) if charges else Reading(None, f"{self.computer} tells of no battery")
+            return min(charges, default=f"{self.computer} tells of no battery")
 
         return read
 

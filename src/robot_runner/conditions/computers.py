@@ -179,17 +179,14 @@ class _ProcessRunning(_OfComputer):
 
     def __str__(self) -> str:
         kind, _, value = self.selector.partition(":")
-        named = {"pid": f"process {value}", "name": f"the process {value}", "node": f"the process of node {value}"}[
-            kind
-        ]
-        return f"{named} is there{'' if self.computer.host == LOCAL else f' on {self.computer}'}"
+        named = {"pid": "process", "name": "the process", "node": "the process of node"}[kind]
+        return f"{named} {value} is there{'' if self.computer.host == LOCAL else f' on {self.computer}'}"
 
     def check(self, robot: str | None) -> Iterable[Finding]:
         yield from super().check(robot)
         if self.computer.host == LOCAL and not Path("/proc/self/stat").exists() and find_spec("psutil") is None:
-            yield Finding.error(
-                f"condition {str(self)!r}", "psutil, which tells of processes here, is missing", _PSUTIL
-            )
+            problem = "psutil, which tells of processes here, is missing"
+            yield Finding.error(f"condition {str(self)!r}", problem, _PSUTIL)
 
     def looker(self, link: LocalHost | SshHost) -> Callable[[], Look]:
         def look() -> Look:
@@ -203,16 +200,13 @@ class _ProcessRunning(_OfComputer):
         kind, _, value = self.selector.partition(":")
         listed = link.list_files(f"/proc/{value if kind == 'pid' else '[0-9]*'}/stat")
         if self.computer.host == LOCAL and not listed and not Path("/proc/self/stat").exists():
-            return _found_by_psutil(self.selector)
+            return sorted(each.pid for each in LocalProcesses(import_module("psutil"), [self.selector]).counters())
         folders = [path.removesuffix("/stat") for path in listed]
         texts = link.read_files([*listed, *(f"{folder}/cmdline" for folder in folders)]) if listed else []
         states, lines = texts[: len(folders)], texts[len(folders) :]
-        known = zip(folders, states, lines, strict=True)
-        return sorted(
-            int(folder.rpartition("/")[2])
-            for folder, state, line in known
-            if _matches(self.selector, int(folder.rpartition("/")[2]), state or "", line or "")
-        )
+        pids = [int(folder.rpartition("/")[2]) for folder in folders]
+        known = zip(pids, states, lines, strict=True)
+        return sorted(pid for pid, state, line in known if _matches(self.selector, pid, state or "", line or ""))
 
 
 def _matches(selector: str, pid: int, state: str, command_line: str) -> bool:
@@ -220,11 +214,6 @@ def _matches(selector: str, pid: int, state: str, command_line: str) -> bool:
     name, _, rest = state.partition("(")[2].rpartition(")")
     is_alive = rest.strip()[:1] not in {"", "Z", "X"}
     return is_alive and matches(selector, pid, name, [word for word in command_line.split("\0") if word])
-
-
-def _found_by_psutil(selector: str) -> list[int]:
-    psutil = import_module("psutil")
-    return sorted(each.pid for each in LocalProcesses(psutil, [selector]).counters())
 
 
 @dataclass(frozen=True)
@@ -273,11 +262,7 @@ class _Throttled(_OfComputer):
             before |= told
             now = int(flags, 16) & _HELD_BACK_NOW if re.fullmatch(r"(0x)?[0-9a-fA-F]+", flags or "") and flags else 0
             is_held_back = bool(now) or grown > 0
-            seen = (
-                f"throttled (firmware {now:#x}, counted {max(grown, 0)} times since the look before)"
-                if is_held_back
-                else "not throttled"
-            )
-            return Look(is_held_back, seen, is_held_back)
+            how = f"throttled (firmware {now:#x}, counted {max(grown, 0)} times since the look before)"
+            return Look(is_held_back, how if is_held_back else "not throttled", is_held_back)
 
         return look

@@ -1,4 +1,4 @@
-"""What validation finds of the gates and guards of a config: conditions that can never hold, where that is known."""
+"""What validation finds of gates, guards and profilers of a config: what can never hold, or is about no robot there."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from robot_runner.conditions.combining import leaves
 from robot_runner.conditions.person import Confirmed
 from robot_runner.core.errors import Finding
 from robot_runner.core.links.connect import is_simulated
-from robot_runner.core.plugin import Plugin, System
+from robot_runner.core.plugin import Plugin, Profiler, System
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.condition import Condition
 
 
 def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugin]) -> Iterator[Finding]:
-    """Yield what keeps the gates and guards of a config from what they are for.
+    """Yield what keeps the gates and guards of a config from what they are for, and profilers of simulated robots.
 
     Args:
         where: the config's file and class.
@@ -36,9 +36,7 @@ def check_conditions(where: str, parameters: Parameters, plugins: Sequence[Plugi
     for place, condition in gates.items():
         yield from _without_run(place, condition)
     if is_simulated(parameters.robot):
-        named = set(_namespaces(plugins))
-        for place, condition in {**gates, **guards}.items():
-            yield from _of_robot_apart(place, condition, named)
+        yield from _of_robots_apart({**gates, **guards}, plugins)
 
 
 def _without_run(place: str, condition: Condition) -> Iterator[Finding]:
@@ -63,18 +61,31 @@ def _namespaces(plugins: Iterable[object], seen: tuple[object, ...] = ()) -> Ite
             yield from _namespaces(value if isinstance(value, tuple | list) else (value,), (*seen, plugin))
 
 
-def _of_robot_apart(place: str, condition: Condition, named: set[object]) -> Iterator[Finding]:
-    """Yield a warning for each part about a simulated robot that no system has: there is one for each namespace."""
+def _of_robots_apart(conditions: Mapping[str, Condition], plugins: Sequence[Plugin]) -> Iterator[Finding]:
+    """Yield a warning for all that is about a simulated robot that no system has: there is one for each namespace."""
+    named = set(_namespaces(plugins))
     if not named or not all(isinstance(each, str) for each in named):  # bound to a factor: any of its treatments
         return
     here = sorted({_as_named(str(each)) for each in named})
-    for leaf in leaves(condition):
-        about = leaf.quantity if isinstance(leaf, Bound) else leaf
-        namespace = getattr(about, "namespace", None)
+    for place, subject in (*_parts(conditions), *_profilers(plugins)):
+        namespace = getattr(subject, "namespace", None)
         if isinstance(namespace, str) and _as_named(namespace) not in here:
             problem = f"it is about a simulated robot of its own, which no system commands: they command {listed(here)}"
-            fix = f"Say which one is meant, as in namespace={here[-1]!r}."
-            yield Finding.warning(f"{place}, condition {str(leaf)!r}", problem, fix)
+            yield Finding.warning(place, problem, f"Say which one is meant, as in namespace={here[-1]!r}.")
+
+
+def _parts(conditions: Mapping[str, Condition]) -> Iterator[tuple[str, object]]:
+    for place, condition in conditions.items():
+        for leaf in leaves(condition):
+            yield f"{place}, condition {str(leaf)!r}", leaf.quantity if isinstance(leaf, Bound) else leaf
+
+
+def _profilers(plugins: Iterable[Plugin]) -> Iterator[tuple[str, object]]:
+    """Yield each profiler that measures at a robot, and not a computer that is named."""
+    for plugin in plugins:
+        if isinstance(plugin, Profiler) and getattr(plugin, "host", None) is None:
+            held = (plugin, *vars(plugin).values())  # a meter may keep how it is reached beside itself
+            yield from ((f"plugin {plugin.name}", each) for each in held if hasattr(each, "namespace"))
 
 
 def _as_named(namespace: str) -> str:

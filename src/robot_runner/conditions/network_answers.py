@@ -143,10 +143,8 @@ class _HttpAnswers(Condition):
     every_s = 0.25
 
     def __str__(self) -> str:
-        wanted = [
-            *([f"status {self.status}"] if self.status is not None else []),
-            *([repr(self.text)] * bool(self.text)),
-        ]
+        wanted = [f"status {self.status}"] if self.status is not None else []
+        wanted += [repr(self.text)] if self.text else []
         return f"{self.url} answers{' with ' if wanted else ''}{' and '.join(wanted)}"
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> LookAgain:

@@ -7,7 +7,7 @@ import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.conditions.bounds import Bound, Quantity, Reading
+from robot_runner.conditions.bounds import Bound, Quantity
 from robot_runner.conditions.computer_state import ComputerBattery
 from robot_runner.conditions.computers import ComputerName
 from robot_runner.conditions.graph_presence import check_robot_named
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from contextlib import ExitStack
     from pathlib import Path
 
+    from robot_runner.conditions.bounds import Reading
     from robot_runner.core.events.condition import LookAgain
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import Message
@@ -275,7 +276,7 @@ class _TopicField(Quantity):
         Raises:
             ConditionError: it has no such field, or that is no number.
         """
-        return Reading(_number_at(message, self.field, str(self)))
+        return _number_at(message, self.field, str(self))
 
     def watch(self, context: RobotRunnerContext, opened: ExitStack) -> Callable[[], Reading]:
         clock = context.clock
@@ -291,13 +292,11 @@ class _TopicField(Quantity):
         def read() -> Reading:
             problem = listening.problem()
             if not newest:
-                return Reading(None, problem or f"no message on {full_name(self.namespace, self.topic)} yet")
+                return problem or f"no message on {full_name(self.namespace, self.topic)} yet"
             at, message = newest[0]
             age = clock.now() - at
             if age > self.within_s:
-                return Reading(
-                    None, f"the newest message on {full_name(self.namespace, self.topic)} is {age:.1f} s old"
-                )
+                return f"the newest message on {full_name(self.namespace, self.topic)} is {age:.1f} s old"
             return self.value_of(message)
 
         return read
@@ -312,14 +311,12 @@ class _RobotBattery(_TopicField):
         return f"the battery of the robot{f' {self.namespace}' if self.namespace else ''}"
 
     def value_of(self, message: Message) -> Reading:
-        """Return the charge; a board that does not measure it says NaN, and some tell percents in place of a share."""
+        """Return the charge; boards that do not measure it say NaN or less than 0, and some tell percents, no share."""
         share = _number_at(message, self.field, str(self))
         if share > _MOST_SHARE:
             seen = f"the robot tells a {self.field} of {share:.6g}, and ROS has it from 0 to 1"
-            return Reading(None, f"{seen}; topic_above and topic_below take it as it is")
-        return (
-            Reading(_PERCENT * share) if math.isfinite(share) else Reading(None, "the robot does not tell its charge")
-        )
+            return f"{seen}; topic_above and topic_below take it as it is"
+        return _PERCENT * share if share >= 0 else "the robot does not tell its charge"
 
 
 def _number_at(message: Message, field: str, where: str) -> float:

@@ -7,19 +7,42 @@ to the author or to the reviewers; it is never met by itself.
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.storage.table_columns import ColumnRole
+from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.layout import ExperimentFolder
+from robot_runner.core.storage.manifest import read_manifest
+from robot_runner.core.storage.run_table_reading import read_run_table
+from robot_runner.core.storage.table_columns import ColumnRole, TableLayout
+from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import counted
-from robot_runner.replication.contents import CRATE, DATA_PACKAGE, LICENCE, README, REQUIREMENTS, SUMS, ZENODO
+from robot_runner.replication.about import About
+from robot_runner.replication.contents import (
+    BADGES,
+    CRATE,
+    DATA_PACKAGE,
+    DESCRIPTION,
+    LICENCE,
+    README,
+    REQUIREMENTS,
+    SUMS,
+    ZENODO,
+    choose_contents,
+)
+from robot_runner.replication.opening import open_package
+from robot_runner.replication.run_by_run import statuses_that_count
+from robot_runner.replication.verification import read_text_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
+    from pathlib import Path
 
+    from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import ColumnDescription
-    from robot_runner.replication.about import About
 
 _POLICY = "https://www.acm.org/publications/policies/artifact-review-and-badging-current"
 _AVAILABLE = "Artifacts Available"
@@ -54,10 +77,8 @@ class BadgeFacts:
     """What is known of an experiment or of its package.
 
     Attributes:
-        columns: the run table's.
+        columns, rows: the run table's.
         names: the files that are there.
-        undone: how many runs are not done.
-        runs: how many there are.
         left_out: what is not in the package.
         packages: how many Python packages the experiment needs; None where it is not packed.
         without_hash: of how many of them no file's hash is known.
@@ -67,8 +88,7 @@ class BadgeFacts:
     manifest: Mapping[str, Any]
     columns: Sequence[ColumnDescription]
     names: Collection[str]
-    undone: int
-    runs: int
+    rows: RunTableRows
     left_out: Sequence[str] = ()
     packages: int | None = None
     without_hash: int = 0
@@ -118,8 +138,11 @@ def _functional(facts: BadgeFacts) -> Iterator[BadgeLine]:
     cited = facts.about.citation
     fact = f"The paper is said to be {cited}." if cited else "No paper is named: citation in the config, or --citation."
     yield BadgeLine(_FUNCTIONAL, "Consistent: it belongs to the paper", State.AUTHOR, fact)
-    fact = f"{facts.runs - facts.undone} of {counted(facts.runs, 'run')} are done."
-    yield _line(_FUNCTIONAL, "Complete: all runs", facts.runs and not facts.undone, fact, fact)
+    statuses = statuses_that_count(facts.rows)
+    done, excluded = statuses.count(RunStatus.DONE), len(facts.rows) - len(statuses)
+    fact = f"{done} of {counted(len(statuses), 'run')} are done."
+    fact += f" Excluded: {counted(excluded, 'run')}." if excluded else ""
+    yield _line(_FUNCTIONAL, "Complete: all runs", done and done == len(statuses), fact, fact)
     left_out = f"Left out: {', '.join(facts.left_out)}."
     yield _line(_FUNCTIONAL, "Complete: nothing is left out", not facts.left_out, "Nothing was left out.", left_out)
     yield from _exercisable(facts)
@@ -171,3 +194,36 @@ def _results(facts: BadgeFacts) -> Iterator[BadgeLine]:
 
 def _cell(text: str) -> str:
     return " ".join(text.split()).replace("|", "\\|")
+
+
+def badges_of(path: Path) -> tuple[str, tuple[BadgeLine, ...]]:
+    """Return the name and the checklist of an experiment's folder, or of a package, zipped or unpacked.
+
+    Raises:
+        PackageError: it is a package that has no checklist, or one that is damaged.
+        StorageError: something cannot be read.
+    """
+    if path.is_file() or (path / DESCRIPTION).is_file():
+        with open_package(path) as package:
+            if package.faults:
+                raise PackageError.of_findings(package.faults)
+            return _of_text(read_text_of(package, BADGES))
+    files = ExperimentFolder.found_at(path)
+    manifest, columns = read_manifest(files.manifest), read_schema(files.schema)
+    rows = read_run_table(files.run_table, TableLayout.of_schema(columns))
+    chosen = choose_contents(files, [rows.run_id(place) for place in range(len(rows))])
+    about, names = About.of_manifest(manifest), {file.name for file in chosen.files}
+    return about.name, badge_lines(BadgeFacts(about, manifest, columns, names, rows))
+
+
+def _of_text(text: str) -> tuple[str, tuple[BadgeLine, ...]]:
+    """Read a checklist as `badges_text` writes it; what is no line of it is passed over."""
+    name, badge, states = "", "", {state.value: state for state in State}
+    found = []
+    for line in text.splitlines():
+        name = line.partition(": ")[2] if line.startswith("# ") else name
+        badge = line[3:] if line.startswith("## ") else badge
+        cells = [cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+        if len(cells) == 3 and cells[1] in states:  # noqa: PLR2004 - asked for, state, fact
+            found.append(BadgeLine(badge, cells[0], states[cells[1]], cells[2]))
+    return name, tuple(found)

@@ -36,12 +36,13 @@ def licence_text(about: About) -> str | None:
     """
     if about.licence is None:
         return f"{NO_LICENCE}\n"
-    template = _template(about.licence)
-    if template is None:
+    if (record := _known_licences().get(about.licence)) is None:
         return None
+    import spdx  # noqa: PLC0415 - an extra
+
     owners = "; ".join(str(each["name"]) for each in about.authors) or "the authors"
     # A function each: a backslash in a name is no escape.
-    text = _VARIABLE.sub(lambda found: found[1].strip(), _OPTIONAL.sub("", template))
+    text = _VARIABLE.sub(lambda found: found[1].strip(), _OPTIONAL.sub("", str(spdx.License(record).template)))
     text = _OWNER.sub(lambda _: owners, _YEAR.sub(about.date[:4], text))
     return "\n".join(line.rstrip() for line in text.strip().splitlines()) + "\n"
 
@@ -58,12 +59,7 @@ def missing_text(about: About) -> Finding:
 
 
 def citation_text(about: About, description: str) -> str:
-    """Return `CITATION.cff` of the package (https://citation-file-format.github.io, 1.2.0).
-
-    Args:
-        about: who made it, and under which terms.
-        description: one sentence.
-    """
+    """Return `CITATION.cff`, with one sentence on the package (https://citation-file-format.github.io, 1.2.0)."""
     cite = f" Cite this, too: {about.citation}" if about.citation else ""
     facts = {
         "cff-version": _FORMAT,
@@ -80,12 +76,7 @@ def citation_text(about: About, description: str) -> str:
 
 
 def zenodo_text(about: About, description: str) -> str:
-    """Return `.zenodo.json`, which Zenodo takes the description of an upload from.
-
-    Args:
-        about: who made it, and under which terms.
-        description: one sentence.
-    """
+    """Return `.zenodo.json`, which Zenodo takes the description of an upload from: one sentence."""
     creators = [
         {
             "name": _family_first(str(each["name"])),
@@ -119,13 +110,6 @@ def _known_licences() -> dict[str, dict[str, Any]]:
     # The list is of a time before GNU's licences had these names.
     gnu = {f"{name}-{kind}": known[name] for name in known if "GPL-" in name for kind in ("only", "or-later")}
     return {**gnu, **known}
-
-
-def _template(identifier: str) -> str | None:
-    import spdx  # noqa: PLC0415 - an extra
-
-    record = _known_licences().get(identifier)
-    return str(spdx.License(record).template) if record else None
 
 
 def _title(about: About) -> str:

@@ -5,23 +5,20 @@ from __future__ import annotations
 import codecs
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import Finding
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import one_line
 from robot_runner.replication.contents import LeftOut, PackedFile
-from robot_runner.replication.redaction import Hits, Redactor, grammar_of, is_binary
+from robot_runner.replication.redaction import Hits, Redactor, chunks_of, grammar_of, is_binary
 from robot_runner.replication.searched_files import recoded, search, wide_encoding
 
 if TYPE_CHECKING:
     from collections import Counter
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
-
-_BLOCK = 1 << 20
-_Answer = TypeVar("_Answer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +29,6 @@ class Replaced:
     what: str
     count: int
     lines: tuple[int, ...] = ()
-
-    @property
-    def place(self) -> str:
-        """The file, with the first line."""
-        return f"{self.name}:{self.lines[0]}" if self.lines else self.name
 
 
 @dataclass(slots=True)
@@ -67,11 +59,14 @@ class Cleaning:
         """
         if any(fnmatch(file.name, pattern) for pattern in self.keep):
             return _unchanged(file.path)
-        if not _asked(file.path, is_binary):
-            return self._cleaned(file, None)
-        if encoding := _asked(file.path, wide_encoding):
-            return self._cleaned(file, encoding)
-        searched = _asked(file.path, lambda path: search(path, self.redactor))
+        try:
+            if not is_binary(file.path):
+                return self._cleaned(file, None)
+            if encoding := wide_encoding(file.path):
+                return self._cleaned(file, encoding)
+            searched = search(file.path, self.redactor)
+        except OSError as error:
+            raise storage_error(file.path, "read", error) from error
         self.unread += [LeftOut(file.name, one_line(why)) for why in searched.unread]
         if searched.found:
             found = in_words(searched.found)
@@ -106,15 +101,7 @@ class Cleaning:
 
 def _unchanged(path: Path) -> Iterator[bytes]:
     with open_to_read(path) as file:
-        while block := file.read(_BLOCK):
-            yield block
-
-
-def _asked(path: Path, question: Callable[[Path], _Answer]) -> _Answer:
-    try:
-        return question(path)
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
+        yield from chunks_of(file)
 
 
 def in_words(found: Counter[str]) -> str:

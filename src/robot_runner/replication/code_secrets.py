@@ -22,7 +22,6 @@ _COMMON_TEXT = (
     "test token turtlebot turtlebot3 ubuntu video"
 )
 _COMMON = frozenset(_COMMON_TEXT.split())
-_COMMON = frozenset(_COMMON_TEXT.split())
 _WITH_DEFAULT = frozenset({"getenv", "get", "setdefault", "setenv", "putenv", "pop"})
 _Pair = tuple[ast.AST | None, ast.AST | None]
 

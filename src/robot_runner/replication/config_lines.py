@@ -21,19 +21,6 @@ _FACTORS = frozenset({"Factor", "FactorModel"})
 
 
 @dataclass(frozen=True, slots=True)
-class ConfigLine:
-    """One line of a config.
-
-    Attributes:
-        place: the file, below the experiment's folder, and the line's number.
-        text: the line.
-    """
-
-    place: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
 class _Source:
     name: str
     lines: tuple[str, ...]
@@ -44,18 +31,21 @@ class _Source:
         found = [node for node in ast.walk(self.tree) if matches(node)]
         return sorted(found, key=lambda node: getattr(node, "lineno", 0))
 
-    def line(self, node: ast.AST) -> ConfigLine:
+    def line(self, node: ast.AST) -> str:
         number = getattr(node, "lineno", 1)
-        return ConfigLine(f"{self.name}:{number}", self.lines[number - 1].strip())
+        return f"{self.name}:{number}  {self.lines[number - 1].strip()}"
 
 
 class ConfigLines:
     """The config file of an experiment and its local modules, read and not executed.
 
+    A line is told as its place, which is the file below the experiment's folder and the line's number, two blanks, and
+    its text; one that is not found is empty.
+
     Example:
         >>> from pathlib import Path
-        >>> ConfigLines(Path("nowhere"), {"file": "study.py"}).of_factor("Task") is None
-        True
+        >>> ConfigLines(Path("nowhere"), {"file": "study.py"}).of_factor("Task")
+        ''
     """
 
     def __init__(self, root: Path, config: Mapping[str, Any]) -> None:
@@ -72,12 +62,12 @@ class ConfigLines:
         self._sources = tuple(sorted(_sources(root), key=lambda source: source.name != first))
         self._methods = _methods_of(str(config.get("class")), self._sources)
 
-    def of_factor(self, name: str) -> ConfigLine | None:
+    def of_factor(self, name: str) -> str:
         """Return the line that makes a factor."""
         made = self._first(lambda node: _is_factor(node, name))
         return made or self._first(lambda node: _is_constant(node, name))
 
-    def of_plugin(self, name: str, kind: str) -> ConfigLine | None:
+    def of_plugin(self, name: str, kind: str) -> str:
         """Return the line that makes a plugin, or that imports it.
 
         Args:
@@ -89,26 +79,22 @@ class ConfigLines:
         made = named or self._first(lambda node: _called(node) == kind and _keyword(node, "name") is None)
         return made or self._first(lambda node: _imports(node, kind))
 
-    def of_measure(self, name: str) -> ConfigLine | None:
+    def of_measure(self, name: str) -> str:
         """Return the line on which a config yields a measure, or the method that does."""
         usual = self._methods.get("populate_run_data")
         others = (method for called, method in self._methods.items() if called not in _DECLARING)
         within = (method for method in (usual, *others) if method is not None and _mentions(method[1], name))
         found = next(within, usual)
-        return found[0].line(found[1]) if found else self._last_mention(name)
+        # Columns are named above the callbacks that fill them.
+        return found[0].line(found[1]) if found else self._first(lambda node: _is_constant(node, name), -1)
 
-    def of_method(self, name: str) -> ConfigLine | None:
+    def of_method(self, name: str) -> str:
         """Return the line on which a method of the config's class begins: its own, or that of a local base class."""
         found = self._methods.get(name)
-        return found[0].line(found[1]) if found else None
+        return found[0].line(found[1]) if found else ""
 
-    def _last_mention(self, value: str) -> ConfigLine | None:
-        """Return where a text stands last: columns are named above the callbacks that fill them."""
-        found = (source.nodes(lambda node: _is_constant(node, value)) for source in self._sources)
-        return next((source.line(nodes[-1]) for source, nodes in zip(self._sources, found, strict=True) if nodes), None)
-
-    def _first(self, matches: Callable[[ast.AST], bool]) -> ConfigLine | None:
-        return next((source.line(found[0]) for source in self._sources if (found := source.nodes(matches))), None)
+    def _first(self, matches: Callable[[ast.AST], bool], place: int = 0) -> str:
+        return next((source.line(found[place]) for source in self._sources if (found := source.nodes(matches))), "")
 
 
 def _sources(root: Path) -> Iterator[_Source]:

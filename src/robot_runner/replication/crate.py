@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, metadata
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from robot_runner.core.errors import PackageError
 from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.words import shown_commit
+from robot_runner.core.words import counted, shown_commit
 from robot_runner.replication.citation_files import NO_LICENCE
 from robot_runner.replication.contents import (
     CRATE,
@@ -32,7 +31,7 @@ from robot_runner.replication.contents import (
 from robot_runner.replication.crate_actions import RunActions, action_outcome, iso_stamp
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.storage.table_columns import ColumnDescription
     from robot_runner.replication.about import About
@@ -66,45 +65,45 @@ def require_rocrate() -> Any:
     return rocrate
 
 
-@dataclass(frozen=True, slots=True)
-class Executed:
-    """What was executed.
-
-    Attributes:
-        columns: the run table's.
-        runs: those that were executed.
-        run_folders: the run of each folder in the package that is a run's, by the folder's name, which ends with `/`.
-    """
-
-    columns: Sequence[ColumnDescription]
-    runs: Sequence[ExecutedRun]
-    run_folders: Mapping[str, str]
-
-
-def crate_text(about: About, manifest: Mapping[str, Any], executed: Executed, files: Iterable[StoredFile]) -> str:
+def crate_text(
+    about: About,
+    manifest: Mapping[str, Any],
+    files: Sequence[StoredFile],
+    *,
+    columns: Sequence[ColumnDescription],
+    runs: Sequence[ExecutedRun],
+    run_folders: Mapping[str, str],
+) -> str:
     """Return the text of `ro-crate-metadata.json`.
 
     Args:
         about: who made the experiment, and under which terms.
         manifest: the experiment's.
-        executed: what was executed.
         files: everything else in the package, in order.
+        columns: the run table's.
+        runs: those that were executed.
+        run_folders: the run of each folder in the package that is a run's, by the folder's name, which ends with `/`.
     """
-    return _Crate(about, manifest, executed).text(list(files))
+    crate = _Crate(about, manifest, runs, run_folders)
+    return crate.text(files, [each for each in columns if each.role is ColumnRole.MEASURE])
 
 
 class _Crate:
-    def __init__(self, about: About, manifest: Mapping[str, Any], executed: Executed) -> None:
-        self._library = require_rocrate()
-        self._crate = self._library.ROCrate(version="1.1")
+    def __init__(
+        self,
+        about: About,
+        manifest: Mapping[str, Any],
+        runs: Sequence[ExecutedRun],
+        run_folders: Mapping[str, str],
+    ) -> None:
+        self._crate = require_rocrate().ROCrate(version="1.1")
         self._crate.metadata.extra_terms["sha256"] = _SHA256
-        self._about = about
-        self._manifest = manifest
-        self._executed = executed
+        self._about, self._manifest = about, manifest
+        self._executed, self._run_folders = runs, run_folders
         self._workflow = f"config/{(manifest.get('config') or {}).get('file')}"
         self._pages: dict[str, Any] = {}
 
-    def text(self, files: Sequence[StoredFile]) -> str:
+    def text(self, files: Sequence[StoredFile], measures: Sequence[ColumnDescription]) -> str:
         root = self._crate.root_dataset
         parts = {file.name: self._file(file) for file in files}
         # The checksums are written last, as they cover this text, too: their own size and checksum are not known yet.
@@ -113,7 +112,7 @@ class _Crate:
         # Set at once: appending one by one takes a time that grows with the square of their number.
         root["hasPart"] = [part for name, part in parts.items() if "/" not in name] + list(folders.values())
         authors = [self._author(each, place) for place, each in enumerate(self._about.authors)]
-        self._describe_root(parts, authors)
+        self._describe_root(parts, authors, measures)
         root["mentions"] = [self._action(parts, folders, authors), *self._runs(parts, authors)]
         return json.dumps(self._generated(), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
 
@@ -168,13 +167,15 @@ class _Crate:
         below: dict[str, list[Any]] = {}
         for name, part in parts.items():
             if "/" in name:
-                below.setdefault(folder_of(name, self._executed.run_folders), []).append(part)
+                below.setdefault(folder_of(name, self._run_folders), []).append(part)
         for name in [name for name in below if name.count("/") > 1]:
             run = self._entity(name, "Dataset", name=name[:-1], hasPart=below.pop(name))
             below.setdefault(f"{name.partition('/')[0]}/", []).append(run)
         return {name: self._entity(name, "Dataset", name=name[:-1], hasPart=inner) for name, inner in below.items()}
 
-    def _describe_root(self, parts: Mapping[str, Any], authors: Sequence[Any]) -> None:
+    def _describe_root(
+        self, parts: Mapping[str, Any], authors: Sequence[Any], measures: Sequence[ColumnDescription]
+    ) -> None:
         root, about = self._crate.root_dataset, self._about
         root["name"] = about.name
         root["description"] = about.described(self._manifest)
@@ -206,8 +207,7 @@ class _Crate:
                 description=column.description,
                 measurementTechnique=column.origin,
             )
-            for column in self._executed.columns
-            if column.role is ColumnRole.MEASURE
+            for column in measures
         ]
 
     def _citation(self, text: str) -> Any:
@@ -232,24 +232,26 @@ class _Crate:
         """Return the actions of the runs, if the package has the config that they executed."""
         if self._workflow not in parts:
             return []
-        folders = {run: self._crate.dereference(name) for name, run in self._executed.run_folders.items()}
+        folders = {run: self._crate.dereference(name) for name, run in self._run_folders.items()}
         actions = RunActions(self._entity, parts[self._workflow], parts.get(TABLE))
-        return actions.describe(self._executed.runs, folders, authors)
+        return actions.describe(self._executed, folders, authors)
 
     def _action(self, parts: Mapping[str, Any], folders: Mapping[str, Any], authors: Sequence[Any]) -> Any:
         executions = self._manifest.get("executions") or [{}]
         ended = executions[-1].get("finished_at")
         inputs = [name for name in parts if name.startswith("config/") or name == REQUIREMENTS]
         results = [name for name in ("run_table.csv", "journal.jsonl", "manifest.json") if name in parts]
-        failed = sum(run.has_failed for run in self._executed.runs)
-        error = f"{failed} runs failed." if failed else None if ended else "The experiment did not come to its end."
+        failed = sum(run.has_failed for run in self._executed)
+        error = None if ended else "The experiment did not come to its end."
+        error = f"{counted(failed, 'run')} failed." if failed else error
+        last = max((run.ended_at for run in self._executed if run.ended_at), default=None)
         return self._entity(
             _EXPERIMENT,
             "CreateAction",
             name=f"Execution of {self._about.name}",
             description=f"Robot Runner executed the runs of {self._about.name}.",
             startTime=iso_stamp(executions[0].get("started_at")),
-            endTime=iso_stamp(ended or executions[-1].get("started_at")),
+            endTime=iso_stamp(ended or last),  # where it was killed, as far as it had come
             agent=list(authors),
             instrument=self._robot_runner(),
             object=[*(parts[name] for name in inputs), *self._sources()],

@@ -62,11 +62,6 @@ def executed_runs(rows: RunTableRows, columns: Sequence[ColumnDescription]) -> t
     return tuple(found)
 
 
-def undone_count(rows: RunTableRows) -> int:
-    """Return how many runs are not done, of those that nobody left out."""
-    return sum(rows.status(place) is not RunStatus.DONE for place in range(len(rows)) if rows.excluded(place) is None)
-
-
 def iso_stamp(stamp: str | None) -> str | None:
     """Return a time stamp in the form that every reader of ISO 8601 knows."""
     return stamp.replace("Z", "+00:00") if stamp else None

@@ -113,36 +113,34 @@ def installed_distributions() -> dict[str, InstalledDistribution]:
 
 
 def closure(roots: Iterable[str]) -> set[str]:
-    """Return the canonical names of these distributions and of everything that they need, as far as it is installed.
+    """Return the canonical names of these distributions and of everything that they need.
 
-    Extras of the roots count where all that they ask for is installed: with which one they were installed is not kept.
+    What one needs that is not installed is not known. Extras of the roots count where all that they ask for is
+    installed: with which one they were installed is not kept.
     """
-    installed = installed_distributions()
-    pending = [(name, {"", *_extras(name)}) for name in map(canonical, roots) if name in installed]
+    pending = [(name, {"", *_extras(name)}) for name in map(canonical, roots)]
     seen: dict[str, set[str]] = {}
     while pending:
         name, extras = pending.pop()
         if extras <= seen.setdefault(name, set()):
             continue
         seen[name] |= extras
-        asked = [
-            (canonical(each.name), {"", *each.extras}) for each in _requirements(name) if _is_asked_by(extras, each)
-        ]
-        pending += [(needed, with_extras) for needed, with_extras in asked if needed in installed]
+        asked = (each for each in _requirements(name) if _is_asked_by(extras, each))
+        pending += [(canonical(each.name), {"", *each.extras}) for each in asked]
     return set(seen)
 
 
 def _extras(name: str) -> set[str]:
     """Return the extras of a distribution that seem to have been installed with it."""
     installed = installed_distributions()
-    offered = set(installed[name].distribution.metadata.get_all("Provides-Extra") or ()) - _NOT_FOR_USERS
-    optional = [each for each in _requirements(name) if not _is_asked_by({""}, each)]
-    asked = {extra: [canonical(each.name) for each in optional if _is_asked_by({extra}, each)] for extra in offered}
-    return {extra for extra, names in asked.items() if names and all(name in installed for name in names)}
+    known = installed[name].distribution.metadata if name in installed else None
+    offered = set(known.get_all("Provides-Extra") or ()) - _NOT_FOR_USERS if known else set()
+    asked = {extra: packages_of_extra(name, extra) for extra in offered}
+    return {extra for extra, names in asked.items() if names and names <= installed.keys()}
 
 
 def packages_of_extra(name: str, extra: str) -> set[str]:
-    """Return the canonical names of what an extra of an installed distribution asks for in addition."""
+    """Return the canonical names of what an extra of a distribution asks for in addition; nothing if not installed."""
     optional = [each for each in _requirements(name) if not _is_asked_by({""}, each)]
     return {canonical(each.name) for each in optional if _is_asked_by({extra}, each)}
 
@@ -150,7 +148,8 @@ def packages_of_extra(name: str, extra: str) -> set[str]:
 def _requirements(name: str) -> list[Requirement]:
     from packaging.requirements import Requirement  # noqa: PLC0415 - an extra
 
-    return [Requirement(text) for text in installed_distributions()[name].distribution.requires or ()]
+    known = installed_distributions().get(name)
+    return [Requirement(text) for text in (known.distribution.requires if known else None) or ()]
 
 
 def _is_asked_by(extras: set[str], requirement: Requirement) -> bool:

@@ -204,7 +204,7 @@ def _findings(
         problem = "this is not the environment in which the experiment was executed: all that it had is listed"
         fix = "Pack where it was executed, to have fingerprints and local packages too."
     elif unknown:
-        problem = f"another version is installed here than when it was executed: {', '.join(unknown)}"
+        problem = f"another version is installed here than when it was executed, or none: {', '.join(unknown)}"
         fix = "Pack in the environment in which it was executed."
     else:
         return

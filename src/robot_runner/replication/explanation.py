@@ -9,7 +9,7 @@ from robot_runner.core.design.columns import BATCH, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.errors import StorageError, did_you_mean
 from robot_runner.core.events.measure import OPERATOR_OWNER, ROBOTS_OWNER, quality_text
 from robot_runner.core.storage.cells import RunStatus
-from robot_runner.core.storage.executed_runs import executed_order, moved_runs
+from robot_runner.core.storage.executed_runs import executed_order, moved_runs, unrecorded_runs
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.registration import read_registration
@@ -18,7 +18,7 @@ from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, ColumnRole, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import shown_commit, shown_duration
-from robot_runner.replication.config_lines import ConfigLine, ConfigLines
+from robot_runner.replication.config_lines import ConfigLines
 from robot_runner.replication.contents import CONFIG_OWNER
 from robot_runner.replication.run_history import RunHistory
 
@@ -85,12 +85,10 @@ class _Explaining:
         rows = read_run_table(self._files.run_table, TableLayout.of_schema(tuple(self._columns.values())))
         place = rows.place_of(run_id)
         if place is None:
-            known = [rows.run_id(each) for each in range(min(len(rows), 1000))]
+            known = [rows.run_id(each) for each in range(min(len(rows), 1000))]  # the nearest of more takes long
             raise StorageError(f"there is no run {run_id!r}", where=str(root), fix=did_you_mean(run_id, known))
-        self._run_id = run_id
-        self._number, self._count = place + 1, len(rows)
+        self._run_id, self._row = run_id, rows.row(place)
         self._run_ids = [rows.run_id(each) for each in range(len(rows))]
-        self._row = rows.row(place)
         self._history = RunHistory.read(self._files.journal, run_id)
         try:
             self._lines = ConfigLines(root, self._manifest.get("config") or {})
@@ -136,7 +134,7 @@ class _Explaining:
             yield "Excluded", f"{excluded.reason} ({excluded.at}): not in the statistics"
         if len(history.corrections) > (excluded is not None):
             yield from (("Correction", told) for told in history.corrections)
-        yield "Place", f"run {self._number} of {self._count}, {self._order()}"
+        yield "Place", f"run {self._run_ids.index(self._run_id) + 1} of {len(self._run_ids)}, {self._order()}"
         if self._mark(WARM_UP):
             yield "Warm-up", "the run was executed and kept, and is not analysed"
         yield "Executed", self._executed()
@@ -154,10 +152,8 @@ class _Explaining:
         yield from (("Program", self._program(path, owner)) for path, owner in history.programs)
         yield "Commit", history.commit
         yield "Registered", self._registered()
-        for host in history.hosts:
-            yield "Other host", host
-        for subject in history.subjects:
-            yield "Subject", subject
+        yield from (("Other host", host) for host in history.hosts)
+        yield from (("Subject", subject) for subject in history.subjects)
         for owner, name, factor, value in history.bound:
             yield "Parameter", f"{name} of {owner} = {value}, bound to the factor {factor}"
 
@@ -265,7 +261,11 @@ class _Explaining:
         origin = str(published.get("origin") or column.origin or "")
         yield "Origin", _UNMEASURED.get(origin, origin)
         doubts = tuple(published.get("doubts", ())) if published else column.doubts.get(self._run_id, ())
-        if published or self._row[STATUS] is RunStatus.DONE:
+        is_done = self._row[STATUS] is RunStatus.DONE
+        ended = () if self._history.finished_at is None else (self._run_id,)
+        if is_done and unrecorded_runs([self._run_id], ended, self._manifest):
+            yield "Quality", "not known: the journal has no end of this run, and is missing or older than the run table"
+        elif published or is_done:
             yield "Quality", quality_text(self._row.get(column.name, published.get("value")), doubts)
         yield from self._owner_facts(owner, column.name)
         yield "Aggregation", column.description
@@ -284,7 +284,7 @@ class _Explaining:
             return
         if owner == CONFIG_OWNER:
             yield "From", "the config"
-            yield "Config", _shown(self._lines.of_measure(measure))
+            yield "Config", self._lines.of_measure(measure)
             return
         plugin: Mapping[str, Any] = next(
             (each for each in self._manifest.get("plugins", ()) if each.get("name") == owner), {}
@@ -293,7 +293,7 @@ class _Explaining:
         package = f" ({plugin['package']} {plugin.get('version')})" if plugin.get("package") else ""
         named = f"{owner}, " if kind != owner and kind else ""
         yield "Plugin", f"{named}{kind or owner}{package}" if owner else "none: no plugin published it"
-        yield "Config", _shown(self._lines.of_plugin(owner, kind))
+        yield "Config", self._lines.of_plugin(owner, kind)
         for whose, name, factor, value in self._history.bound:
             if whose == owner:
                 yield "Parameter", f"{name} = {value}, bound to the factor {factor}"
@@ -329,8 +329,7 @@ class _Explaining:
                 yield "Revision", f"{name} is {shown_commit(facts)}"
             yield "Bound to", ", ".join(bound)
             yield "Read by", self._read_by(column.name)
-        found = self._lines.of_factor(column.name)
-        yield "Config", _shown(found or self._lines.of_method("create_run_table"))
+        yield "Config", self._lines.of_factor(column.name) or self._lines.of_method("create_run_table")
 
     def _assumed(self, factor: str) -> str:
         """Return that the run was planned before the factor was added, where that is so."""
@@ -358,8 +357,7 @@ class _Explaining:
         if clock is not None and is_own:
             simulated = " (simulated time)" if self._reached.startswith("simulated") else ""
             yield "Run's clock", f"{clock:.3f} s{simulated}"
-        heard = self._lines.of_method("continue_experiment" if event == "continue" else event)
-        yield "Config", _shown(heard)
+        yield "Config", self._lines.of_method("continue_experiment" if event == "continue" else event)
 
     def _progress_facts(self, column: ColumnDescription) -> Iterator[tuple[str, str]]:
         yield "From", f"Robot Runner: {column.description or 'how far the run has come'}"
@@ -372,10 +370,6 @@ class _Explaining:
 def _mapping(value: Any) -> Mapping[str, Any]:
     """Return a value of a manifest where it is a mapping, and else an empty one: a folder may come from anybody."""
     return value if isinstance(value, dict) else {}
-
-
-def _shown(line: ConfigLine | None) -> str:
-    return f"{line.place}  {line.text}" if line else ""
 
 
 def _plain(value: Any) -> Any:

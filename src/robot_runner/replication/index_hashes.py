@@ -15,10 +15,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from robot_runner.core.errors import Finding
@@ -54,18 +54,8 @@ _NOT_ASKED = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class IndexAnswer:
-    """The answer of an index.
-
-    Attributes:
-        hashes: the SHA-256 of each file that fits, sorted, by the canonical name of its package.
-        lacking: why there are none, by the canonical name of the package.
-
-    Example:
-        >>> IndexAnswer({}, {"left-pad": "pip finds no wheel of that version"}).hashes
-        {}
-    """
+class IndexAnswer(NamedTuple):
+    """The SHA-256 of each file that fits, sorted, and why there are none, by the canonical name of the package."""
 
     hashes: Mapping[str, tuple[str, ...]]
     lacking: Mapping[str, str]
@@ -142,8 +132,8 @@ def with_known_hashes(
     if asking is None or not unknown:
         return replace(environment, index_hashes=locked), {}
     asking(len(unknown))
-    answer = ask_index(unknown, environment.python)
-    return replace(environment, index_hashes={**locked, **answer.hashes}), answer.lacking
+    hashes, lacking = ask_index(unknown, environment.python)
+    return replace(environment, index_hashes={**locked, **hashes}), lacking
 
 
 def findings_of_hashes(unknown: Iterable[PackageRecord], lacking: Mapping[str, str]) -> Iterator[Finding]:
@@ -163,8 +153,7 @@ def findings_of_hashes(unknown: Iterable[PackageRecord], lacking: Mapping[str, s
         yield Finding.warning("environment", f"no hash of {count}{listed(those)}: {why}", fix)
 
 
-@dataclass(frozen=True, slots=True)
-class _File:
+class _File(NamedTuple):
     """A file that pip would install.
 
     Attributes:

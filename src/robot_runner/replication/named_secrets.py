@@ -41,39 +41,41 @@ _BARE = rb"(?P<bare>[^\s\"'`,;<>\\)}\]]+)"
 _NUMBER = rb"(?P<number>\d{4,})(?![\w.])"
 
 
-def _form(expression: bytes) -> re.Pattern[bytes]:
-    return re.compile(expression)
-
-
 #: What may follow a name, and ends in a text in quotes, whatever the file's grammar.
 _QUOTED = (
     # password = "X", "password": "X", password: str = "X", ["DB_PASSWORD"] = "X"
-    _form(rb"(?:" + _QUOTE + rb"\s*\]?)?[ \t]*(?::[ \t]*[\w\[\]. |]+=|:=|=>|<-|[:=])[ \t]*(?:\\\n\s*|\(\s*)?" + _TEXT),
+    re.compile(
+        rb"(?:" + _QUOTE + rb"\s*\]?)?[ \t]*(?::[ \t]*[\w\[\]. |]+=|:=|=>|<-|[:=])[ \t]*(?:\\\n\s*|\(\s*)?" + _TEXT
+    ),
     # name="password" value="X", ("password", default_value="X"), {"name": "password", "value": "X"}
-    _form(_QUOTE + rb"[\s,]+" + _QUOTE + rb"?(?:default_value|default|value)" + _QUOTE + rb"?\s*[:=]\s*" + _TEXT),
+    re.compile(_QUOTE + rb"[\s,]+" + _QUOTE + rb"?(?:default_value|default|value)" + _QUOTE + rb"?\s*[:=]\s*" + _TEXT),
 )
 #: "--password", "X" and getenv("MQTT_PASS", "X"); in other lists the next text is another name.
-_NEXT = _form(_QUOTE + rb"\s*,\s*" + _TEXT)
+_NEXT = re.compile(_QUOTE + rb"\s*,\s*" + _TEXT)
 _BEFORE_NEXT = re.compile(rb"(?:getenv|environ\.get|setdefault|environ\.setdefault|setenv|param)\(\s*[\"']\Z|--?\Z")
 #: auth = ("ada", "X")
-_PAIR = _form(_QUOTE + rb"?\s*[:=]\s*\(\s*[\"'][^\"'\n]*[\"']\s*,\s*" + _TEXT + rb"\s*\)")
+_PAIR = re.compile(_QUOTE + rb"?\s*[:=]\s*\(\s*[\"'][^\"'\n]*[\"']\s*,\s*" + _TEXT + rb"\s*\)")
 #: value="X" name="password"
 _VALUE_BEFORE = re.compile(rb"(?:value|default)\s*=\s*([\"'])(?P<quoted>[^\"'\n<>]+)\1\s+name\s*=\s*[\"']\Z")
-_ELEMENT = _form(rb">(?P<bare>[^<>\n]+)</")
-_NUMERIC = _form(rb"(?:" + _QUOTE + rb")?[ \t]*(?::[ \t]*int[ \t]*=|:=|[:=])[ \t]*" + _NUMBER)
+_ELEMENT = re.compile(rb">(?P<bare>[^<>\n]+)</")
+_NUMERIC = re.compile(rb"(?:" + _QUOTE + rb")?[ \t]*(?::[ \t]*int[ \t]*=|:=|[:=])[ \t]*" + _NUMBER)
 #: Of a URL: ?token=X&next=...
-_PARAMETER = _form(rb"=(?P<bare>[^\s\"'&#\\<>{}]+)")
+_PARAMETER = re.compile(rb"=(?P<bare>[^\s\"'&#\\<>{}]+)")
 #: A line of a settings file or a log: password: X
-_LOOSE = _form(rb"[ \t]*(?::=|[:=])[ \t]*(?:!!str[ \t]+)?" + _BARE)
-_OF_SOMEBODY = _form(rb"[ \t]+(?:for|of|von|van|voor|f\xc3\xbcr)[ \t]+(?:[\w@.'-]+[ \t]+){0,3}[\w@.'-]+:[ \t]+" + _BARE)
-_BLOCK_SCALAR = _form(rb"[ \t]*:[ \t]*[|>][-+0-9]*[ \t]*\n(?P<indent>[ \t]+)(?P<bare>[^\n]+(?:\n(?P=indent)[^\n]+)*)")
-_FLAG = _form(_QUOTE + rb"?(?:[ \t]+)(?!-)" + _BARE)
+_LOOSE = re.compile(rb"[ \t]*(?::=|[:=])[ \t]*(?:!!str[ \t]+)?" + _BARE)
+_OF_SOMEBODY = re.compile(
+    rb"[ \t]+(?:for|of|von|van|voor|f\xc3\xbcr)[ \t]+(?:[\w@.'-]+[ \t]+){0,3}[\w@.'-]+:[ \t]+" + _BARE
+)
+_BLOCK_SCALAR = re.compile(
+    rb"[ \t]*:[ \t]*[|>][-+0-9]*[ \t]*\n(?P<indent>[ \t]+)(?P<bare>[^\n]+(?:\n(?P=indent)[^\n]+)*)"
+)
+_FLAG = re.compile(_QUOTE + rb"?(?:[ \t]+)(?!-)" + _BARE)
 #: The robot's password is X; pw - X
-_PROSE = _form(
+_PROSE = re.compile(
     rb"[ \t]+(?:is|was|war|ist|lautet|=|->|\xe2\x80\x93|-)[ \t]+(?P<bare>[^\s\"',;<>\\)}\]]+)(?P<rest>[^\n]*)"
 )
-_GOES_ON = _form(rb"[ \t]+[a-z]{2,}[ \t]+[a-z]")
-_SPACED = _form(rb"[ \t]+(?P<bare>[^\s\"',;<>\\)}\]:=]+)[ \t]*(?=\r?\n|\Z|\\n|[\"'])")
+_GOES_ON = re.compile(rb"[ \t]+[a-z]{2,}[ \t]+[a-z]")
+_SPACED = re.compile(rb"[ \t]+(?P<bare>[^\s\"',;<>\\)}\]:=]+)[ \t]*(?=\r?\n|\Z|\\n|[\"'])")
 
 #: In a line with one of these, what follows the word password is one, without any sign between.
 _COMMAND_LINE = re.compile(rb"(?i)\b(?:nmcli|machine|login|param set|rosparam|wpa_cli|ENV|set -x|setx|identified by)\b")
@@ -154,11 +156,8 @@ def _after(block: bytes, place: tuple[int, int], name: str, grammar: Grammar) ->
     before = block[max(0, start - _LONGEST_LINE) : start].rsplit(b"\n", 1)[-1]
     if match := _quoted(block, end, before):
         yield from _judged(match, "quoted", name, start)
-    elif match := _VALUE_BEFORE.search(block[max(0, start - _LONGEST_LINE) : start]):
-        offset = max(0, start - _LONGEST_LINE)
-        if _is_secret(match["quoted"], name):
-            value = match.span("quoted")
-            yield Found(offset + value[0], offset + value[1], _WHAT, offset + match.start())
+    elif match := _VALUE_BEFORE.search(block, max(0, start - _LONGEST_LINE), start):
+        yield from _judged(match, "quoted", name, match.start())
     elif match := _bare(block, end, before):
         yield from _judged(match, "bare", name, start)
     elif match := _NUMERIC.match(block, end):

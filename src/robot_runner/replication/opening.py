@@ -19,13 +19,13 @@ from robot_runner.core.errors import Finding, PackageError
 from robot_runner.core.storage.guarded_files import open_to_read, read_bytes
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.replication.contents import DESCRIPTION, DESKTOP_FILES, SUMS, fault_of_name
+from robot_runner.replication.redaction import chunks_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from robot_runner.replication.sealing import Progress
+    from robot_runner.replication.plain_zip import Progress
 
-_BLOCK = 1 << 20
 #: The directory of some 100,000 files.
 _LARGEST_READ = 12 << 20
 #: Deflate cannot do better than about 1000 to 1, and data that was measured never comes near this.
@@ -182,8 +182,7 @@ def _unpacked(root: Path) -> OpenPackage:
 def _blocks_of_file(root: Path, name: str) -> Iterator[bytes]:
     try:
         with open_to_read(root / name, root) as file:
-            while block := file.read(_BLOCK):
-                yield block
+            yield from chunks_of(file)
     except OSError as error:
         raise storage_error(root / name, "read", error) from error
 
@@ -206,7 +205,7 @@ def _blocks_of_entry(path: Path, archive: zipfile.ZipFile, name: str) -> Iterato
     left = archive.getinfo(name).file_size
     try:
         with archive.open(name) as file:
-            while block := file.read(_BLOCK):
+            for block in chunks_of(file):
                 left -= len(block)
                 if left < 0:
                     raise _damaged(path, name, "the file is larger than it says")
@@ -251,9 +250,8 @@ def _header_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Findi
             stamp = (*day, time >> 11, time >> 5 & 0x3F, (time & 0x1F) * 2)
             wanted = (b"PK\x03\x04", entry.flag_bits, entry.compress_type, entry.date_time)
             if (magic, flags, method, stamp) != wanted:
-                yield _fault(
-                    path, entry.filename, "the file's header is damaged: the directory of the zip file differs"
-                )
+                problem = "the file's header is damaged: the directory of the zip file differs"
+                yield _fault(path, entry.filename, problem)
 
 
 def _layout_faults(path: Path, entries: list[zipfile.ZipInfo]) -> Iterator[Finding]:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PackageError, StorageError
 from robot_runner.core.secret_names import forms_of, is_secret_name, secrets_of_environment
+from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.executed_runs import ended_runs, unrecorded_findings
 from robot_runner.core.storage.guarded_files import open_to_read, read_text
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
@@ -24,19 +26,21 @@ from robot_runner.replication.about import About
 from robot_runner.replication.citation_files import missing_text
 from robot_runner.replication.code_secrets import secrets_in_code
 from robot_runner.replication.contents import DESCRIPTION, LICENCE, LeftOut, choose_contents
-from robot_runner.replication.crate import Executed, require_rocrate
-from robot_runner.replication.crate_actions import executed_runs, undone_count
+from robot_runner.replication.crate import require_rocrate
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_known_hashes
 from robot_runner.replication.plain_zip import written_beside
 from robot_runner.replication.redaction import Redactor
-from robot_runner.replication.sealing import Packing, PackingPlan, Progress, Sealing
+from robot_runner.replication.run_by_run import statuses_that_count
+from robot_runner.replication.sealing import Packing, Sealing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator, Mapping
+    from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 
     from robot_runner.core.storage.run_table_rows import RunTableRows
+    from robot_runner.core.storage.table_columns import ColumnDescription
     from robot_runner.replication.cleaning import Replaced
+    from robot_runner.replication.plain_zip import Progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,28 +99,27 @@ def pack(
     files = ExperimentFolder.found_at(folder)
     manifest = read_manifest(files.manifest)
     _refuse(files, target)
-    rows = _rows(files)
+    rows, columns = _run_table(files)
     run_ids = [rows.run_id(place) for place in range(len(rows))]
+    runs_folder = f"{files.runs_name}/" if files.runs_name else ""
     about = About.of_manifest(manifest, authors=asked.authors, licence=asked.licence, citation=asked.citation)
     recorded = record_environment(manifest, files.config)
     environment, lacking = with_known_hashes(recorded, asking if asked.with_hashes else None)
-    columns = read_schema(files.schema)
-    runs_folder = f"{files.runs_name}/" if files.runs_name else ""
-    plan = PackingPlan(
-        asked,
-        about,
-        manifest,
-        Executed(columns, executed_runs(rows, columns), {f"{runs_folder}{each}/": each for each in run_ids}),
-        contents=choose_contents(files, run_ids, asked.raw),
-        environment=environment,
-        redactor=Redactor.knowing(
-            _known_secrets(files, manifest), home=Path.home(), replaces_doubtful=asked.doubtful == "replace"
-        ),
-        runs=len(rows),
-        undone=undone_count(rows),
-    )
+    chosen, secrets = choose_contents(files, run_ids, asked.raw), _known_secrets(files, manifest)
     with written_beside(target) as archive:
-        sealing = Sealing(plan, archive, progress)
+        sealing = Sealing(
+            asked=asked,
+            about=about,
+            manifest=manifest,
+            columns=columns,
+            rows=rows,
+            run_folders={f"{runs_folder}{each}/": each for each in run_ids},
+            chosen=chosen,
+            environment=environment,
+            redactor=Redactor.knowing(secrets, home=Path.home(), replaces_doubtful=asked.doubtful == "replace"),
+            archive=archive,
+            progress=progress,
+        )
         sealing.write()
         refused = sealing.cleaning.refusals() if asked.doubtful == "refuse" else []
         if refused:
@@ -183,11 +186,12 @@ def _is_package(path: Path) -> bool:
         return False
 
 
-def _rows(files: ExperimentFolder) -> RunTableRows:
+def _run_table(files: ExperimentFolder) -> tuple[RunTableRows, Sequence[ColumnDescription]]:
     if not files.schema.exists():
         fix = "Execute the experiment, or resume it: the schema is written then."
         raise StorageError("the run table has no schema", where=str(files.schema), fix=fix)
-    return read_run_table(files.run_table, TableLayout.of_schema(read_schema(files.schema)))
+    columns = read_schema(files.schema)
+    return read_run_table(files.run_table, TableLayout.of_schema(columns)), columns
 
 
 def _known_secrets(files: ExperimentFolder, manifest: Mapping[str, Any]) -> set[str]:
@@ -216,11 +220,12 @@ def _findings(
     if not any(files.config.glob("*.py")):
         yield Finding.warning(where, "there is no config: nobody can execute it again", "Add it to the folder config.")
     if not files.report.exists():
-        yield Finding.warning(
-            where, "there is no report in it", f"Make one first: robot-runner report {shlex.quote(where)}"
-        )
-    if undone := undone_count(rows):
-        yield Finding.warning(where, f"{undone} of {len(rows)} runs are not done", "Resume the experiment first.")
+        fix = f"Make one first: robot-runner report {shlex.quote(where)}"
+        yield Finding.warning(where, "there is no report in it", fix)
+    statuses = statuses_that_count(rows)
+    if undone := sum(each is not RunStatus.DONE for each in statuses):
+        yield Finding.warning(where, f"{undone} of {len(statuses)} runs are not done", "Resume the experiment first.")
+    yield from unrecorded_findings(files.journal, rows.done_runs, ended_runs(files.journal), manifest)
 
 
 def _is_whole(files: ExperimentFolder, facts: Mapping[str, Any], stored: Container[str]) -> bool:

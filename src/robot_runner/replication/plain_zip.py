@@ -6,14 +6,17 @@ import hashlib
 import os
 import zipfile
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
+from robot_runner.core.storage.system_refusals import fsync_file, fsync_folder, storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
     from typing import BinaryIO
+
+#: Called with the number of bytes that are done, and with that of all.
+Progress: TypeAlias = "Callable[[int, int], None]"
 
 #: The time of every file in a package: the earliest that a zip file can say.
 _STAMP = (1980, 1, 1, 0, 0, 0)
@@ -105,7 +108,7 @@ def written_beside(target: Path) -> Iterator[PlainZip]:
         finally:
             archive.close()
         with beside.open("rb") as file:
-            os.fsync(file.fileno())
+            fsync_file(file.fileno())
         beside.replace(target)
         fsync_folder(target.parent)
     except OSError as error:

@@ -23,6 +23,7 @@ from robot_runner.replication.secret_kinds import HOME_PATH, Found, Kind, kinds,
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
+    from typing import IO
 
 _FORBIDDEN = re.compile(
     r"(?i)\.env(\..*)?|id_(rsa|dsa|ecdsa|ed25519)(_sk)?|known_hosts(\.old)?|authorized_keys"
@@ -54,6 +55,11 @@ _GRAMMARS = {
     **dict.fromkeys((".html", ".svg"), Grammar.MARKUP),
     **dict.fromkeys((".py", ".pyi"), Grammar.CODE),
 }
+
+
+def chunks_of(file: IO[bytes]) -> Iterator[bytes]:
+    """Yield what is left of a file, block by block."""
+    return iter(partial(file.read, _BLOCK), b"")
 
 
 def grammar_of(path: Path) -> Grammar:
@@ -106,7 +112,7 @@ class Redactor:
 
     Example:
         >>> redactor = Redactor.knowing({"swordfish"}, home=None)
-        >>> redactor.redacted(b"GET /home/ada/map.pgm with swordfish", Counter(), loose=False)
+        >>> redactor.redacted(b"GET /home/ada/map.pgm with swordfish")
         b'GET ~/map.pgm with REDACTED'
     """
 
@@ -129,14 +135,8 @@ class Redactor:
 
     @cached_property
     def _kinds(self) -> tuple[Kind, ...]:
-        general = kinds()
-        homes = [each for each in general if each.what == HOME_PATH]
-        others = [each for each in general if each.what != HOME_PATH]
-        if not self.has_general:
-            return (*self.known, *(each for each in others if each.what == "private key"))
-        secrets = [each for each in self.known if each.what != HOME_PATH]
-        own = [each for each in self.known if each.what == HOME_PATH]
-        return (*secrets, *others, *own, *homes)
+        wanted = [*self.known, *(each for each in kinds() if self.has_general or each.what == "private key")]
+        return tuple(sorted(wanted, key=lambda each: each.what == HOME_PATH))  # homes last: a secret goes whole
 
     def find(self, block: bytes, grammar: Grammar, *, is_file: bool = False) -> list[Found]:
         """Return the secrets of a block, in the order in which they stand, none of them across another.
@@ -170,24 +170,18 @@ class Redactor:
             OSError: it cannot be read.
         """
         with open_to_read(path) as file:
-            yield from self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, grammar_of(path))
+            yield from self.cleaned(chunks_of(file), hits, grammar_of(path))
 
-    def secrets_in(self, path: Path) -> Counter[str]:
-        """Return how many secrets of each kind are in a file, which stays as it is.
-
-        Raises:
-            OSError: it cannot be read.
-        """
+    def secrets_in(self, chunks: Iterable[bytes], grammar: Grammar) -> Counter[str]:
+        """Return how many secrets of each kind are in a text that comes in chunks, and stays as it is."""
         hits = Hits()
-        with open_to_read(path) as file:
-            for _ in self.cleaned(iter(partial(file.read, _BLOCK), b""), hits, Grammar.MARKUP):
-                pass
+        for _ in self.cleaned(chunks, hits, grammar):
+            pass
         return hits.replaced
 
-    def redacted(self, block: bytes, found: Counter[str], *, loose: bool) -> bytes:
-        """Return a block with its secrets replaced, and count them."""
-        hits = Hits(replaced=found)
-        return self._replaced(block, self.find(block, Grammar.TEXT if loose else Grammar.MARKUP), hits, 1)
+    def redacted(self, block: bytes, grammar: Grammar = Grammar.MARKUP) -> bytes:
+        """Return a block with its secrets replaced."""
+        return self._replaced(block, self.find(block, grammar), Hits(), 1)
 
     def cleaned(self, chunks: Iterable[bytes], hits: Hits, grammar: Grammar) -> Iterator[bytes]:
         """Yield a text that comes in chunks of UTF-8 in blocks of another size, secrets replaced."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.config.checks import runs_listed_in
 from robot_runner.core.config.dialects import prepare
@@ -12,6 +12,7 @@ from robot_runner.core.config.experiment import grown_model
 from robot_runner.core.config.treatment_makers import known_treatments, treatments_known
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
+from robot_runner.core.execution.given_values import given_elsewhere
 from robot_runner.core.execution.recovery import table_differences
 from robot_runner.core.secret_names import REDACTED, hidden_settings, is_same_setting, shown_settings
 from robot_runner.core.storage.declared_shapes import shape_findings
@@ -25,6 +26,7 @@ from robot_runner.core.storage.run_table_rows import write_run_table
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_schema import read_schema
+from robot_runner.core.words import listed
 from robot_runner.replication.contents import DESCRIPTION, SUMS
 from robot_runner.replication.differences import missing_modules
 from robot_runner.replication.distributions import canonical
@@ -32,18 +34,20 @@ from robot_runner.replication.opening import open_package, unpack
 from robot_runner.replication.verification import Environment, refuse_faults, verify_package
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.replication.sealing import Progress
+    from robot_runner.replication.plain_zip import Progress
 
 _UNPACKED = "package"
 #: Beside it, what of it may be written into.
 _WORKING = "files"
 #: Where the results go is the one setting that a replication never takes from the original.
 _PATH, _REGISTRATION = "results_output_path", "registration"
+#: So many values that are others than the original's are named.
+_NAMED = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,19 +146,10 @@ def _environment(path: Path, manifest: Mapping[str, Any]) -> Mapping[str, Any]:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class Replication:
-    """An experiment of a package, ready to be executed again.
-
-    Attributes:
-        original: the folder of the experiment in the package.
-        deviations: what was set by who replicates.
-        findings: of validation.
-    """
+class Replication(NamedTuple):
+    """An experiment of a package, ready to be executed again, and the findings of its validation."""
 
     experiment: Experiment
-    original: Path
-    deviations: Mapping[str, str]
     findings: tuple[Finding, ...]
 
 
@@ -198,14 +193,14 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     # Where its results go, and where its registration is, is no deviation from the original.
     overrides = {name: text for name, text in settings.items() if name not in {_PATH, _REGISTRATION}}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
-    findings = [*preparation.findings, *absent]
+    findings = [*preparation.findings, *absent, *_other_values(experiment, manifest, deviations)]
     if experiment.folder.manifest.exists():
         _refuse_other(experiment, facts, deviations)
     else:
         experiment.model.take_seed(int(manifest["seed"]))
         experiment = _with_batches(experiment, files)
         findings += _settle_table(experiment, files, manifest, has_deviations=bool(deviations))
-    return Replication(experiment, root, deviations, tuple(findings))
+    return Replication(experiment, tuple(findings))
 
 
 def _config(files: ExperimentFolder, manifest: Mapping[str, Any]) -> Path:
@@ -230,8 +225,11 @@ def _refuse_missing(root: Path, manifest: Mapping[str, Any]) -> None:
 
 def _refuse_redacted(settings: Mapping[str, str]) -> None:
     problem = "the value was replaced when the experiment was packed"
-    hidden = [name for name, text in settings.items() if REDACTED in text]
-    findings = [Finding.error(f"--set {name}", problem, f"Give yours: --set {name}=...") for name in hidden]
+    findings = [
+        Finding.error(f"--set {name}", problem, f"Give yours: --set {name}=...")
+        for name, text in settings.items()
+        if REDACTED in text
+    ]
     if findings:
         raise PackageError.of_findings(findings)
 
@@ -271,6 +269,16 @@ def _identity(files: ExperimentFolder) -> tuple[str, str]:
         return identity.name, hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def _other_values(
+    experiment: Experiment, manifest: Mapping[str, Any], deviations: Mapping[str, str]
+) -> Iterator[Finding]:
+    """Yield a warning where the config takes other values from outside here than it did for the original."""
+    if told := given_elsewhere(experiment, manifest, deviations):
+        problem = f"what the config is given is not what the original was given: {listed(told, _NAMED)}"
+        fix = "Have it be the same if results are to be compared: it may come from a variable of the environment."
+        yield Finding.warning(experiment.config_path.name, problem, fix)
+
+
 def _refuse_other(experiment: Experiment, facts: Mapping[str, Any], deviations: Mapping[str, str]) -> None:
     recorded = read_manifest(experiment.folder.manifest).get("replication") or {}
     if recorded.get("sha256") != facts["sha256"]:
@@ -290,9 +298,8 @@ def _settle_table(
     layout = replace(experiment.table_layout(), has_exclusions=_has_exclusions(files))
     rows = read_run_table(files.run_table, layout)
     plan = experiment.model.plan(manifest["seed"])
-    by_hand = (manifest.get("design") or {}).get("source") != "config"
     same_ids = [run.run_id for run in plan] == [rows.run_id(place) for place in range(len(rows))]
-    if by_hand:
+    if (manifest.get("design") or {}).get("source") != "config":  # written by hand
         _put_table(experiment, rows)
         return []
     if same_ids and not any(table_differences(files.run_table, plan, rows)):

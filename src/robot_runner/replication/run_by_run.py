@@ -67,14 +67,18 @@ def identical_values(original: Path, replication: Path) -> dict[str, Sameness]:
     }
 
 
+def statuses_that_count(rows: RunTableRows) -> list[RunStatus]:
+    """Return the status of each run that nobody left out."""
+    return [rows.status(place) for place in range(len(rows)) if rows.excluded(place) is None]
+
+
 def is_executed(folder: Path) -> bool:
     """Return whether each run of an experiment was executed, whatever became of it, and some run is done.
 
     Raises:
         StorageError: the run table cannot be read.
     """
-    rows = _rows(folder)
-    statuses = [rows.status(place) for place in range(len(rows)) if rows.excluded(place) is None]
+    statuses = statuses_that_count(_rows(folder))
     return RunStatus.DONE in statuses and set(statuses) <= {RunStatus.DONE, RunStatus.FAILED}
 
 

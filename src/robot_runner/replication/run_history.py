@@ -82,13 +82,9 @@ class RunHistory:
             if record["kind"] == _OF_EXECUTION:
                 commit = shown_commit(record.get("repository"))
             elif record.get("run") == run_id:
-                history.take(record)
+                _TAKEN_BY[record["kind"]](history, record)
                 history.commit = commit
         return history
-
-    def take(self, record: dict[str, Any]) -> None:
-        """Take one record of the run into account."""
-        _TAKEN_BY[record["kind"]](self, record)
 
     def _begin(self, record: dict[str, Any]) -> None:
         if self.gate_of != record["attempt"]:  # else the gates before it belong to it

@@ -5,13 +5,13 @@ from __future__ import annotations
 import io
 import json
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from robot_runner.core.errors import PackageError
+from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.storage.table_schema import data_package, table_resource
 from robot_runner.replication import contents
@@ -21,22 +21,24 @@ from robot_runner.replication.citation_files import citation_text, licence_text,
 from robot_runner.replication.cleaning import Cleaning, in_words
 from robot_runner.replication.container import containerfile
 from robot_runner.replication.contents import ALL, Contents, LeftOut, PackedFile
-from robot_runner.replication.crate import Executed, crate_text
+from robot_runner.replication.crate import crate_text
+from robot_runner.replication.crate_actions import executed_runs
 from robot_runner.replication.crate_requirements import crate_faults
 from robot_runner.replication.distributions import canonical, packages_of_extra, wheel_name, wheel_of, write_wheel
+from robot_runner.replication.named_secrets import Grammar
+from robot_runner.replication.redaction import chunks_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
 
     from robot_runner.core.config.authors import Author
+    from robot_runner.core.storage.run_table_rows import RunTableRows
+    from robot_runner.core.storage.table_columns import ColumnDescription
     from robot_runner.replication.about import About
     from robot_runner.replication.distributions import InstalledDistribution
     from robot_runner.replication.environment import RecordedEnvironment
-    from robot_runner.replication.plain_zip import PlainZip
+    from robot_runner.replication.plain_zip import PlainZip, Progress
     from robot_runner.replication.redaction import Redactor
-
-#: Called with the number of bytes that are done, and with that of all.
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,47 +70,42 @@ class Packing:
     base_image: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class PackingPlan:
-    """Everything that is known before the first byte is packed.
-
-    Attributes:
-        asked: what is asked of the package.
-        contents: which files go in.
-        redactor: replaces secrets.
-        executed: what was executed.
-        runs, undone: how many runs there are, and how many of them are not done.
-    """
-
-    asked: Packing
-    about: About
-    manifest: dict[str, Any]
-    executed: Executed
-    contents: Contents
-    environment: RecordedEnvironment
-    redactor: Redactor
-    runs: int
-    undone: int
-
-
+@dataclass(slots=True, kw_only=True)
 class Sealing:
     """One package being written.
 
     Attributes:
+        asked: what is asked of it.
+        columns, rows: the run table's.
+        run_folders: the run of each folder in the package that is a run's, by the folder's name, which ends with `/`.
+        chosen: which files go in.
+        redactor: replaces secrets.
+        archive: where they go.
+        progress: is told how many bytes are packed, of how many.
         left_out: what does not go in, and why.
         cleaning: which secrets were replaced, and what may be one.
         wheels: the hash of each wheel, by the canonical name of its distribution.
     """
 
-    def __init__(self, plan: PackingPlan, archive: PlainZip, progress: Progress) -> None:
-        self._plan = plan
-        self._archive = archive
-        self._progress = progress
-        self._total = sum(file.size for file in plan.contents.files)
-        self._done = 0
-        self.left_out: list[LeftOut] = list(plan.contents.left_out)
-        self.cleaning = Cleaning(plan.redactor, plan.asked.keep, self.left_out)
-        self.wheels: dict[str, str] = {}
+    asked: Packing
+    about: About
+    manifest: Mapping[str, Any]
+    columns: Sequence[ColumnDescription]
+    rows: RunTableRows
+    run_folders: Mapping[str, str]
+    chosen: Contents
+    environment: RecordedEnvironment
+    redactor: Redactor
+    archive: PlainZip
+    progress: Progress
+    left_out: list[LeftOut] = field(init=False)
+    cleaning: Cleaning = field(init=False)
+    wheels: dict[str, str] = field(init=False, default_factory=dict)
+    _done: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        self.left_out = list(self.chosen.left_out)
+        self.cleaning = Cleaning(self.redactor, self.asked.keep, self.left_out)
 
     def write(self) -> None:
         """Write everything.
@@ -118,19 +115,14 @@ class Sealing:
             PackageError: the crate would not be valid.
             OSError: the package cannot be written.
         """
-        for file in self._plan.contents.files:
+        for file in self.chosen.files:
             end = self._done + file.size
-            self._add(file)
+            if (blocks := self.cleaning.blocks_of(file)) is not None:
+                self.archive.add(file.name, self._blocks(file, blocks), size=file.size)
             self._advance(end - self._done)  # what was replaced may be longer than what stood there
-        if self._plan.asked.with_wheels:
-            for distribution in self._plan.environment.local:
-                self._add_wheel(distribution)
+        for distribution in self.environment.local if self.asked.with_wheels else ():
+            self._add_wheel(distribution)
         self._add_descriptions()
-
-    def _add(self, file: PackedFile) -> None:
-        blocks = self.cleaning.blocks_of(file)
-        if blocks is not None:
-            self._archive.add(file.name, self._blocks(file, blocks), size=file.size)
 
     def _blocks(self, file: PackedFile, blocks: Iterator[bytes]) -> Iterator[bytes]:
         try:
@@ -141,15 +133,17 @@ class Sealing:
             raise storage_error(file.path, "read", error) from error
 
     def _advance(self, count: int) -> None:
-        self._done = min(self._total, self._done + count)
-        self._progress(self._done, self._total)
+        total = sum(file.size for file in self.chosen.files)
+        self._done = min(total, self._done + count)
+        self.progress(self._done, total)
 
     def _add_wheel(self, distribution: InstalledDistribution) -> None:
         secrets, wheel = Counter[str](), io.BytesIO()
         try:
             files = wheel_of(distribution)
             for path in files.values():
-                secrets += self._plan.redactor.own.secrets_in(path)
+                with open_to_read(path) as file:
+                    secrets += self.redactor.own.secrets_in(chunks_of(file), Grammar.MARKUP)
             if files and not secrets:
                 write_wheel(files, wheel)
         except OSError as error:
@@ -158,73 +152,77 @@ class Sealing:
             why = f"the package holds {in_words(secrets)}" if secrets else "the package's code cannot be found"
             self.left_out.append(LeftOut(f"wheel of {distribution.name}", why))
             return
-        stored = self._archive.add(f"{contents.WHEELS}/{wheel_name(distribution)}", [wheel.getvalue()])
+        stored = self.archive.add(f"{contents.WHEELS}/{wheel_name(distribution)}", [wheel.getvalue()])
         self.wheels[canonical(distribution.name)] = stored.sha256
 
     def _add_descriptions(self) -> None:
-        plan, stored = self._plan, self._archive.stored
+        stored = self.archive.stored
         if table := stored.get(contents.TABLE):
             schema = contents.SCHEMA if contents.SCHEMA in stored else None
             resource = table_resource(table.name, table.size, table.sha256, schema=schema)
-            self._add_json(contents.DATA_PACKAGE, data_package(plan.about.name, [resource]))
-        self._add_text(contents.REQUIREMENTS, plan.environment.requirements(self.wheels))
-        self._add_json(contents.ENVIRONMENT, plan.environment.as_mapping(self.wheels))
+            self._add_json(contents.DATA_PACKAGE, data_package(self.about.name, [resource]))
+        self._add_text(contents.REQUIREMENTS, self.environment.requirements(self.wheels))
+        self._add_json(contents.ENVIRONMENT, self.environment.as_mapping(self.wheels))
         self._add_text(contents.CONTAINERFILE, self._containerfile())
         self._add_json(contents.DESCRIPTION, self._description())
         self._add_terms()
         names = [*stored, contents.BADGES, contents.README]
         self._add_text(contents.BADGES, badges_text(self._badge_facts({*names, contents.CRATE, contents.SUMS})))
-        self._add_text(contents.README, readme(plan.about, plan.manifest, names, self.left_out))
-        files = [stored[name] for name in sorted(stored)]
-        folders = contents.folders_of(stored, plan.executed.run_folders)
-        crate = crate_text(plan.about, plan.manifest, plan.executed, files)
+        self._add_text(contents.README, readme(self.about, self.manifest, names, self.left_out))
+        crate = crate_text(
+            self.about,
+            self.manifest,
+            [stored[name] for name in sorted(stored)],
+            columns=self.columns,
+            runs=executed_runs(self.rows, self.columns),
+            run_folders=self.run_folders,
+        )
+        folders = contents.folders_of(stored, self.run_folders)
         if faults := [*crate_faults(crate, {*stored, *folders, contents.SUMS})]:
             raise PackageError.of_findings(faults)
         self._add_text(contents.CRATE, crate)
         sums = "".join(f"{file.sha256}  {name}\n" for name, file in sorted(stored.items()))
-        self._archive.add(contents.SUMS, [sums.encode()])
-        self._archive.add_folders(folders)
+        self.archive.add(contents.SUMS, [sums.encode()])
+        self.archive.add_folders(folders)
 
     def _add_terms(self) -> None:
         """Add the licence's text, unless somebody put one there, and how to cite the package."""
-        about = self._plan.about
-        if contents.LICENCE not in self._archive.stored and (text := licence_text(about)):
+        about = self.about
+        if contents.LICENCE not in self.archive.stored and (text := licence_text(about)):
             self._add_text(contents.LICENCE, text)
-        self._add_text(contents.CITATION, citation_text(about, about.described(self._plan.manifest)))
-        self._add_text(contents.ZENODO, zenodo_text(about, about.described(self._plan.manifest)))
+        self._add_text(contents.CITATION, citation_text(about, about.described(self.manifest)))
+        self._add_text(contents.ZENODO, zenodo_text(about, about.described(self.manifest)))
 
     def _badge_facts(self, names: set[str]) -> BadgeFacts:
-        plan = self._plan
         return BadgeFacts(
-            plan.about,
-            plan.manifest,
-            plan.executed.columns,
+            self.about,
+            self.manifest,
+            self.columns,
             names,
-            plan.undone,
-            plan.runs,
+            self.rows,
             tuple(each.name for each in self.left_out),
-            len(plan.environment.needed),
-            len(plan.environment.without_hash(self.wheels)),
+            len(self.environment.needed),
+            len(self.environment.without_hash(self.wheels)),
         )
 
     def _containerfile(self) -> str:
-        needed = {canonical(each.name) for each in self._plan.environment.needed}
+        needed = {canonical(each.name) for each in self.environment.needed}
         return containerfile(
-            self._plan.manifest,
+            self.manifest,
             has_wheels=bool(self.wheels),
-            demands_hashes=not self._plan.environment.without_hash(self.wheels),
+            demands_hashes=not self.environment.without_hash(self.wheels),
             has_comparison=packages_of_extra("robot-runner", "analysis") <= needed,
-            image=self._plan.asked.base_image,
+            image=self.asked.base_image,
         )
 
     def _description(self) -> dict[str, Any]:
         return {
             "format": contents.FORMAT,
             "made_by": f"robot-runner {version('robot-runner')}",
-            "experiment": self._plan.about.name,
-            "config": self._plan.manifest.get("config"),
-            "raw": list(self._plan.asked.raw),
-            "base_image": self._plan.asked.base_image,
+            "experiment": self.about.name,
+            "config": self.manifest.get("config"),
+            "raw": list(self.asked.raw),
+            "base_image": self.asked.base_image,
             "left_out": [asdict(each) for each in self.left_out],
             "replaced": [asdict(each) for each in self.cleaning.replaced],
             "doubtful": [asdict(each) for each in self.cleaning.doubtful],
@@ -236,4 +234,4 @@ class Sealing:
 
     def _add_text(self, name: str, text: str) -> None:
         """Write what was made from the manifest: whatever the manifest holds may be in it, secrets too."""
-        self._archive.add(name, [self._plan.redactor.redacted(text.encode(), Counter(), loose=False)])
+        self.archive.add(name, [self.redactor.redacted(text.encode())])

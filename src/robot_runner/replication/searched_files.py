@@ -11,17 +11,15 @@ import tarfile
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import IO, TYPE_CHECKING, BinaryIO, cast
 
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.replication.named_secrets import Grammar
-from robot_runner.replication.redaction import Hits
+from robot_runner.replication.redaction import chunks_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from robot_runner.replication.redaction import Redactor
@@ -40,24 +38,11 @@ _MARKS = (
 )
 
 
-def _gunzipped(file: BinaryIO) -> IO[bytes]:
-    return cast("IO[bytes]", gzip.GzipFile(fileobj=file))
-
-
-def _bunzipped(file: BinaryIO) -> IO[bytes]:
-    return bz2.BZ2File(file)
-
-
-def _unxzipped(file: BinaryIO) -> IO[bytes]:
-    return lzma.LZMAFile(file)
-
-
-_Opener = Callable[[BinaryIO], IO[bytes]]
-_PRESSED: tuple[tuple[bytes, _Opener], ...] = (
-    (b"\x1f\x8b", _gunzipped),
-    (b"BZh", _bunzipped),
-    (b"\xfd7zXZ\0", _unxzipped),
-)
+_PRESSED: dict[bytes, Callable[[BinaryIO], IO[bytes]]] = {
+    b"\x1f\x8b": lambda file: cast("IO[bytes]", gzip.GzipFile(fileobj=file)),
+    b"BZh": bz2.BZ2File,
+    b"\xfd7zXZ\0": lzma.LZMAFile,
+}
 #: A file of git's objects begins with this and one of two versions, and then tells their number (gitformat-pack).
 _GIT_PACKS, _GIT_HEADER = (b"PACK\0\0\0\2", b"PACK\0\0\0\3"), 12
 #: The kinds of objects that are deltas against another one.
@@ -109,7 +94,7 @@ def recoded(file: BinaryIO, encoding: str) -> Iterator[bytes]:
         OSError: it cannot be read.
     """
     decoder = codecs.getincrementaldecoder(encoding)("strict")
-    for block in _chunks(file):
+    for block in chunks_of(file):
         yield decoder.decode(block).encode()
     yield decoder.decode(b"", final=True).encode()
 
@@ -151,50 +136,38 @@ class _Search:
         file.seek(0)
         if kind := next((words for magic, words in _UNKNOWN.items() if start.startswith(magic)), None):
             self._searched.unread.append(f"{name}: {kind} is looked through as it is, not unpacked")
-        opener = next((opener for magic, opener in _PRESSED if start.startswith(magic)), None)
-        is_tar, is_git = start[257:262] == b"ustar", start.startswith(_GIT_PACKS)
-        if not (opener or is_tar or is_git or start.startswith(b"PK\x03\x04")):
+        members = self._members(file, start, name)
+        if members is None:
             self._look_through(file, start)
         elif depth >= _DEEPEST:
             self._searched.unread.append(f"{name}: an archive in an archive")
         else:
-            self._unpack(file, name, depth, opener, is_tar=is_tar, is_git=is_git)
+            try:
+                for inside, content in members:
+                    # It can be read twice from its start, and is bounded in what it unpacks.
+                    self.look(io.BufferedReader(_Bounded(content, self), _BLOCK), inside, depth + 1)
+            except _DAMAGED as error:
+                self._searched.unread.append(f"{name}: {str(error) or type(error).__name__}")
 
-    def _unpack(
-        self, file: BinaryIO, name: str, depth: int, opener: _Opener | None, *, is_tar: bool, is_git: bool
-    ) -> None:
-        try:
-            if opener is not None:
-                with opener(file) as inner:
-                    self.look(self._spooled(inner), name.rpartition(".")[0], depth + 1)
-            elif is_git:
-                for number, inside in enumerate(_git_objects(file)):
-                    self.look(self._spooled(inside), f"{name}/{number}", depth + 1)
-            elif is_tar:
-                with tarfile.open(fileobj=file, mode="r:") as archive:
-                    for member in archive:
-                        if member.isreg() and (content := archive.extractfile(member)):
-                            self.look(self._spooled(content), f"{name}/{member.name}", depth + 1)
-            else:
-                with zipfile.ZipFile(file) as zipped:
-                    for entry in zipped.infolist():
-                        self._look_at_entry(zipped, entry, name, depth)
-        except _DAMAGED as error:
-            self._searched.unread.append(f"{name}: {str(error) or type(error).__name__}")
+    def _members(self, file: BinaryIO, start: bytes, name: str) -> Iterable[tuple[str, IO[bytes]]] | None:
+        """Return what is packed in a file, each with its name; None where it is no archive."""
+        if opener := next((opener for magic, opener in _PRESSED.items() if start.startswith(magic)), None):
+            return [(name.rpartition(".")[0], opener(file))]
+        if start.startswith(_GIT_PACKS):
+            return ((f"{name}/{number}", inside) for number, inside in enumerate(_git_objects(file)))
+        if start[257:262] == b"ustar":
+            return _members_of_tar(file, name)
+        return self._members_of_zip(file, name) if start.startswith(b"PK\x03\x04") else None
 
-    def _look_at_entry(self, zipped: zipfile.ZipFile, entry: zipfile.ZipInfo, name: str, depth: int) -> None:
-        if entry.is_dir():
-            return
-        inside = f"{name}/{entry.filename}"
-        if entry.flag_bits & 1:
-            self._searched.unread.append(f"{inside}: encrypted")
-            return
-        with zipped.open(entry) as content:
-            self.look(self._spooled(content), inside, depth + 1)
-
-    def _spooled(self, file: IO[bytes]) -> BinaryIO:
-        """Return a stream that can be read twice from its start, bounded in what it unpacks."""
-        return io.BufferedReader(_Bounded(file, self), _BLOCK)
+    def _members_of_zip(self, file: BinaryIO, name: str) -> Iterator[tuple[str, IO[bytes]]]:
+        with zipfile.ZipFile(file) as archive:
+            for entry in (each for each in archive.infolist() if not each.is_dir()):
+                inside = f"{name}/{entry.filename}"
+                if entry.flag_bits & 1:
+                    self._searched.unread.append(f"{inside}: encrypted")
+                    continue
+                with archive.open(entry) as content:
+                    yield inside, content
 
     def take(self, count: int) -> None:
         """Count what was unpacked.
@@ -207,16 +180,13 @@ class _Search:
             raise ValueError("it unpacks to more than 4 GiB, and was not looked through to its end")
 
     def _look_through(self, file: BinaryIO, start: bytes) -> None:
-        is_text = b"\0" not in start
-        hits = Hits()
-        for _ in self._redactor.cleaned(_chunks(file), hits, Grammar.TEXT if is_text else Grammar.MARKUP):
-            pass
-        if not is_text:  # texts of two bytes a letter are texts without their zeros
-            file.seek(0)
-            without_zeros = (chunk.replace(b"\0", b"") for chunk in _chunks(file))
-            for _ in self._redactor.cleaned(without_zeros, hits, Grammar.MARKUP):
-                pass
-        self._searched.found += hits.replaced
+        if b"\0" not in start:
+            self._searched.found += self._redactor.secrets_in(chunks_of(file), Grammar.TEXT)
+            return
+        self._searched.found += self._redactor.secrets_in(chunks_of(file), Grammar.MARKUP)
+        file.seek(0)  # texts of two bytes a letter are texts without their zeros
+        without_zeros = (chunk.replace(b"\0", b"") for chunk in chunks_of(file))
+        self._searched.found += self._redactor.secrets_in(without_zeros, Grammar.MARKUP)
 
 
 class _Bounded(io.RawIOBase):
@@ -243,6 +213,13 @@ class _Bounded(io.RawIOBase):
         self._search.take(len(block))
         target[: len(block)] = block
         return len(block)
+
+
+def _members_of_tar(file: BinaryIO, name: str) -> Iterator[tuple[str, IO[bytes]]]:
+    with tarfile.open(fileobj=file, mode="r:") as archive:
+        for member in archive:
+            if member.isreg() and (content := archive.extractfile(member)):
+                yield f"{name}/{member.name}", content
 
 
 def _git_objects(file: BinaryIO) -> Iterator[BinaryIO]:
@@ -274,7 +251,3 @@ def _block(file: BinaryIO) -> bytes:
     if block := file.read(_BLOCK):
         return block
     raise EOFError("it ends too early")
-
-
-def _chunks(file: BinaryIO) -> Iterator[bytes]:
-    return iter(partial(file.read, _BLOCK), b"")

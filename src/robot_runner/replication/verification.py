@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.replication.opening import OpenPackage
-    from robot_runner.replication.sealing import Progress
+    from robot_runner.replication.plain_zip import Progress
 
 #: Of what is read whole: descriptions and checksums.
 _LARGEST_TEXT = 32 << 20

@@ -58,17 +58,18 @@ def make_environment(root: Path, folder: Path, environment: Mapping[str, Any]) -
         PackageError: the environment cannot be made; shows the last lines that pip wrote.
         StorageError: the folder cannot be written.
     """
-    wheels = ["--find-links", str(root / WHEELS)] if (root / WHEELS).is_dir() else []
+    if is_complete(folder):
+        return program_in(folder)
     fix = (
         "Mend what is said there, or take your own environment: --environment here. The first lines of "
         f"{REQUIREMENTS} say for which Python and platforms its hashes are."
     )
-    asked = [*wheels, "-r", str(root / REQUIREMENTS)]
-    if not is_complete(folder) and _demands_hashes(root / REQUIREMENTS, root):
+    asked = ["--find-links", str(root / WHEELS)] if (root / WHEELS).is_dir() else []
+    if any("--hash=" in line.partition("#")[0] for line in read_text(root / REQUIREMENTS, root).splitlines()):
         # Then the list is whole. Pip before 23.3 refuses such a list once there is a newer release of what another
         # package needs with an extra (`coverage[toml]`), unless it is told that nothing else is needed.
-        asked.insert(0, "--no-deps")
-    _make(folder, _python(environment), asked, fix)
+        asked.append("--no-deps")
+    _make(folder, _python(environment), [*asked, "-r", str(root / REQUIREMENTS)], fix)
     return program_in(folder)
 
 
@@ -130,26 +131,20 @@ def compare_with(program: Path, original: Path, replication: Path, bounds: Seque
 
 
 def _make(folder: Path, python: str, asked: Sequence[str], fix: str) -> None:
-    """Make a virtual environment and have pip install what is asked; one that is complete is left as it is."""
+    """Make a virtual environment and have pip install what is asked."""
     log = folder.with_name(f"{folder.name}.log")
     # Pip works on other environments, too: to put one into each would take the longest of all.
     has_pip = find_spec("pip") is not None
     inside = str(folder / "bin" / "python")
     pip = [sys.executable, "-m", "pip", "--python", inside] if has_pip else [inside, "-m", "pip"]
     try:
-        if not is_complete(folder):
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            log.unlink(missing_ok=True)
-            _call([python, "-m", "venv", "--clear", *["--without-pip"] * has_pip, str(folder)], log, fix)
-            _call([*pip, "install", *_NO_TALK, *asked], log, fix)
-            (folder / _COMPLETE).touch()
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        log.unlink(missing_ok=True)
+        _call([python, "-m", "venv", "--clear", *["--without-pip"] * has_pip, str(folder)], log, fix)
+        _call([*pip, "install", *_NO_TALK, *asked], log, fix)
+        (folder / _COMPLETE).touch()
     except OSError as error:
         raise storage_error(folder, "made", error) from error
-
-
-def _demands_hashes(requirements: Path, root: Path) -> bool:
-    lines = read_text(requirements, root).splitlines()
-    return any("--hash=" in line.partition("#")[0] for line in lines)
 
 
 def _python(environment: Mapping[str, Any]) -> str:
@@ -175,11 +170,8 @@ def _call(words: Sequence[str], log: Path, fix: str) -> None:
             raise PackageError(problem, where=str(log), fix="Look at what it wrote there.") from error
     if finished.returncode:
         lines = log.read_text(encoding="utf-8", errors="replace").splitlines()[-_SHOWN_LINES:]
-        raise PackageError(
-            f"the environment cannot be made: {' / '.join(line.strip() for line in lines if line.strip())}",
-            where=str(log),
-            fix=fix,
-        )
+        said = " / ".join(line.strip() for line in lines if line.strip())
+        raise PackageError(f"the environment cannot be made: {said}", where=str(log), fix=fix)
 
 
 def execute_with(program: Path, words: Sequence[str], *, quietly: str, output: TextIO | None) -> int:

@@ -94,7 +94,7 @@ class ComposeProject(Subject):
 
     def program_findings(self, where: str) -> Iterable[Finding]:
         """Yield what Docker itself finds wrong with the Compose file, or that its daemon does not answer."""
-        on = f" on {self.surroundings.host}" if self.surroundings.host else ""
+        on = self.surroundings.on
         if self.surroundings.lacks("docker"):
             yield Finding.error(where, f"the program 'docker' is not there{on}", "Install Docker with Compose.")
             return

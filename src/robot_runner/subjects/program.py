@@ -71,14 +71,13 @@ class Program(Subject):
         """Yield that the program is not there."""
         program = self.words()[0]
         if is_known(self.command[0]) and self.surroundings.lacks(program):
-            on = f" on {self.surroundings.host}" if self.surroundings.host else ""
             file = Path(self.surroundings.path or ".") / self.surroundings.found(program)
-            if not on and "/" in program and file.is_file():
+            if self.surroundings.host is None and "/" in program and file.is_file():
                 fix = f"Make it so: {shlex.join(['chmod', '+x', str(file)])}"
                 yield Finding.error(where, f"the program {program!r} is not executable", fix)
                 return
             fix = "Install it, or give its full path."
-            yield Finding.error(where, f"the program {program!r} is not there{on}", fix)
+            yield Finding.error(where, f"the program {program!r} is not there{self.surroundings.on}", fix)
 
     def files_read(self) -> Iterable[InputFile]:
         """Yield the program where it is one of the user's own, and a script that an interpreter executes."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -81,10 +81,11 @@ def with_what_it_names(path: Path) -> InputFile:
 
 
 def _with(path: Path, look: Callable[[Path], Iterable[Path]]) -> InputFile:
-    start = kept_copy(path) or path
-    found = {start: None}
-    for each in _looked_into(found):
-        found |= dict.fromkeys(look(each))
+    found = {kept_copy(path) or path: None}
+    for place in range(_MOST_NAMING):
+        each = next(islice(found, place, None), None)  # those that were found meanwhile come, too
+        if each is not None and each.suffix in _NAMING:
+            found |= dict.fromkeys(look(each))
     return InputFile(path, tuple(found)[1:])
 
 
@@ -97,27 +98,16 @@ def compose_input(path: Path) -> InputFile:
 
 def files_below(folder: Path) -> Iterator[Path]:
     """Yield the files in a folder and below it, without hidden folders and results of experiments."""
-    count = 0
+    return islice(_walked(folder), _MOST_FILES)
+
+
+def _walked(folder: Path) -> Iterator[Path]:
     for place, folders, names in os.walk(folder):
         if {"manifest.json", "run_table.csv"} <= set(names):
             folders.clear()
             continue
         folders[:] = sorted(each for each in folders if not each.startswith(".") and each not in _NOT_READ)
-        for name in sorted(names):
-            if count == _MOST_FILES:
-                return
-            count += 1
-            yield Path(place, name)
-
-
-def _looked_into(found: dict[Path, None]) -> Iterator[Path]:
-    """Yield each of the files that may name further ones, also those that are found meanwhile."""
-    done = 0
-    while done < min(len(found), _MOST_NAMING):
-        each = list(found)[done]
-        done += 1
-        if each.suffix in _NAMING:
-            yield each
+        yield from (Path(place, name) for name in sorted(names))
 
 
 def _text_of(path: Path) -> str:
@@ -144,7 +134,7 @@ def _named_beside(path: Path) -> Iterator[Path]:
         plain = Path(_HERE.sub("", name))
         # `here / "config" / "nav.yaml"` has a path in several texts.
         beside = [folder / into / plain, folder / plain] if name and not plain.is_absolute() else []
-        file = next(filter(_is_file, beside), None)
+        file = next(filter(is_file, beside), None)
         if file is not None and os.path.normpath(file) != os.path.normpath(path):
             yield Path(os.path.normpath(file))
         into = into / plain if beside and _is_folder(beside[0]) else Path()
@@ -155,8 +145,8 @@ def _modules_beside(path: Path) -> Iterator[Path]:
     for names in _IMPORT.findall(_text_of(path)) if path.suffix == ".py" else ():
         for name in {each.split()[0].partition(".")[0] for part in names for each in part.split(",") if each.strip()}:
             package = path.parent / name
-            yield from filter(_is_file, [package.with_name(f"{name}.py")] if name else ())
-            if name and _is_file(package / "__init__.py"):
+            yield from filter(is_file, [package.with_name(f"{name}.py")] if name else ())
+            if name and is_file(package / "__init__.py"):
                 yield from files_below(package)
 
 
@@ -182,7 +172,7 @@ def _of_compose(path: Path) -> Iterator[Path]:
 
 def _built_from(context: Path, recipe: str) -> Iterator[Path]:
     """Yield the recipe of an image, and what it copies from the folder that it is built in."""
-    yield from filter(_is_file, [context / recipe, context / ".dockerignore"])
+    yield from filter(is_file, [context / recipe, context / ".dockerignore"])
     joined = _text_of(context / recipe).replace("\\\n", " ")
     for words in (_PLAIN.findall(each) for each in _COPY.findall(joined)):
         if any(each.startswith("--from") for each in words):
@@ -200,7 +190,8 @@ def _copied(context: Path, source: str) -> Iterator[Path]:
         yield from [each] if each.is_file() else files_below(each)
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """Return whether a text that may be the path of a file is that of one."""
     return os.path.isfile(path)  # noqa: PTH113 - false of a name that no path can have
 
 
@@ -217,7 +208,7 @@ def inputs_in(folder: Path | None, inputs: Iterable[InputFile]) -> Iterator[Inpu
     there = list(map(_with_its_files, inputs))
     inside = [each for each in there if folder is not None and each.path.is_relative_to(folder)]
     starts = [kept_copy(each.path) or each.path for each in inside]
-    members = dict.fromkeys([*filter(_is_file, starts), *(other for each in inside for other in each.others)])
+    members = dict.fromkeys([*filter(is_file, starts), *(other for each in inside for other in each.others)])
     if folder is not None and members and fits(members):
         yield InputFile(folder, tuple(members))
     else:

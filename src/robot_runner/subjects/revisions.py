@@ -29,6 +29,10 @@ _SHORT = 12  # digits of a hash that a person reads
 _REFERENCES = ("refs/tags/{}^{{}}", "refs/tags/{}", "refs/heads/{}", "{}")
 
 
+def _place(repository: str) -> str:
+    return repository if _URL.match(repository) else str(Path(repository).expanduser().absolute())
+
+
 class Repository:
     """A repository that revisions are taken from: a folder of this machine, or a URL.
 
@@ -41,12 +45,9 @@ class Repository:
 
     def __init__(self, place: str) -> None:
         self.is_remote = _URL.match(place) is not None
-        self.place = place if self.is_remote else str(Path(place).expanduser().absolute())
-        words = (
-            ("ls-remote", "--", self.place)
-            if self.is_remote
-            else ("for-each-ref", "--format=%(objectname)\t%(refname)")
-        )
+        self.place = _place(place)
+        listed = ("for-each-ref", "--format=%(objectname)\t%(refname)")
+        words = ("ls-remote", "--", self.place) if self.is_remote else listed
         try:
             answer = git(*words, folder="." if self.is_remote else self.place)
             above = b"" if self.is_remote else git("rev-parse", "--show-cdup", folder=self.place).stdout.strip()
@@ -113,7 +114,7 @@ class _Revisions:
             for revision in revisions:
                 facts = known.get(factor.name, {}).get(revision.name)
                 copy = workshop.logs / facts["kept"] if facts is not None and facts.get("kept") else None
-                tree = WorkTree(self._place(revision), _commit(factor, revision, facts), revision.build, copy)
+                tree = WorkTree(_place(revision.repository), _commit(factor, revision, facts), revision.build, copy)
                 log = workshop.logs / factor.name / f"{re.sub(r'[^A-Za-z0-9._-]', '_', revision.name)}.log"
                 built = tree.made(revision.name, log, workshop)
                 revision.prepare(commit=tree.commit, path=str(tree.folder))
@@ -125,11 +126,6 @@ class _Revisions:
             for each in facts_of.values():
                 each["kept"] = each["kept"] if each["kept"] in kept else None
         return made
-
-    @staticmethod
-    def _place(revision: Revision) -> str:
-        is_remote = _URL.match(revision.repository) is not None
-        return revision.repository if is_remote else str(Path(revision.repository).expanduser().absolute())
 
 
 REVISIONS = _Revisions()

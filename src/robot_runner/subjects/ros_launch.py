@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, did_you_mean
 from robot_runner.core.storage.input_files import kept_copy
-from robot_runner.subjects.read_files import is_installed, with_what_it_names
+from robot_runner.subjects.read_files import is_file, is_installed, with_what_it_names
 from robot_runner.subjects.ros_subject import RosSubject
-from robot_runner.subjects.surroundings import holds_revision, is_known, word
+from robot_runner.subjects.surroundings import holds_revision, word
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from robot_runner.core.storage.input_files import InputFile
 
 #: How both tell of an argument that a launch file takes: `  speed: ...` (ROS 1), and `    'speed':` (ROS 2).
 _ARGUMENTS = {1: re.compile(r"^  (\w+)(?: \(.*\))?:", re.MULTILINE), 2: re.compile(r"^\s+'([^']+)':", re.MULTILINE)}
-_REQUIRED = re.compile(r"requires the '(\w+)' arg")
 
 
 class RosLaunch(RosSubject):
@@ -58,8 +57,8 @@ class RosLaunch(RosSubject):
         self.arguments = {name: word(self.name, value) for name, value in (arguments or {}).items()}
         named = [] if holds_revision(given) or len(self.launch_file) > 1 else [*self.launch_file]
         named += [self.arguments[name] for name, value in (arguments or {}).items() if not holds_revision(value)]
-        self._named = tuple(named)
-        self._is_known = all(map(is_known, (*given, *(arguments or {}).values())))
+        self._files = tuple(named)
+        self._named = (*given, *(arguments or {}).values())
 
     def words(self) -> tuple[str, ...]:
         """Return the command."""
@@ -68,14 +67,9 @@ class RosLaunch(RosSubject):
 
     def files_read(self) -> Iterable[InputFile]:
         """Yield the launch file that is named by its path, files that its arguments name, and what those name."""
-        paths = [path for each in self._named if each and (path := self.surroundings.own_path(each)) is not None]
-        return [
-            with_what_it_names(path) for path in paths if (kept_copy(path) or path).is_file() and not is_installed(path)
-        ]
-
-    def program_findings(self, where: str) -> Iterable[Finding]:
-        """Yield what keeps it from being launched; a revision that is not built yet is not looked at."""
-        return super().program_findings(where) if self._is_known else ()
+        paths = map(self.surroundings.own_path, filter(None, self._files))
+        there = [path for path in paths if path is not None and is_file(kept_copy(path) or path)]
+        return [with_what_it_names(path) for path in there if not is_installed(path)]
 
     def ros_findings(self, where: str) -> Iterable[Finding]:
         """Yield what ROS itself finds wrong with the package, the launch file, and its arguments."""
@@ -83,17 +77,13 @@ class RosLaunch(RosSubject):
         asked = ("roslaunch", "--ros-args", *self.launch_file) if ros == 1 else (*self.words()[:2], "--show-args")
         described = self.surroundings.ask(asked if ros == 1 else (*asked, *self.launch_file))
         if described.code != 0:
-            yield self.refused(where, what, described, required=_REQUIRED)
+            yield self.refused(where, what, described)
             return
-        yield from self._unknown(where, _ARGUMENTS[ros].findall(described.said))
+        known = _ARGUMENTS[ros].findall(described.said)
+        for name in (each for each in self.arguments if each not in known):
+            problem = f"the launch file takes no argument {name!r}: nothing would read it"
+            yield Finding.error(where, problem, did_you_mean(name, known))
         if ros == 1:  # which evaluates the file, with what it includes
             answer = self.surroundings.ask(("roslaunch", "--nodes", *self.words()[1:]))
             if answer.code != 0:
-                yield self.refused(where, what, answer, required=_REQUIRED)
-
-    def _unknown(self, where: str, known: list[str]) -> Iterator[Finding]:
-        """Yield arguments that the launch file does not take: nothing would read them."""
-        for name in self.arguments:
-            if name not in known:
-                problem = f"the launch file takes no argument {name!r}: nothing would read it"
-                yield Finding.error(where, problem, did_you_mean(name, known))
+                yield self.refused(where, what, answer)

@@ -7,7 +7,6 @@ import math
 import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape, quoteattr
 
@@ -15,7 +14,7 @@ from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_me
 from robot_runner.core.links.graph_names import namespace_prefix
 from robot_runner.subjects.read_files import with_what_it_names
 from robot_runner.subjects.ros_subject import RosSubject
-from robot_runner.subjects.surroundings import holds_revision, is_known, word
+from robot_runner.subjects.surroundings import holds_revision, word
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -90,7 +89,7 @@ class RosNode(RosSubject):
         self.remappings = {word(self.name, old): word(self.name, new) for old, new in (remappings or {}).items()}
         self.node_name = node_name
         self._own_files = tuple(word(self.name, each) for each in files if not holds_revision(each))
-        self._is_known = all(map(is_known, (package, executable, *files)))
+        self._named = (package, executable, *files)
 
     def words(self) -> tuple[str, ...]:
         """Return the command."""
@@ -101,10 +100,6 @@ class RosNode(RosSubject):
         paths = map(self.surroundings.own_path, self._own_files)
         return [with_what_it_names(path) for path in paths if path is not None]
 
-    def program_findings(self, where: str) -> Iterable[Finding]:
-        """Yield what keeps it from being started; a revision that is not built yet is not looked at."""
-        return super().program_findings(where) if self._is_known else ()
-
     def ros_findings(self, where: str) -> Iterable[Finding]:
         """Yield that there is no such package, no such executable in it, or no file of parameters."""
         if self.ros == 1:
@@ -112,7 +107,7 @@ class RosNode(RosSubject):
             answer = self.surroundings.ask(("sh", "-c", _ASK, self._launch_file(), name))
             if answer.code != 0:
                 found = [*_REFUSED.finditer(answer.complaint)]  # the last one: before it stands a line of its source
-                told = replace(answer, complaint=(found[-1][1] or found[-1][0]).strip()) if found else answer
+                told = answer._replace(complaint=(found[-1][1] or found[-1][0]).strip()) if found else answer
                 yield self.refused(where, f"{self.package}/{self.executable}", told)
             return
         yield from self._executable_findings(where)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import re
 import signal
+from abc import abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.words import one_line
 from robot_runner.subjects.subject import Subject
-from robot_runner.subjects.surroundings import word
+from robot_runner.subjects.surroundings import is_known, word
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -34,6 +35,8 @@ _KNOWN_RMW = (
     "rmw_zenoh_cpp",
     "rmw_gurumdds_cpp",
 )
+#: What roslaunch says of an argument that a launch file demands.
+_REQUIRED = re.compile(r"requires the '(\w+)' arg")
 _ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 _CHATTER = "The traceback for the exception"
 #: Executed where the subject is, so that the workspace which is sourced there is described.
@@ -57,6 +60,8 @@ class RosSubject(Subject):
         PluginError: it is not clear which ROS is meant, or a parameter cannot be.
     """
 
+    #: What it names that may lie in the work tree of a revision.
+    _named: tuple[Any, ...] = ()
     needs = "ROS where it is started; on another computer Python 3.6 and a key for ssh."
 
     def __init__(
@@ -98,26 +103,29 @@ class RosSubject(Subject):
         return {"ROS_LOG_DIR": str(start.folder.absolute() / "ros_log")} if here else {}
 
     def program_findings(self, where: str) -> Iterable[Finding]:
-        """Yield that the programs of ROS are not there, or the middleware is none."""
+        """Yield that the programs of ROS are not there, that the middleware is none, and what ROS itself finds wrong.
+
+        A revision that is not built yet is not looked at.
+        """
         program = PROGRAMS[self.ros]
+        if not all(map(is_known, self._named)):
+            return
         if self.surroundings.lacks(program):
-            on = f" on {self.surroundings.host}" if self.surroundings.host else ""
             fix = "Source the setup file of ROS before, or name it: setup='/opt/ros/.../setup.bash'."
-            yield Finding.error(where, f"the program {program!r} is not there{on}", fix)
+            yield Finding.error(where, f"the program {program!r} is not there{self.surroundings.on}", fix)
             return
         if self.rmw is not None:
             yield from self._rmw_findings(where, self.rmw)
         yield from self.ros_findings(where)
 
+    @abstractmethod
     def ros_findings(self, where: str) -> Iterable[Finding]:
         """Yield what ROS itself finds wrong with what is to be started."""
-        del where
-        return ()
 
-    def refused(self, where: str, what: str, answer: Answer, *, required: re.Pattern[str] | None = None) -> Finding:
+    def refused(self, where: str, what: str, answer: Answer) -> Finding:
         """Return the finding that a program of ROS refuses something, with the last line that it wrote."""
         said = last_line(answer)
-        lacking = required.search(said) if required is not None else None
+        lacking = _REQUIRED.search(said)
         by_hand = "Try it by hand: " + " ".join(self.words())
         fix = f"Give it: arguments={{{lacking[1]!r}: ...}}." if lacking else by_hand
         return Finding.error(where, f"{PROGRAMS[self.ros]} refuses {what}: {said}", fix)

@@ -26,7 +26,7 @@ from robot_runner.measuring.measured_machine import machine_clock
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, TextInOutput
 from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task, user_cache
-from robot_runner.subjects.surroundings import Surroundings, word
+from robot_runner.subjects.surroundings import Surroundings, is_known, word
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -146,8 +146,8 @@ class Subject(System):
     def input_files(self) -> Iterable[InputFile]:
         """Yield the files that it reads: those that are known, and those that `reads` names."""
         around = self.surroundings
-        setup = around.setup if around.setup is not None and is_own_setup(Path(around.setup)) else None
-        named = [around.own_path(each) for each in (*self.reads, *([setup] if setup is not None else ()))]
+        setup = [around.setup] if around.setup is not None and is_own_setup(Path(around.setup)) else []
+        named = map(around.own_path, (*self.reads, *setup))
         inputs = [*self.files_read(), *(InputFile(path) for path in named if path is not None)]
         return inputs_in(around.own_folder, inputs)
 
@@ -162,7 +162,7 @@ class Subject(System):
             yield from self.ready.check(circumstances.robot)
         findings = list(self.surroundings.findings(where))
         yield from findings
-        if not any(finding.is_error for finding in findings) and self.surroundings.is_there:
+        if not any(finding.is_error for finding in findings) and is_known(self.surroundings.folder):
             yield from self.program_findings(where)
 
     def before_experiment(self, context: ExperimentContext) -> None:
@@ -186,14 +186,19 @@ class Subject(System):
             ConditionError: it was not ready in time.
         """
         self._startup_time = self._ended = None
-        begun_at = time.monotonic()
-        start = self._started(context) if self.per == "run" else self._attached(context)
+        start: Start
+        if self.per == "run":
+            # Should the run be killed, its supervisor is to clean up.
+            begun = context.outlives if self.last_words() is not None else lambda _: None
+            start = self._begin(context, context.raw_data_folder, begun)
+        else:
+            start = self._attached(context)
         try:
             self._await_ready(context, start)
         except BaseException:
             self._end()
             raise
-        self._startup_time = time.monotonic() - begun_at
+        self._startup_time = time.monotonic() - start.begun_at
         context.share(pid=start.pid, host=self.surroundings.host or LOCAL)
         context.broker.note(self.name, "subject", self._facts(context, start))
         self._is_ending = threading.Event()
@@ -261,12 +266,6 @@ class Subject(System):
         """Return the file that is locked from each start of this subject until all of it has ended."""
         key = hashlib.sha256(f"{context.experiment_folder.absolute()}\0{self.name}".encode()).hexdigest()[:16]
         return user_cache() / "subjects" / f"{key}.lock"
-
-    def _started(self, context: RobotRunnerContext) -> Start:
-        if self.last_words() is None:
-            return self._begin(context, context.raw_data_folder)
-        # Should the run be killed, its supervisor is to clean up.
-        return self._begin(context, context.raw_data_folder, context.outlives)
 
     def _attached(self, context: RobotRunnerContext) -> Start:
         """Return the start of a subject that goes on through all runs; another process has started it."""
@@ -338,5 +337,4 @@ def _numbered(folder: Path) -> list[Path]:
 
 def _free(folder: Path) -> Path:
     """Return the folder of the next start of a subject."""
-    last = [int(path.name) for path in _numbered(folder)[-1:]]
-    return folder / str(1 + sum(last))
+    return folder / str(1 + max((int(path.name) for path in _numbered(folder)), default=0))

@@ -112,10 +112,14 @@ class Start:
 
     Args:
         folder: takes `stdout.txt`, `stderr.txt`, and the supervisor's `events.jsonl`.
+
+    Attributes:
+        begun_at: from when on it is waited for, on the monotonic clock: an earlier start may have had to end first.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.begun_at = time.monotonic()
         self.stdout = folder / "stdout.txt"
         self.stderr = folder / "stderr.txt"
         self.events = folder / "events.jsonl"
@@ -204,13 +208,13 @@ class SupervisedProgram(Start):
         folder.mkdir(parents=True, exist_ok=True)
         self._task = task
         self._name = name
-        self.begun_at = time.monotonic()
         for path in (self.stdout, self.stderr):
             path.touch()
         module = "supervisor.py" if task.host is None else "remote_supervision.py"
         # Unbuffered, and isolated from what lies around in the folder it is started in.
         words = [sys.executable, "-I", str(Path(__file__).with_name(module))]
         with self._turn() as turn, self.events.open("wb") as events:
+            self.begun_at = time.monotonic()
             self._supervisor = subprocess.Popen(  # noqa: S603 - our own program
                 words,
                 stdin=subprocess.PIPE,
@@ -279,9 +283,8 @@ class SupervisedProgram(Start):
         host = self._task.host
         if refusal:
             problem = f"{self._task.command[0]!r} cannot be started: {refusal}"
-            return PluginError(
-                problem, where=self._name, fix=_REMEDIES.get(refusal, "Install it, or give its full path.")
-            )
+            fix = _REMEDIES.get(refusal, "Install it, or give its full path.")
+            return PluginError(problem, where=self._name, fix=fix)
         if host is not None and lost:
             return PluginError(f"{host} cannot be reached: {gist(lost)}", where=self._name, fix=remedy(host, lost))
         problem = f"{self._task.command[0]!r} was not started: {ended.how if ended else 'its supervisor is silent'}"

@@ -123,7 +123,7 @@ class Supervisor:
         killed = asked and not self.end_program()
         self.say(ended=self.code, asked=asked, killed=killed, at=time.time())
         left = self.end_rest()
-        self.drain()
+        self.wait(lambda: not self.pipes, 1.0)  # the last of the output
         self.clean_up()
         self.say(gone=left)
 
@@ -267,10 +267,6 @@ class Supervisor:
                 return False
             self.look(LOOK)
         return True
-
-    def drain(self) -> None:
-        """Send on the last of the output."""
-        self.wait(lambda: not self.pipes, 1.0)
 
     def clean_up(self) -> None:
         """Execute the task's last command."""

@@ -10,12 +10,12 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import Finding, LinkError, PluginError
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.core.links.ssh_command import checked_destination, execute, ssh_command, ssh_findings
+from robot_runner.core.links.ssh_command import checked_destination, ssh_command, ssh_findings
 from robot_runner.core.storage.git_repository import repository_state
 from robot_runner.core.storage.input_files import kept_copy
 from robot_runner.subjects.supervised_program import shell_words
@@ -30,8 +30,7 @@ _NO_PROGRAM = 127  # what a shell says of a program that it does not find
 _LACKS = "robot-runner-lacks"
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(NamedTuple):
     """What a program answered to a question.
 
     Attributes:
@@ -137,16 +136,15 @@ class Surroundings:
         return word
 
     @property
-    def is_there(self) -> bool:
-        """Whether the folder can be looked into now: a revision is built once the experiment begins."""
-        return is_known(self.folder)
+    def on(self) -> str:
+        """On which other computer it is, to end a sentence; empty for this one."""
+        return f" on {self.host}" if self.host else ""
 
     def wrapped(self, words: Sequence[str]) -> tuple[str, ...]:
         """Return a command with the sourcing of the setup file."""
-        setup = self.setup
-        if setup is not None and (copy := self.found(own := str(Path(setup).expanduser()))) != own:
-            setup = copy
-        return shell_words([self.found(each) for each in words], setup)
+        own = None if self.setup is None else str(Path(self.setup).expanduser())
+        copy = None if own is None else self.found(own)
+        return shell_words([self.found(each) for each in words], self.setup if copy == own else copy)
 
     def findings(self, where: str) -> Iterator[Finding]:
         """Yield what is not as it should be, whatever is executed there."""
@@ -155,7 +153,7 @@ class Surroundings:
             yield Finding.error(where, problem, "Leave host out, or name a folder over there.")
         elif self.host is not None:
             yield from self._host_findings(where)
-        elif self.is_there:
+        elif is_known(self.folder):
             folder = Path(self.path or ".")
             if not folder.is_dir():
                 yield Finding.error(where, f"there is no folder {str(folder)!r}", "Make it, or name another.")
@@ -187,21 +185,11 @@ class Surroundings:
             without = [word for name, value in self.environment.items() if value is None for word in ("-u", name)]
             return self._over_there(self._entered() + shlex.join(["env", *without, *variables, *wrapped]))
         try:
-            done = subprocess.run(  # noqa: S603 - an argument list
-                wrapped,
-                cwd=self.path,
-                env=self.local_environment,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                timeout=_PATIENCE,
-                check=False,
-                start_new_session=True,
-            )
+            return _answer(wrapped, cwd=self.path, env=self.local_environment)
         except subprocess.TimeoutExpired:
             return Answer(None, "", f"it did not answer within {_PATIENCE:g} s")
         except OSError as error:
             return Answer(_NO_PROGRAM, "", f"{wrapped[0]}: {error.strerror}")
-        return Answer(done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace"))
 
     @property
     def local_environment(self) -> dict[str, str]:
@@ -235,12 +223,24 @@ class Surroundings:
     def _over_there(self, script: str) -> Answer:
         command = ssh_command(str(self.host), f"exec sh -c {shlex.quote(script)}", config=self.ssh_config)
         try:
-            done = execute(command, timeout=_PATIENCE)
+            return _answer(command)
         except subprocess.TimeoutExpired:
             return Answer(None, "", f"{self.host} did not answer within {_PATIENCE:g} s")
         except OSError as error:
             return Answer(None, "", f"ssh: {error.strerror}")
-        return Answer(done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace"))
+
+
+def _answer(command: Sequence[str], **where: Any) -> Answer:
+    done = subprocess.run(  # noqa: S603 - an argument list
+        command,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        timeout=_PATIENCE,
+        check=False,
+        start_new_session=True,
+        **where,
+    )
+    return Answer(done.returncode, done.stdout.decode(errors="replace"), done.stderr.decode(errors="replace"))
 
 
 def is_known(value: Any) -> bool:

@@ -58,7 +58,7 @@ def execute(arguments: Namespace) -> int:
 
 
 def _explain_badges(arguments: Namespace) -> int:
-    from robot_runner.replication.badge_reading import badges_of  # noqa: PLC0415 - for a quick --help
+    from robot_runner.replication.badges import badges_of  # noqa: PLC0415 - for a quick --help
 
     path = Path(arguments.target).expanduser()
     is_config = path.suffix == ".py" or not path.exists()

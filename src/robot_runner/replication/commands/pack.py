@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from robot_runner.core.config.authors import Author
     from robot_runner.replication.cleaning import Replaced
     from robot_runner.replication.packing import Packed
-    from robot_runner.replication.sealing import Progress
+    from robot_runner.replication.plain_zip import Progress
 
 _MEGABYTE = 1_000_000
 #: More lines of one kind in one file are in package.json.

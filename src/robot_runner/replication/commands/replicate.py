@@ -20,7 +20,7 @@ import re
 import sys
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.comparison.compared import Bounds
 from robot_runner.cli.byte_code import no_byte_code
@@ -43,7 +43,7 @@ from robot_runner.replication.commands.replication_plan import (
     print_plan,
     wants_own_environment,
 )
-from robot_runner.replication.commands.replication_verdict import Comparing, Ending, facts_of
+from robot_runner.replication.commands.replication_verdict import Comparing, facts_of
 from robot_runner.replication.differences import differing_environment
 from robot_runner.replication.replicating import (
     find_source,
@@ -109,10 +109,10 @@ def execute(arguments: Namespace) -> int:
     _check_options(arguments)
     # What is told on the way is not what a program reads.
     with redirect_stdout(sys.stderr) if arguments.json else nullcontext():
-        ending = _replicate(arguments)
+        facts = _replicate(arguments)
     if arguments.json:
-        print_json(ending.facts)
-    return ending.exit_code
+        print_json(facts)
+    return int(facts["exit_code"])
 
 
 def _check_options(arguments: Namespace) -> None:
@@ -125,7 +125,8 @@ def _check_options(arguments: Namespace) -> None:
     Bounds.parse(arguments.bound)
 
 
-def _replicate(arguments: Namespace) -> Ending:
+def _replicate(arguments: Namespace) -> dict[str, Any]:
+    """Return how it ended, as plain data."""
     deviations = parse_assignments(arguments.set)
     arguments.package = arguments.package or only_package("replicate")
     with byte_progress("verifying") as progress:
@@ -138,7 +139,7 @@ def _replicate(arguments: Namespace) -> Ending:
     facts = facts_of(arguments.package, source, differing, deviations)
     if arguments.environment == _CONTAINER:
         print_container(output(), source, _unpacked(source, target))
-        return Ending(0, facts)
+        return facts
     make_sure(source.kind, is_agreed=arguments.yes)
     own = arguments.environment or _offered(arguments, source, differing)
     root = _unpacked(source, target)
@@ -151,7 +152,7 @@ def _replicate(arguments: Namespace) -> Ending:
         code = _execute_elsewhere(arguments, source, root, target, own)
     facts |= {"environment": own, "exit_code": code}
     with read_or_not():
-        return _ended(arguments, comparing, Ending(code, facts))
+        return _ended(arguments, comparing, facts)
 
 
 def _harmless(name: str) -> str:
@@ -214,18 +215,18 @@ def _no_traces() -> Iterator[None]:
             os.environ[name] = before
 
 
-def _ended(arguments: Namespace, comparing: Comparing, ending: Ending) -> Ending:
+def _ended(arguments: Namespace, comparing: Comparing, facts: dict[str, Any]) -> dict[str, Any]:
     """Return how it ended, with its verdict where every run was executed; say how to go on where some were not."""
-    if arguments.without_verdict or ending.exit_code not in {0, SOME_FAILED}:
-        return ending
+    if arguments.without_verdict or facts["exit_code"] not in {0, SOME_FAILED}:
+        return facts
     folder = replicated_folder(comparing.target, comparing.root, parse_assignments(arguments.set))
     is_complete = is_executed(folder)
     if is_complete:
-        ending = comparing.end(folder, ending)
-    if ending.exit_code == SOME_FAILED:
+        facts = comparing.end(folder, facts)
+    if facts["exit_code"] == SOME_FAILED:
         words = ["replicate", arguments.package, "--to", shown_path(comparing.target)]
         words += [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
         words += ["--environment", arguments.environment] if arguments.environment else []
         verdict = "" if is_complete else "The verdict comes once every run was executed. "
         output().print(f"{verdict}Go on with what is left: {command_line(*words)}", soft_wrap=True)
-    return ending
+    return facts

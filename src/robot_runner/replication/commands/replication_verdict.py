@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.libraries import MissingLibraryError, require_libraries
@@ -38,23 +38,10 @@ _STYLES = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """How a replication ended.
-
-    Attributes:
-        exit_code: what the shell gets.
-        facts: everything about it, as plain data.
-    """
-
-    exit_code: int
-    facts: dict[str, Any]
-
-
 def facts_of(
     package: str, source: Source, differing: Sequence[Difference], deviations: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return what is known before anything is executed, as plain data; there is no verdict yet."""
+    """Return what is known before anything is executed, as plain data: no verdict yet, and 0 for the shell."""
     return {
         "package": package,
         "experiment": source.experiment,
@@ -106,13 +93,15 @@ class Comparing:
         if not (is_simulated or _has_libraries()):
             self._environment()
 
-    def end(self, replication: Path, ending: Ending) -> Ending:
+    def end(self, replication: Path, facts: dict[str, Any]) -> dict[str, Any]:
         """Compare, print the verdict, and write it beside the results; without statistics there is one, too.
+
+        Returns:
+            What is known, the verdict included.
 
         Raises:
             StorageError: results cannot be read, or the verdict cannot be written.
         """
-        console = output()
         same = identical_values(self.root, replication)
         try:
             comparison = self._comparison(replication, same)
@@ -120,9 +109,8 @@ class Comparing:
             show_error(error)
             comparison = None
         verdict = reached_verdict(self._columns, self._manifest, same, self._margins, comparison)
-        code = ending.exit_code or verdict.conclusion.exit_code
-        facts = ending.facts | {
-            "exit_code": code,
+        facts = facts | {
+            "exit_code": facts["exit_code"] or verdict.conclusion.exit_code,
             "verdict": verdict.conclusion.value,
             "sentence": verdict.sentence,
             "measures": [{**asdict(each), "conclusion": each.conclusion.value} for each in verdict.measures],
@@ -131,8 +119,8 @@ class Comparing:
         }
         text = json.dumps(facts, indent=2, ensure_ascii=False) + "\n"
         write_beside_and_rename(self.target / "verdict.json", lambda file: file.write(text))
-        self._print(console, replication, verdict, comparison)
-        return replace(ending, exit_code=code, facts=facts)
+        self._print(output(), replication, verdict, comparison)
+        return facts
 
     def _comparison(self, replication: Path, same: Mapping[str, Sameness]) -> Mapping[str, Any] | None:
         """Return what the statistics say, as plain data; None where nobody needs them, or wants them here."""
