@@ -133,6 +133,17 @@ def test_what_differs_by_itself_is_no_change(of_meter: Callable[..., Path]) -> N
     assert start(config).done_count == 2
 
 
+def test_when_and_where_a_config_is_loaded_is_no_value_of_it(
+    of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    config = of_meter(
+        'told=[time.strftime("%H:%M:%S"), platform.node()]', "import os, platform\nbegun_in = os.getcwd()"
+    )
+    assert given(config).items() >= {"begun_in": LEFT_OUT, "Meter.told": LEFT_OUT}.items()
+    monkeypatch.chdir(tmp_path)
+    assert given(config)["begun_in"] == LEFT_OUT
+
+
 def test_the_order_of_a_set_which_is_another_in_each_process_is_no_change(of_meter: Callable[..., Path]) -> None:
     config = of_meter("told=['scan', 'odom', frozenset({'a', 'b'})]")
     start(config, only=("r_1",))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import platform
 import re
 import sys
 import tempfile
@@ -17,7 +18,7 @@ import time
 from collections.abc import Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from enum import Enum
 from numbers import Number
 from pathlib import Path, PurePath
@@ -138,8 +139,11 @@ class _Words:
         folders = own | {sys.prefix: "(python)", str(Path.home()): "~"}
         self._folders = {folder: short for folder, short in folders.items() if folder != "/"}
         now = datetime.now(UTC)
-        days = {f"{each:{form}}" for each in (now, now.astimezone()) for form in ("%Y-%m-%d", "%Y%m%d")}
-        self._passing = re.compile("|".join(map(re.escape, [*days, f"{tempfile.gettempdir()}/"])))
+        moments = [each - ago for each in (now, now.astimezone()) for ago in (timedelta(), timedelta(minutes=1))]
+        texts = {f"{each:{form}}" for each in moments for form in ("%Y-%m-%d", "%Y%m%d", "%H:%M", "%H-%M")}
+        self._passing = re.compile("|".join(map(re.escape, [*texts, f"{tempfile.gettempdir()}/"])))
+        #: Where an execution goes on may be another place, of which the manifest tells.
+        self._here = frozenset({os.getcwd(), platform.node()})  # noqa: PTH109 - a text
 
     def leaves(self, name: str, value: Any, depth: int = 0) -> Iterator[tuple[str, Any]]:
         """Yield a value, or each part of one that has parts, with its place."""
@@ -188,6 +192,8 @@ class _Words:
     def _text(self, text: str) -> str:
         if text == sys.executable:
             return "(python)"
+        if text in self._here:
+            return LEFT_OUT
         for folder, short in self._folders.items():
             text = short if text == folder else text.replace(f"{folder}/", f"{short}/")
         if self._passing.search(text) or _ADDRESS.search(text):
