@@ -12,6 +12,7 @@ from tests.firmware.measuring import MISSION, VOLTS, measure, metered
 
 from robot_runner.core.errors import LinkError
 from robot_runner.meters.ina219.card import read_card
+from robot_runner.meters.ina219.sample_stream import Trouble
 from robot_runner.plugins.profilers import Ina219
 from robot_runner.testing import FakeClock, make_context, rehearse
 
@@ -58,7 +59,7 @@ def test_a_card_that_was_formatted_and_filled_by_others_is_written_and_stays_sou
     tool("mcopy", "-i", card, "::INA219.BIN", copy)
     tool("fsck.fat", "-n", card)
     (recording,) = read_card(copy)
-    assert recording.stream.lost == 0
+    assert recording.stream.troubles()[Trouble.LOST] == 0
     assert len(recording.times) > 480
 
 
@@ -74,7 +75,7 @@ def test_each_switching_on_is_a_recording_behind_the_last(board, tmp_path):
         record(board, tmp_path, card, 2.0)
     recordings = read_card(card.copy_to(tmp_path / "INA219.BIN"))
     assert [len(each.times) // 100 for each in recordings] == [3, 3, 3]
-    assert [(each.stream.lost, each.stream.restarts) for each in recordings] == [(0, 0)] * 3
+    assert [each.stream.troubles()[kind] for each in recordings for kind in (Trouble.LOST, Trouble.RESTART)] == [0] * 6
     # What a sample averages lies before its stamp: half a period, and a conversion.
     assert [each.times[0] for each in recordings] == pytest.approx([-(2.5e-3 + 8 * 532e-6)] * 3)
 
@@ -93,7 +94,7 @@ def test_a_card_that_is_busy_for_a_quarter_of_a_second_costs_no_frame(board, tmp
     card = make_card(tmp_path / "card")
     record(board, tmp_path, card, 5.0, card_busy="0.25,9")
     (recording,) = read_card(card.copy_to(tmp_path / "INA219.BIN"))
-    assert recording.stream.lost == 0
+    assert recording.stream.troubles()[Trouble.LOST] == 0
     assert len(recording.times) > 850
 
 

@@ -42,7 +42,7 @@ def test_everything_that_is_wrong_with_steps_and_questions_is_said_at_once(write
         "steps[3]: before: 'Vidoe' is no treatment of 'Task'",
         "steps[3]: before: there is no factor 'Floor'",
         "steps[4]: before is 3",
-        "steps[5]: before(Task='Video') raised KeyError: 'Tsk'",
+        "steps[5]: before(Task='Video') raised UnknownFactorError: the run has no factor 'Tsk': did you mean 'Task'?",
         "steps[6]: ask holds 3, of type int",
         "steps[7], question 'Task': 'Task' is the name of a factor",
         "steps[7], question 'v': the question is asked 2 times",
