@@ -93,7 +93,7 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
 
 @contextmanager
 def inputs_of(kept: Path, folder: Path) -> Iterator[None]:
-    """While it lasts, have whoever reads files of the experiment find those that it has, not others of this machine.
+    """While this lasts, the experiment reads the copies that were sent with it, and not files of this machine.
 
     Args:
         kept: the experiment's folder of configs, or what was sent of it.

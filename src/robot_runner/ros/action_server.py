@@ -80,7 +80,7 @@ class Execution:
         self.result: ActionResult | None = None
         self.over = threading.Event()
         self.over_since = 0.0
-        self.told = threading.Event()  # once the graph has what came of it, and by whom it is told
+        self.told = threading.Event()  # set once the result is on the graph; `teller` is the thread that puts it there
         self.teller = 0
         self._server = server
 

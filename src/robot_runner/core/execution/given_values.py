@@ -326,7 +326,7 @@ def _steady(
         again = None if found is None else given_values(found)
     if again is None:
         return changed
-    # The robot that `auto` has found is none of the config's.
+    # Which robot `auto` finds is not the config's choice.
     return {name: pair for name, pair in changed.items() if name == "robot" or again.get(name) == now.get(name)}
 
 

@@ -200,7 +200,7 @@ def take_request(control: Path, asked: Asked | None = None) -> Request | None:
 
     Args:
         control: the file for it.
-        asked: what is asked; a request that answers something else is left to whoever asks that. None takes any.
+        asked: what is asked; a request that answers another question is left in place. None takes every request.
     """
     try:
         text = read_bytes(control, limit=_MOST_BYTES)

@@ -126,7 +126,7 @@ def _set_rights(descriptor: int, mode: int) -> None:
 
 def _strangers_may_write(descriptor: int, path: Path) -> bool:
     if os.stat(path.parent).st_mode & (stat.S_IWOTH | stat.S_ISVTX) == stat.S_IWOTH:  # noqa: PTH116 - as `rights_of`
-        return False  # whoever may remove the file needs no lock; without permissions in its file system, all may
+        return False  # all may remove the file here, so a lock that all may take adds no risk
     return bool(os.fstat(descriptor).st_mode & 0o022 & ~_wanted(path.parent))
 
 
