@@ -185,6 +185,11 @@ def _times(told):
     return [map(float, told.readline().split()) for _ in range(32)]
 
 
+def _least(samples):
+    cells = (line.split(",")[1] for line in samples.read_text().splitlines()[1:])
+    return min(float(cell) for cell in cells if cell)  # those that were not answered have none
+
+
 def _check_delays(robot, folder):
     """Play 40 scans at 20 Hz to a node that is another process, and compare with what it is known to take."""
     plugins = PlayBag(scans_of_ros2(folder / "hall", count=40), rate=0.8), TopicLatency("/scan", "/fast", "/late")
@@ -194,13 +199,17 @@ def _check_delays(robot, folder):
             measures = rehearse(context, *plugins)
         finally:
             context.resources.close()
-        fast, late = (statistics.median(each) for each in zip(*_times(told), strict=True))
+        fast, late = (list(each) for each in zip(*_times(told), strict=True))
     assert measures["ScanMessages"] == 40
     assert measures["FastUnanswered"] == measures["LateUnanswered"] == 8
     # A busy machine lets the node sleep longer than it asked for, and messages wait: both take long, and none is early.
-    assert 0.029 < measures["FastMedianLatency"] < fast + 0.25
-    assert 0.049 < measures["LateMedianLatency"] < late + 0.25
+    assert 0.029 < measures["FastMedianLatency"] < statistics.median(fast) + 0.25
+    assert 0.049 < measures["LateMedianLatency"] < statistics.median(late) + 0.25
     assert measures["FastMedianLatency"] < measures["LateMedianLatency"]
+    # The quickest answers waited for no machine; a scan may come here later than to the node, so they may seem quicker.
+    least = [_least(context.run_path / "TopicLatency" / name) for name in ("Fast.csv", "Late.csv")]
+    assert least[0] < min(fast) + 0.02
+    assert least[1] < min(late) + 0.02
     assert measures["FastMedianLatency"] <= measures["FastP95Latency"] <= measures["FastP99Latency"]
     assert (
         json.loads((context.run_path / "TopicLatency" / "quality.json").read_text())["topics"]["/fast"]["messages"]
