@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -12,11 +13,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import pytest
 
+from robot_runner.measuring.host import SUBJECT_VARIABLE
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _PROGRAM = """\
-import os, sys, time
+import os, time
 os.sched_setaffinity(0, {{{core}}})
 begun = time.process_time()
 while time.process_time() < begun + 0.1:
@@ -24,6 +27,18 @@ while time.process_time() < begun + 0.1:
 print(flush=True)
 while True:
     pass
+"""
+
+#: Children come and go faster than anybody looks for new processes.
+_FAMILY = """\
+import os, time
+while True:
+    if not os.fork():
+        while time.process_time() < 0.08:
+            pass
+        os._exit(0)
+    os.wait()
+    print(flush=True)
 """
 
 needs_affinity = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores can be chosen on Linux alone")
@@ -37,9 +52,9 @@ class Busy(NamedTuple):
 
     @property
     def cpu_seconds(self) -> float:
-        """What the kernel says that the process has used."""
+        """What the kernel says that the process has used, with its children that have ended."""
         fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+        return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager
@@ -54,6 +69,43 @@ def busy_core() -> Iterator[Busy]:
             yield Busy(core, process.pid)
         finally:
             process.kill()
+
+
+#: The child is there for a while after it has ended, until it is awaited.
+ZOMBIE = """\
+import os, time
+print(flush=True)
+time.sleep(0.2)
+if not os.fork():
+    begun = time.process_time()
+    while time.process_time() - begun < 0.3:
+        pass
+    os._exit(0)
+os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)
+time.sleep(1.3)
+os.wait()
+time.sleep(100)
+"""
+
+
+@contextmanager
+def busy_family(subject: str, *around: str, program: str = _FAMILY) -> Iterator[Busy]:
+    """Keep a subject busy whose work is done by children, most of which live for a moment each.
+
+    Args:
+        subject: its name.
+        around: a command that executes the one that follows it.
+        program: what it executes.
+    """
+    command = [*around, sys.executable, "-I", "-S", "-c", program]
+    marked = {**os.environ, SUBJECT_VARIABLE: subject}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=marked, start_new_session=True) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            yield Busy(-1, process.pid)
+        finally:
+            os.killpg(process.pid, signal.SIGKILL)
 
 
 def wait(seconds: float) -> None:

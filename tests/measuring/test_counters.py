@@ -14,8 +14,8 @@ def sample(time, total, idle, *, cores=(), processes=(), memory=(1000.0, 750.0))
     return CounterSample(time, CoreCounters(total, idle), cores, *memory, processes)
 
 
-def process(pid, cpu, *, started="5", memory=100.0, selector=0):
-    return ProcessCounters(selector, pid, started, cpu, memory)
+def process(pid, cpu, *, started="5", memory=100.0, selector=0, parent=1, children=0.0):
+    return ProcessCounters(selector, pid, started, cpu, memory, parent, children)
 
 
 def test_utilisation_is_what_was_busy_since_the_look_before():
@@ -95,6 +95,37 @@ def test_what_a_new_process_computed_before_it_was_found_is_not_lost():
     looks = [sample(0.0, 0, 0), sample(1.0, 100, 0), sample(1.1, 110, 0, processes=(process(7, 0.9),))]
     told = [one.processes[0].cpu for one in utilisation_of(looks, cores=1, selectors=1)]
     assert (told[1] * 1.0 + told[2] * 0.1) / 1.1 == pytest.approx(100.0 * 0.9 / 1.1)
+
+
+def shares(*looks):
+    samples = [sample(float(at), 100 * at, 0, processes=processes) for at, processes in enumerate(looks)]
+    return [pytest.approx(one.processes[0].cpu) for one in utilisation_of(samples, cores=1, selectors=1)[1:]]
+
+
+def test_a_child_that_nobody_saw_counts_when_it_is_reaped_and_one_that_was_seen_counts_once():
+    parent, child = process(7, 1.0, children=4.0), process(8, 0.5, parent=7)
+    # The first child came and went; of the second, 0.5 s were seen, and it used another 0.25 s.
+    looks = [(parent,), (process(7, 1.0, children=4.3), child), (process(7, 1.0, children=5.05),)]
+    assert shares(*looks) == [80.0, 25.0]
+
+
+def test_children_that_ended_with_their_parent_count_once_for_who_reaped_it():
+    looks = [
+        (process(7, 1.0), process(8, 0.5, parent=7), process(9, 20.0, parent=8)),
+        (process(7, 1.0, children=20.75),),
+    ]
+    assert shares(*looks) == [25.0]
+
+
+def test_a_child_that_is_reaped_between_the_looks_at_its_parent_and_at_itself_counts_once():
+    looks = [(process(7, 1.0), process(8, 50.0, parent=7)), (process(7, 1.0),), (process(7, 1.0, children=50.5),)]
+    assert shares(*looks) == [0.0, 50.0]
+
+
+def test_a_child_that_somebody_else_reaped_takes_nothing_from_later_ones():
+    seen = (process(7, 1.0), process(8, 50.0, parent=7))
+    looks = [seen, (process(7, 1.0),), (process(7, 1.0),), (process(7, 1.0, children=0.5),)]
+    assert shares(*looks) == [0.0, 0.0, 50.0]
 
 
 def test_samples_are_placed_on_the_runs_clock_and_keep_their_own():

@@ -50,6 +50,7 @@ def test_what_fails_is_left(tmp_path: Path) -> None:
     elsewhere.show(lambda: sample(0.0))
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_a_polled_meter_and_this_computer_are_seen_while_a_run_lasts(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path

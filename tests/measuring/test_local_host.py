@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
-from tests.measuring.busy_core import busy_core, needs_affinity, wait
+from tests.measuring.busy_core import ZOMBIE, busy_core, busy_family, needs_affinity, wait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -45,6 +45,39 @@ def test_a_busy_core_reads_100_percent_and_its_process_what_the_kernel_says(host
     assert mean == pytest.approx(100.0, abs=2.0)
     counted = [(late.time - soon.time) * (late.processes[0].cpu or 0.0) for soon, late in pairwise(samples)]
     assert sum(counted) / 100 * os.cpu_count() == pytest.approx(spent, abs=0.12)
+
+
+@pytest.mark.long
+def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(host):
+    with busy_family("Planner") as busy:
+        sampler = host.sample_processes(10.0, ["subject:Planner"])
+        spent = -busy.cpu_seconds
+        wait(1.2)
+        samples = sampler.stop()
+        spent += busy.cpu_seconds
+    counted = [(late.time - soon.time) * (late.processes[0].cpu or 0.0) for soon, late in pairwise(samples)]
+    assert sum(counted) / 100 * os.cpu_count() == pytest.approx(spent, abs=0.2)
+
+
+def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host, monkeypatch):
+    monkeypatch.setattr(local_host, "_RESCAN", 0.0)
+    monkeypatch.setattr(local_host, "_YOUNG", 1000)
+    with busy_family("Planner", program=ZOMBIE) as busy:
+        sampler = host.sample_processes(20.0, ["subject:Planner"])
+        while busy.cpu_seconds < 0.3:
+            wait(0.05)
+        wait(0.2)
+        samples = sampler.stop()
+        spent = busy.cpu_seconds
+    counted = [(late.time - soon.time) * (late.processes[0].cpu or 0.0) for soon, late in pairwise(samples)]
+    assert sum(counted) / 100 * os.cpu_count() == pytest.approx(spent, abs=0.2)
+
+
+def test_what_a_subject_has_started_belongs_to_it_where_its_mark_was_taken_away(host):
+    with busy_family("Planner", "sh", "-c", 'env -i "$@"; true', "sh"):
+        sampler = host.sample_processes(10.0, ["subject:Planner"])
+        wait(0.5)
+        assert sampler.stop()[-1].processes[0].count >= 2  # the shell, and what sudo would have started
 
 
 def test_samples_are_on_the_runs_clock_and_say_how_they_were_taken(host):

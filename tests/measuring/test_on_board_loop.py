@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.measuring.busy_core import busy_core, needs_affinity, wait
+from tests.measuring.busy_core import ZOMBIE, busy_core, busy_family, needs_affinity, wait
 
 from robot_runner.core.errors import LinkError
 from robot_runner.core.events.context import SystemClock
@@ -83,6 +83,7 @@ def test_samples_come_at_the_rate_and_are_placed_on_the_runs_clock(host: Callabl
     assert sampler.stop() is samples
 
 
+@pytest.mark.long
 @needs_affinity
 @pytest.mark.parametrize("form", PYTHON_AND_SHELL)
 def test_a_busy_core_reads_100_percent_and_its_process_what_the_kernel_says(
@@ -105,6 +106,43 @@ def test_a_busy_core_reads_100_percent_and_its_process_what_the_kernel_says(
     assert spent - unseen - 0.12 <= sum(counted) / 100 * len(samples[0].cores) <= spent + 0.12
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(
+    host: Callable[..., SshHost], form: str
+) -> None:
+    with busy_family("Planner") as busy:
+        sampler = host(form).sample_processes(10.0, ["name:nobody", "subject:Planner"])
+        spent = -busy.cpu_seconds
+        wait(1.2)
+        samples = sampler.stop()
+        spent += busy.cpu_seconds
+    counted = [(late.time - soon.time) * (late.processes[1].cpu or 0.0) for soon, late in pairwise(samples)]
+    assert sum(counted) / 100 * (os.cpu_count() or 1) == pytest.approx(spent, abs=0.2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host: Callable[..., SshHost], form: str) -> None:
+    with busy_family("Planner", program=ZOMBIE) as busy:
+        sampler = host(form).sample_processes(20.0, ["subject:Planner"])
+        while busy.cpu_seconds < 0.3:
+            wait(0.05)
+        wait(0.2)
+        samples = sampler.stop()
+        spent = busy.cpu_seconds
+    counted = [(late.time - soon.time) * (late.processes[0].cpu or 0.0) for soon, late in pairwise(samples)]
+    assert sum(counted) / 100 * (os.cpu_count() or 1) == pytest.approx(spent, abs=0.2)
+
+
+def test_what_a_subject_has_started_belongs_to_it_where_its_mark_was_taken_away(host: Callable[..., SshHost]) -> None:
+    with busy_family("Planner", "sh", "-c", 'env -i "$@"; true', "sh"):
+        sampler = host("python3").sample_processes(10.0, ["name:nobody", "subject:Planner"])
+        wait(0.5)
+        assert sampler.stop()[-1].processes[1].count >= 2  # the shell, and what sudo would have started
+
+
+@pytest.mark.long
 @needs_affinity
 def test_ps_is_asked_for_cpu_time_and_not_for_the_share_of_a_lifetime(host: Callable[..., SshHost]) -> None:
     with busy_core() as busy:

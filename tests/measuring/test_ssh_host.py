@@ -225,6 +225,7 @@ def shifted(tmp_path: Path) -> Iterator[SshHost]:
     server.stop()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_streamed", [False, True], ids=["fetched", "streamed"])
 def test_samples_of_a_host_with_a_shifted_and_drifting_clock_stand_at_their_true_time(
     shifted: SshHost, is_streamed: bool

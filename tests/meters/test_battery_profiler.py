@@ -130,6 +130,7 @@ def test_a_robot_that_cannot_be_heard_fails_the_run(tmp_path):
         rehearse(context, plugin)
 
 
+@pytest.mark.long
 def test_the_simulated_battery_agrees_with_the_simulated_meter(tmp_path):
     short = {"sleep_s": 2.0, "drive_s": 4.0, "task_s": 5.0, "rotate_s": 5.0}
     system, battery, meter = BasicTurtlebot3(task="Video", task_factor=None, **short), Battery(), Ina219()

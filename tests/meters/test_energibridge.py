@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -85,6 +86,11 @@ def test_apples_power_becomes_energy():
 def test_the_range_of_a_counter_is_the_power_of_two_above_it(energy_range):
     records = ["Delta,Time,CPU_ENERGY (J)", f"0,0,{energy_range - 10}", "200,200,5"]
     assert parse_energibridge(records)[-1]["energy_J"] == pytest.approx(15.0)
+
+
+def test_a_counter_that_was_set_back_far_from_its_range_has_not_gone_round():
+    records = ["Delta,Time,PACKAGE_ENERGY (J)", "0,0,40000.0", "200,200,40010.0", "200,400,5.0", "200,600,15.0"]
+    assert [math.isnan(row["energy_J"]) for row in parse_energibridge(records)[1:]] == [False, False, True, True]
 
 
 @pytest.mark.parametrize(

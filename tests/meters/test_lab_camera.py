@@ -70,6 +70,7 @@ def problems(context: RobotRunnerContext) -> list[str]:
     return [finding.problem for finding in context.broker.findings]
 
 
+@pytest.mark.long
 @needs_ffmpeg
 def test_each_frame_is_placed_on_the_clock_of_the_run(tmp_path: Path) -> None:
     context = filmed(tmp_path, LabCamera(PICTURE), lambda _: time.sleep(1.5))
@@ -116,6 +117,7 @@ def brightness(video: Path) -> list[float]:
     return [sum(pixels[at : at + 64 * 48]) / (64 * 48) for at in range(0, len(pixels), 64 * 48)]
 
 
+@pytest.mark.long
 @needs_ffmpeg
 def test_what_a_frame_shows_happened_when_its_row_says(tmp_path: Path) -> None:
     lamp = FilmedLamp(tmp_path / "camera.y4m")
@@ -136,6 +138,7 @@ def test_what_a_frame_shows_happened_when_its_row_says(tmp_path: Path) -> None:
     assert frames[first_white]["run_s"] == pytest.approx(lit[0] + 0.02, abs=0.15)
 
 
+@pytest.mark.long
 @needs_ffmpeg
 def test_stills_are_of_the_phases_of_the_mission_else_of_its_beginning_middle_and_end(tmp_path: Path) -> None:
     def with_phases(context: RobotRunnerContext) -> None:
@@ -154,6 +157,7 @@ def test_stills_are_of_the_phases_of_the_mission_else_of_its_beginning_middle_an
         assert (context.raw_data_folder / still["file"]).read_bytes().startswith(b"\xff\xd8")
 
 
+@pytest.mark.long
 @needs_ffmpeg
 def test_a_still_shows_the_frame_at_its_time(tmp_path: Path) -> None:
     source = "lavfi:color=c=black:size=64x48:rate=25,drawbox=c=white:t=fill:enable='gte(t,1)'"
@@ -196,6 +200,7 @@ time.sleep(60)
     assert facts["run_s_at_video_0"] + times[-1] == pytest.approx(time.monotonic(), abs=20.0)
 
 
+@pytest.mark.long
 @needs_ffmpeg
 def test_a_camera_that_stops_costs_the_rest_of_the_video_and_not_the_run(tmp_path: Path) -> None:
     camera = LabCamera("lavfi:testsrc2=size=160x120:rate=25:duration=1")
@@ -212,6 +217,7 @@ def test_a_camera_that_is_not_there_fails_the_run_before_the_robot_moves(tmp_pat
     assert "No such file" in caught.value.problem
 
 
+@pytest.mark.long
 @needs_ffmpeg
 def test_what_the_camera_encoded_can_be_kept_as_it_is(tmp_path: Path) -> None:
     with RtspServer(tmp_path / "served") as server:
@@ -220,6 +226,7 @@ def test_what_the_camera_encoded_can_be_kept_as_it_is(tmp_path: Path) -> None:
     assert len(rows(context)) > 15
 
 
+@pytest.mark.long
 @needs_ffmpeg
 def test_an_address_keeps_its_password_to_itself(tmp_path: Path) -> None:
     with RtspServer(tmp_path / "served") as server:

@@ -267,6 +267,7 @@ def _may_capture() -> bool:
     return listing.returncode == 0 and b"lo" in listing.stdout
 
 
+@pytest.mark.long
 @needs_loopback
 @pytest.mark.skipif(not _may_capture(), reason="needs tshark, and the right to capture")
 def test_real_packets_are_captured_with_tshark(tmp_path):

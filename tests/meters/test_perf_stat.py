@@ -81,6 +81,7 @@ def test_the_clocks_of_all_processors_tick_all_the_time(measure):
     assert context.measures["TaskClock"] == pytest.approx((window["end"] - window["start"]) * processors, rel=0.1)
 
 
+@pytest.mark.long
 @needs_perf
 def test_the_clock_of_one_process_ticks_while_it_works(measure):
     begun = time.process_time()

@@ -57,6 +57,7 @@ def measured(folder: Path, plugin: PsUtil, seconds: float) -> RobotRunnerContext
     return context
 
 
+@pytest.mark.long
 @needs_affinity
 @pytest.mark.parametrize("where", ["here", "on board"])
 def test_a_busy_core_reads_100_percent(tmp_path: Path, server: SshServer, where: str) -> None:
@@ -133,6 +134,7 @@ TABLE = """\
 """
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_an_experiment_keeps_the_clocks_of_its_hosts_in_the_manifest(
     write_config: Callable[..., Path], server: SshServer

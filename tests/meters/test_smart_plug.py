@@ -98,6 +98,7 @@ def test_each_kind_is_read_over_http(tmp_path, plug, on_http, kind):
         assert {"time_s", "power_W", "energy_J"} <= set(next(csv.DictReader(file)))
 
 
+@pytest.mark.long
 def test_a_counter_that_contradicts_the_power_of_a_long_mission_is_doubted(tmp_path, plug, on_http):
     clock = FakeClock()
     clock.every(1.0, lambda: setattr(plug, "watt_hours", plug.watt_hours + 20.0 / 3600))

@@ -88,6 +88,7 @@ def containers(docker: Path) -> list[str]:
     return [path.name for path in (docker / "state").glob("*-*")]
 
 
+@pytest.mark.long
 def test_a_project_comes_up_with_the_treatments_and_is_taken_down(
     execute: Callable[..., Executed], docker: Path
 ) -> None:
@@ -113,6 +114,7 @@ def test_a_container_that_ends_fails_the_run_and_the_rest_is_taken_down(
     assert containers(docker) == []
 
 
+@pytest.mark.long
 def test_nothing_is_left_when_the_orchestrator_is_killed(tmp_path: Path, docker: Path) -> None:
     mission = "def launch_mission(self, context):\n    context.clock.sleep(60)"
     config = written_config(tmp_path, body_of(docker, mission), head=OURS, table=TABLE)

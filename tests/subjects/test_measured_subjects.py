@@ -50,11 +50,13 @@ def measured(done: Executed) -> tuple[float, float]:
     return float(done.table[0]["CPU_Busy"]), float(done.table[0]["CPU"])
 
 
+@pytest.mark.long
 def test_a_subject_is_measured_with_all_that_it_started(execute: Callable[..., Executed]) -> None:
     subject, computer = measured(execute(body_of("")))
     assert 0 < subject <= computer + 5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["python3", "sh"])
 def test_a_subject_over_there_is_measured_and_is_no_disturbance(
     execute: Callable[..., Executed], server: SshServer, form: str
@@ -76,6 +78,7 @@ def test_a_subject_that_there_is_not_is_found(tmp_path: Path) -> None:
     assert finding.fix == "Did you mean 'Nav'?"
 
 
+@pytest.mark.long
 def test_a_subject_that_no_probe_starts_is_neither_missed_nor_doubted_there(execute: Callable[..., Executed]) -> None:
     alone = ONE_RUN.replace("seed=1", "seed=1, data_columns=['CPU_Busy']")
     done = execute(body_of("").replace("sleep(3)", "sleep(1)"), table=alone, probe=True)

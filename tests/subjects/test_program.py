@@ -14,6 +14,7 @@ import time
 from functools import partial
 from pathlib import Path
 from threading import Timer
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -82,6 +83,7 @@ class TestProgram(SystemContract):
         return not alive("sleep\x001000")
 
 
+@pytest.mark.long
 def test_the_treatments_of_a_run_reach_the_program(execute: Callable[..., Executed]) -> None:
     done = execute(BOUND, table=TABLE)
     combinations = [("dwa", "0.1"), ("dwa", "0.2"), ("teb", "0.1"), ("teb", "0.2")]
@@ -98,6 +100,7 @@ def test_the_treatments_of_a_run_reach_the_program(execute: Callable[..., Execut
     assert bound["command[4][1]"] == {"factor": "Speed", "value": 0.1}
 
 
+@pytest.mark.long
 def test_all_that_a_program_started_ends_with_its_run(
     execute: Callable[..., Executed], rude_tree: Callable[..., list[str]], token: str
 ) -> None:
@@ -174,6 +177,18 @@ def test_a_subject_of_the_experiment_is_started_once_and_told_of_in_each_run(
     assert alive(token) == []
 
 
+def test_what_its_supervisor_needs_is_no_part_of_the_startup_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = tmp_path / "python"
+    slow.write_text(f'#!/bin/sh\nsleep 1.5\nexec {sys.executable} "$@"\n')
+    slow.chmod(0o755)
+    monkeypatch.setattr("robot_runner.subjects.supervised_program.sys", SimpleNamespace(executable=str(slow)))
+    program = Program(["sh", "-c", "sleep 0.2; echo ready; exec sleep 100"], ready="ready")
+    context = make_context(tmp_path, program, clock=SystemClock())
+    assert 0.2 <= rehearse(context, program)["StartupTime"] < 1.5
+
+
 def test_the_wait_for_the_end_of_an_earlier_start_is_no_part_of_the_startup_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,6 +223,7 @@ def test_a_subject_of_the_experiment_that_died_is_started_again_for_the_next_run
     assert sorted(path.name for path in (done.folder / "subjects/World").iterdir()) == ["1", "2"]
 
 
+@pytest.mark.long
 def test_a_program_that_computes_something_is_the_mission(execute: Callable[..., Executed]) -> None:
     body = """
     plugins = [Program(["sh", "-c", "sleep 0.3; exit 4"], exit_codes=[0, 4])]
@@ -221,6 +237,36 @@ def test_a_program_that_computes_something_is_the_mission(execute: Callable[...,
     assert "Program has died: exit code 5" in refused.finished.failures[0]
 
 
+#: Takes 0.3 s of the processor in a child, and 0.9 s in all at least.
+BURN = f"{sys.executable} -ISc 'import time\nwhile time.process_time() < 0.3: pass'; sleep 0.6"
+
+
+@pytest.mark.parametrize("per", ["run", "mission"])
+def test_a_program_that_had_begun_before_the_mission_makes_values_doubtful_and_one_of_the_mission_none(
+    execute: Callable[..., Executed], per: str
+) -> None:
+    body = f"""
+    solver = Program(["sh", "-c", {BURN!r}], name="Solver", exit_codes=[0], per={per!r})
+    plugins = [solver]
+
+    def start_measurement(self, context):
+        context.clock.sleep(0.3)  # as meters take to start
+
+    def launch_mission(self, context):
+        self.solver.wait(context, timeout_s=20)
+    """
+    done = execute(body)
+    assert (done.finished.failures, done.table[0]["ExitCode"]) == ((), "0")
+    (window,) = done.journal("window")
+    (ended,) = done.journal("attempt_finished")
+    doubts = " ".join(ended["measures"]["ExitCode"].get("doubts", ()))
+    if per == "mission":
+        assert window["end"] - window["start"] >= 0.9
+        assert float(done.table[0]["CPUTime"]) == pytest.approx(0.3, abs=0.15)
+    assert ("Solver had been executed for" in doubts) is (per == "run")
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("per", ["run", "experiment"])
 def test_nobody_is_left_when_the_orchestrator_is_killed(
     tmp_path: Path, rude_tree: Callable[..., list[str]], token: str, per: str
@@ -280,7 +326,7 @@ def test_what_cannot_be_is_found_with_each_treatment_before_anything_moves(tmp_p
         ({"command": ["planner"], "exit_codes": "0"}, "Give a list of whole numbers: exit_codes=[0]."),
         ({"command": b"planner"}, "Give a list of words"),
         ({"command": 8080}, "Give a list of words"),
-        ({"command": ["planner"], "per": 5}, "Choose one of: 'run', 'experiment'."),
+        ({"command": ["planner"], "per": 5}, "Choose one of: 'run', 'mission', 'experiment'."),
         ({"command": ["planner"], "host": "-oProxyCommand=x"}, "Name it as for ssh"),
         ({"command": ["planner"], "ssh_config": "x"}, "Leave ssh_config out."),
     ],

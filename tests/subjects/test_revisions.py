@@ -89,6 +89,7 @@ def half_done(execute: Callable[..., Executed], repository: Repository) -> tuple
     return first, partial(execute, body=body, table=table(repository.folder))
 
 
+@pytest.mark.long
 def test_a_branch_keeps_its_commit_while_the_experiment_goes_on(
     half_done: tuple[Executed, Callable[[], Executed]], repository: Repository
 ) -> None:
@@ -107,6 +108,7 @@ def test_a_branch_keeps_its_commit_while_the_experiment_goes_on(
     assert resumed.log("r_2").split()[1:3] == [before, "once"]
 
 
+@pytest.mark.long
 def test_an_experiment_goes_on_where_the_repository_is_gone(
     half_done: tuple[Executed, Callable[[], Executed]], repository: Repository
 ) -> None:
@@ -119,6 +121,7 @@ def test_an_experiment_goes_on_where_the_repository_is_gone(
     assert resumed.log("r_2").split()[1:3] == [commit, "once"]
 
 
+@pytest.mark.long
 def test_what_was_built_is_built_again_only_where_it_was_changed(
     execute: Callable[..., Executed], repository: Repository
 ) -> None:
@@ -153,6 +156,7 @@ def test_a_program_that_the_build_did_not_make_is_found_before_the_first_run(
         execute(table=table(repository.folder, build="true"))
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_a_build(tmp_path: Path, repository: Repository, token: str) -> None:
     config = written_config(
         tmp_path, BODY, head=OURS, table=table(repository.folder, build=f"sh -c 'sleep 100; :' {token}")

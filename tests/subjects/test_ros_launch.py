@@ -97,6 +97,7 @@ def environment(tmp_path: Path, token: str) -> dict[str, str]:
     return {**named, "ROS_PACKAGE_PATH": str(tmp_path), "ROS_LOG_DIR": str(tmp_path / "log"), "PYTHONUNBUFFERED": "1"}
 
 
+@pytest.mark.long
 @needs_roslaunch
 def test_roslaunch_launches_nodes_with_the_treatments_and_ends_them_as_ctrl_c_would(
     execute: Callable[..., Executed], environment: dict[str, str], token: str
@@ -113,6 +114,7 @@ def test_roslaunch_launches_nodes_with_the_treatments_and_ends_them_as_ctrl_c_wo
     assert gone(token)
 
 
+@pytest.mark.long
 @needs_roslaunch
 def test_roslaunch_is_asked_for_what_it_would_refuse_with_each_treatment(
     problems: Callable[[str], list[str]], environment: dict[str, str]
@@ -125,6 +127,7 @@ def test_roslaunch_is_asked_for_what_it_would_refuse_with_each_treatment(
     assert all("is neither a launch file in package [subject_nav]" in each for each in absent)
 
 
+@pytest.mark.long
 def test_ros2_launch_gets_the_treatments_and_is_interrupted(
     execute: Callable[..., Executed], problems: Callable[[str], list[str]], tmp_path: Path, token: str
 ) -> None:

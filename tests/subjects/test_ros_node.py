@@ -101,6 +101,7 @@ def _commit(folder: Path) -> str:
     return subprocess.run(["git", "rev-parse", "HEAD"], cwd=folder, check=True, capture_output=True, text=True).stdout
 
 
+@pytest.mark.long
 @needs_roslaunch
 def test_a_node_of_ros_1_gets_its_treatments_names_and_parameters_and_its_commit_is_recorded(
     execute: Callable[..., Executed], workspace: dict[str, str], tmp_path: Path
@@ -121,6 +122,7 @@ def test_a_node_of_ros_1_gets_its_treatments_names_and_parameters_and_its_commit
     assert (started["ros"], started["packages"]) == (1, {"subject_nav": described})
 
 
+@pytest.mark.long
 @needs_roslaunch
 def test_what_roslaunch_would_refuse_of_a_node_is_found_before(
     problems: Callable[[str], list[str]], workspace: dict[str, str]
@@ -135,6 +137,7 @@ def test_what_roslaunch_would_refuse_of_a_node_is_found_before(
     assert "file does not exist [/nowhere.yaml]" in lost
 
 
+@pytest.mark.long
 @needs_roslaunch
 def test_a_node_of_ros_1_that_dies_fails_the_run(execute: Callable[..., Executed], workspace: dict[str, str]) -> None:
     done = execute(  # its parameters are missing
@@ -145,6 +148,7 @@ def test_a_node_of_ros_1_that_dies_fails_the_run(execute: Callable[..., Executed
     assert "RosNode has died" in done.finished.failures[0]
 
 
+@pytest.mark.long
 def test_ros2_run_gets_the_words_of_a_node_and_its_middleware(
     execute: Callable[..., Executed], problems: Callable[[str], list[str]], tmp_path: Path, token: str
 ) -> None:

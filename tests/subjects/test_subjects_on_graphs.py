@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import time
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 
 from robot_runner import all_of, lifecycle_state, topic_present
 from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.early_end import RunFailed
 from robot_runner.plugins.systems import Program
+from robot_runner.ros.dds_link import open_dds_link
 from robot_runner.testing import make_context, rehearse
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    import pytest
 
 #: A managed node that takes a moment to become active, and publishes a topic from then on.
 NODE = """
@@ -37,6 +41,51 @@ time.sleep(60)
 """
 
 
+#: A planner that drives at once, and stops nobody when it ends.
+PLANNER = """
+import sys, time
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.dds_link import open_dds_link
+
+link = open_dds_link({"domain": sys.argv[1], "distro": "jazzy"}, SystemClock())
+while True:
+    link.publish("/cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+    print("drives", flush=True)
+    time.sleep(0.05)
+"""
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore:Exception in thread watch over:pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("ends", ["with its run", "by itself"])
+def test_a_robot_that_it_commands_stands_still_once_it_has_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: str
+) -> None:
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    domain = claim_domain()
+    (tmp_path / "planner.py").write_text(PLANNER)
+    planner = Program([sys.executable, str(tmp_path / "planner.py"), str(domain)], name="Planner", ready="drives")
+    robot = open_dds_link({"domain": str(domain), "distro": "jazzy"}, SystemClock())
+    heard: list[float] = []
+    robot.subscribe("/cmd_vel", "geometry_msgs/Twist", lambda twist: heard.append(twist["linear"]["x"]))
+    context = make_context(tmp_path, planner, robot=f"dds:domain={domain},distro=jazzy", clock=SystemClock())
+
+    def mission() -> None:
+        robot.wait_for("/cmd_vel", "geometry_msgs/Twist", lambda twist: twist["linear"]["x"] > 0, timeout=20.0)
+        if ends == "by itself":
+            os.kill(context.plugin_data["Planner"]["pid"], signal.SIGKILL)
+            robot.wait_for("/cmd_vel", "geometry_msgs/Twist", lambda twist: twist["linear"]["x"] == 0, timeout=20.0)
+
+    with closing(robot):
+        with closing(context.resources), suppress(RunFailed):
+            rehearse(context, planner, mission=mission)
+        deadline = time.monotonic() + 20.0
+        while heard[-1] and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert heard[-1] == 0.0
+
+
+@pytest.mark.long
 def test_it_is_ready_once_its_life_cycle_and_its_topic_are_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -34,6 +34,7 @@ def execute(tmp_path: Path) -> Callable[..., Executed]:
     return partial(execute_in, tmp_path, head=OURS, table=TABLE)
 
 
+@pytest.mark.long
 def test_the_treatments_reach_a_program_over_there_and_its_output_comes_here(
     execute: Callable[..., Executed], server: SshServer, tmp_path: Path, rude_tree: Callable[..., list[str]], token: str
 ) -> None:
@@ -80,6 +81,7 @@ def test_a_death_over_there_fails_the_run_at_once(execute: Callable[..., Execute
     assert "Program has died: SIGABRT ended it; it wrote last: bad wheel" in done.finished.failures[0]
 
 
+@pytest.mark.long
 def test_a_connection_that_is_cut_fails_the_run_and_leaves_nobody_over_there(
     execute: Callable[..., Executed], server: SshServer, rude_tree: Callable[..., list[str]], token: str
 ) -> None:
@@ -136,6 +138,7 @@ def test_what_a_login_shell_writes_is_no_answer_and_paths_may_begin_at_home(
     assert (done.folder / "runs/r_1/Program/stdout.txt").read_text() == f"{shouting / 'ws'}\nteb0 a\n"
 
 
+@pytest.mark.long
 def test_what_is_not_over_there_is_found_before_anything_moves(tmp_path: Path, server: SshServer) -> None:
     def problems(parameters: str) -> list[str]:
         body = f"plugins = [Program({parameters}, host='robot', ssh_config={str(server.config)!r})]"

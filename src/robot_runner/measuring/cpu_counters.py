@@ -37,6 +37,9 @@ class ProcessCounters:
         started: anything that tells it from another process that had the same pid before, such as when it was started.
         cpu: CPU time that it has used, s.
         memory: physical memory that it holds, bytes.
+        parent: the process that started it, or that took it over; 0 where nobody asked.
+        children: CPU time of its children that have ended and were reaped, s; 0 where they do not belong to what was
+            selected.
     """
 
     selector: int
@@ -44,6 +47,8 @@ class ProcessCounters:
     started: str
     cpu: float
     memory: float
+    parent: int = 0
+    children: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,15 +103,12 @@ def utilisation_of(
         [(None, 25.0), (25.0, 25.0)]
     """
     found: list[UtilisationSample] = []
-    seen: dict[tuple[int, int, str], float] = {}
+    families = [_Family() for _ in range(selectors)]
     spent = [0.0] * selectors
     before: CounterSample | None = None
     for sample in samples:
-        for process in sample.processes:
-            key = (process.selector, process.pid, process.started)
-            # One that was not there at the look before was started since.
-            spent[process.selector] += max(0.0, process.cpu - seen.get(key, process.cpu if before is None else 0.0))
-            seen[key] = process.cpu
+        for place, family in enumerate(families):
+            spent[place] += family.spent([one for one in sample.processes if one.selector == place])
         cpu = None if before is None else _busy(before.whole, sample.whole)
         seconds = None if cpu is None or before is None else (sample.time - before.time) * cores
         found.append(
@@ -122,6 +124,64 @@ def utilisation_of(
         if before is None or sample.whole.total != before.whole.total:
             before, spent = sample, [0.0] * selectors
     return found
+
+
+def counted_before(ended: Mapping[int, tuple[int, float]]) -> dict[int, float]:
+    """Return, by process, how much of what its ended children have used was seen while they were there, s.
+
+    A parent's counter of children takes the whole life of one that ended, also what was counted already.
+
+    Args:
+        ended: the processes that have ended since they were looked at, by pid: the parent of each, and what it and its
+            own ended children had used by then, s.
+
+    Example:
+        >>> counted_before({8: (7, 0.5), 9: (8, 20.0)})
+        {7: 20.5}
+    """
+    found: dict[int, float] = {}
+    for pid, (parent, used) in ended.items():
+        # Where the parent ended as well, so did its counter: who reaped the parent has both.
+        reaper, passed = parent, {pid}
+        while reaper in ended and reaper not in passed:
+            passed.add(reaper)
+            reaper = ended[reaper][0]
+        found[reaper] = found.get(reaper, 0.0) + used
+    return found
+
+
+class _Family:
+    """What the processes of one selector have spent from look to look, with children that came and went in between."""
+
+    def __init__(self) -> None:
+        self._seen: dict[tuple[int, str], ProcessCounters] = {}
+        self._last: dict[int, ProcessCounters] | None = None
+        self._counted: dict[int, float] = {}
+
+    def spent(self, processes: Sequence[ProcessCounters]) -> float:
+        """Return the CPU time, s, since the look before; there is none at the first look."""
+        now = {one.pid: one for one in processes}
+        ended = {
+            pid: (one.parent, one.cpu + one.children)
+            for pid, one in (self._last or {}).items()
+            if pid not in now or now[pid].started != one.started
+        }
+        # A child may have ended after its parent was looked at, and before it would have been itself: then the
+        # parent's counter has it at the next look.
+        late, self._counted = self._counted, counted_before(ended)
+        spent = 0.0
+        for pid, one in now.items():
+            # One that was not there at the look before was started since.
+            old = self._seen.get((pid, one.started))
+            own, children = (old.cpu, old.children) if old else (0.0, 0.0)
+            reaped = max(0.0, one.children - children)
+            new = max(0.0, reaped - late.get(pid, 0.0))
+            counted = self._counted.get(pid, 0.0)
+            self._counted[pid] = max(0.0, counted - new)
+            spent += max(0.0, one.cpu - own) + max(0.0, new - counted)
+            self._seen[pid, one.started] = one
+        is_first, self._last = self._last is None, now
+        return 0.0 if is_first else spent
 
 
 def _busy(before: CoreCounters | None, after: CoreCounters | None) -> float | None:

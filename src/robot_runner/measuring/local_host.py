@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path, PurePath
@@ -51,6 +51,7 @@ class LocalProcesses:
         self._selectors = tuple(selectors)
         self._looks_for_subjects = any(one.startswith("subject:") for one in self._selectors)
         self._ages: dict[int, int] = {}
+        self._subjects: dict[int, str] = {}
         self._matched: dict[int, tuple[Any, tuple[int, ...]]] = {}
         self._next_scan = 0.0
 
@@ -65,25 +66,44 @@ class LocalProcesses:
         process, places = self._matched[pid]
         try:
             with process.oneshot():
-                times, memory = process.cpu_times(), process.memory_info().rss
+                times, memory, parent = process.cpu_times(), process.memory_info().rss, process.ppid()
         except self._psutil.Error:  # it has ended
             del self._matched[pid]
             return []
-        started = repr(process.create_time())
-        return [ProcessCounters(place, pid, started, times.user + times.system, float(memory)) for place in places]
+        started, used = repr(process.create_time()), times.user + times.system
+        reaped = times.children_user + times.children_system  # always 0 on macOS
+        return [
+            ProcessCounters(
+                place,
+                pid,
+                started,
+                used,
+                float(memory),
+                parent,
+                # Whose children belong to it, those that came and went between two looks do as well.
+                reaped if self._selectors[place].startswith("subject:") else 0.0,
+            )
+            for place in places
+        ]
 
     def _scan(self) -> None:
         self._ages = {pid: self._ages.get(pid, 0) + 1 for pid in self._psutil.pids()}
+        self._subjects = {pid: subject for pid, subject in self._subjects.items() if pid in self._ages}
         for pid, age in self._ages.items():
             if age <= _YOUNG:
-                self._look_at(pid, self._matched.pop(pid, (None, ()))[0])
+                self._look_at(pid, self._matched.pop(pid, (None, ())))
 
-    def _look_at(self, pid: int, before: Any) -> None:
+    def _look_at(self, pid: int, known: tuple[Any, tuple[int, ...]]) -> None:
+        before, places = known
         try:
             process = self._psutil.Process(pid)
             if process == before:
                 process = before  # the time of its start, once told, stays when the computer's clock is set
             name, words = process.name(), process.cmdline()
+        except self._psutil.ZombieProcess:  # it is there until its parent awaits it, which has its time from then on
+            if places:
+                self._matched[pid] = known
+            return
         except self._psutil.Error:
             return
         subject = self._subject_of(process) if self._looks_for_subjects else ""
@@ -92,10 +112,14 @@ class LocalProcesses:
             self._matched[pid] = (process, places)
 
     def _subject_of(self, process: Any) -> str:
-        try:
-            return str(process.environ().get(SUBJECT_VARIABLE, ""))
-        except self._psutil.Error:  # another user's
-            return ""
+        """Return the subject whose mark a process has, or else whose process has started it: sudo takes marks away."""
+        subject = ""
+        with suppress(self._psutil.Error):  # another user's
+            subject = str(process.environ().get(SUBJECT_VARIABLE, ""))
+        with suppress(self._psutil.Error):
+            subject = subject or self._subjects.get(process.ppid(), "")
+        self._subjects[process.pid] = subject
+        return subject
 
 
 def matches(selector: str, pid: int, name: str, words: Sequence[str], subject: str = "") -> bool:

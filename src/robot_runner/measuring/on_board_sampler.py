@@ -60,8 +60,9 @@ def _core(text: str) -> tuple[int, CoreCounters]:
 
 
 def _process(text: str) -> ProcessCounters:
-    selector, pid, started, cpu, memory = text.split(":")
-    return ProcessCounters(int(selector), int(pid), started, float(cpu), float(memory))
+    selector, pid, started, cpu, memory, *family = text.split(":")
+    parent, children = family or ("0", "0")  # ps tells neither
+    return ProcessCounters(int(selector), int(pid), started, float(cpu), float(memory), int(parent), float(children))
 
 
 def file_line(field: str) -> str | None:

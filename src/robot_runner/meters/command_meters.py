@@ -29,6 +29,8 @@ _POWERS = ("CPU_POWER (Watts)", "SYSTEM_POWER (Watts)")
 _COUNTERS = ("CPU_ENERGY (J)", "PACKAGE_ENERGY (J)")
 #: A counter that falls by more than this share of itself has begun at 0 again; its range is a power of two in joules.
 _WRAP = 0.5
+#: By itself if it grew by less than this share of what it last showed: in 65536 J that is 16 kJ, in a row or two.
+_MOST_BETWEEN = 0.25
 _INSTALL = "Build it from https://github.com/tdurieux/EnergiBridge (cargo build -r), and put it on the PATH."
 
 
@@ -77,10 +79,14 @@ def _joules_between(sooner: Row, later: Row) -> float:
 
 
 def _growth(sooner: float, later: float) -> float:
-    """Return by how much a 32-bit counter of 2^-n J grew: its range is the power of two above what it last showed."""
+    """Return by how much a 32-bit counter of 2^-n J grew: its range is the power of two above what it last showed.
+
+    One that fell long before that was set back, as by a sleep of the machine: NaN, as nobody knows what it counted.
+    """
     if later >= sooner * _WRAP:
         return later - sooner
-    return later - sooner + float(2 ** math.ceil(math.log2(sooner)))
+    beyond = later - sooner + float(2 ** math.ceil(math.log2(sooner)))
+    return beyond if beyond < sooner * _MOST_BETWEEN else math.nan
 
 
 class EnergiBridge(CommandProfiler):

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PluginError
+from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.subjects.read_files import script_input, scripts_in
 from robot_runner.subjects.subject import Subject
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from robot_runner.subjects.supervised_program import Ended
 
 _LOOK = 0.02
+_CPU_TIME = (Measure("CPUTime", "s", "CPU time of the program and of the children that it awaited, by the kernel."),)
+#: What may have happened before the mission, as a share of all that a program does, before that is doubted.
+_UNMEASURED = 0.01
 
 
 class Program(Subject):
@@ -58,10 +62,11 @@ class Program(Subject):
             fix = "Give a list of whole numbers: exit_codes=[0]."
             raise PluginError(f"exit_codes is {exit_codes!r}", where=self.name, fix=fix)
         self.exit_codes = tuple(exit_codes)
+        self._awaited_since: float | None = None
         self.words()  # what is no word is found before anything is executed
-        if self.exit_codes and self.per == "run":
+        if self.exit_codes and self._is_of_run:
             ended = Measure("ExitCode", "", f"With what {self.name} ended by itself; none where it was stopped.")
-            self.measures = (*self.measures, ended)
+            self.measures = (*self.measures, ended, *(_CPU_TIME if self.per == "mission" else ()))
 
     def words(self) -> tuple[str, ...]:
         """Return the command."""
@@ -96,6 +101,9 @@ class Program(Subject):
             context: of the run.
             timeout_s: how long to wait at most, s of real time.
 
+        What it had done before the mission began was not measured, which makes values of the run doubtful: `per` has it
+        started in the mission.
+
         Raises:
             PluginError: it goes on, was not started, or ended with an exit code that is none of `exit_codes`.
         """
@@ -111,12 +119,27 @@ class Program(Subject):
         if ended.code is None or not self.may_end(ended):
             fix = "Look at its output, or list the exit code among exit_codes."
             raise PluginError(self._death(program, ended), where=context.owner, fix=fix)
+        self._awaited_since = program.begun_at
         return ended.code
+
+    def stop_run(self, context: RobotRunnerContext) -> None:
+        """End it with everything that it started, where it is the run's own; doubt values that lack its beginning."""
+        window, begun = context.times.window(SystemClock()), self._awaited_since
+        self._awaited_since = None
+        if window is not None and begun is not None:
+            missed, whole = window.start - begun, window.end - begun
+            if missed > _UNMEASURED * whole:
+                problem = f"{self.name} had been executed for {missed:.3g} s of {whole:.3g} s when the mission began"
+                fix = f"Have the mission start {self.name}, so that all of it is measured: per='mission'."
+                context.broker.doubt_run(self.name, problem, fix)
+        super().stop_run(context)
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish how long it took to be ready, and its exit code."""
         super().populate_run_data(context)
-        if self.exit_codes and self.per == "run":
+        if self.exit_codes and self._is_of_run:
             ended = self._ended
             code = ended.code if ended is not None and not ended.was_asked else None
             context.publish("ExitCode", code, origin=Origin.MEASURED)
+            if self.per == "mission":
+                context.publish("CPUTime", None if code is None or ended is None else ended.cpu, origin=Origin.MEASURED)

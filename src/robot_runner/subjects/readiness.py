@@ -30,6 +30,8 @@ class TextInOutput(Condition):
         wanted: a text or a compiled pattern.
     """
 
+    every_s = 0.02  # so finely it is known how long the start took
+
     def __init__(self, name: str, start: Start, wanted: str | re.Pattern[str]) -> None:
         self._name = name
         self._start = start
@@ -94,6 +96,7 @@ class Ready(Condition):
         self._start = start
         self._condition = condition
         self._may_end, self._death = may_end, death
+        self.every_s = self.every_s if condition is None else min(self.every_s, condition.every_s)
 
     def __str__(self) -> str:
         return str(self._condition) if self._condition is not None else "the program was started"

@@ -23,6 +23,7 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
+from robot_runner.subjects.commanded_robot import CommandedRobot
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, TextInOutput
 from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task, user_cache
@@ -35,9 +36,11 @@ if TYPE_CHECKING:
     from robot_runner.core.plugin import Circumstances
     from robot_runner.subjects.supervised_program import Ended
 
-_SPANS = ("run", "experiment")
+_SPANS = ("run", "mission", "experiment")
 #: How often we look whether it has died, s.
 _LOOK = 0.1
+#: The same of whether it commands the robot by now, s: mostly it does from the beginning.
+_ROBOT_LOOK = 2.0
 
 
 class Subject(System):
@@ -45,7 +48,8 @@ class Subject(System):
 
     Args:
         name: tells several instances apart; the class's name if left out.
-        per: `run` to start it in each run, `experiment` to start it once, before the first run.
+        per: `run` to start it in each run, before anything is measured; `mission` to start it when the mission begins,
+            so that all that it does is measured; `experiment` to start it once, before the first run.
         folder: where it is executed; a treatment of `Factor.revisions` stands for its work tree.
         reads: files and folders that it reads, beside those that are known, so that a package has them; as seen from
             its folder.
@@ -106,12 +110,17 @@ class Subject(System):
         self.ready_timeout_s = ready_timeout_s
         self.stop_signal = _signal(self.name, stop_signal)
         self.grace_s = grace_s
-        self.measures = type(self).measures if per == "run" else ()
+        self.measures = type(self).measures if self._is_of_run else ()
         self._program: SupervisedProgram | None = None
         self._startup_time: float | None = None
         self._ended: Ended | None = None
         self._watch: threading.Thread | None = None
+        self._robot: CommandedRobot | None = None
         self._is_ending = threading.Event()
+
+    @property
+    def _is_of_run(self) -> bool:
+        return self.per != "experiment"
 
     # What kinds of subjects differ in.
 
@@ -179,15 +188,38 @@ class Subject(System):
         self._begin(context, _free(self._shared_folder(context)))
 
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Start it, wait until it is ready, and watch over it from then on.
+        """Start it, wait until it is ready, and watch over it from then on, unless the mission is to do that.
 
         Raises:
             PluginError: it cannot be started, or has died.
             ConditionError: it was not ready in time.
         """
         self._startup_time = self._ended = None
+        self._robot = CommandedRobot(context)
+        self._robot.connect()
+        if self.per != "mission":
+            self._start(context)
+        self._robot.connect()  # it may be what brings the robot's graph
+        self._robot.look()
+
+    def start_measurement(self) -> None:
+        """Look whether it commands the robot by now."""
+        if self._robot is not None:
+            self._robot.look()
+
+    def launch_mission(self, context: RobotRunnerContext) -> None:
+        """Start it, wait until it is ready, and watch over it from then on, where that is part of the mission.
+
+        Raises:
+            PluginError: it cannot be started, or has died.
+            ConditionError: it was not ready in time.
+        """
+        if self.per == "mission":
+            self._start(context)
+
+    def _start(self, context: RobotRunnerContext) -> None:
         start: Start
-        if self.per == "run":
+        if self._is_of_run:
             # Should the run be killed, its supervisor is to clean up.
             begun = context.outlives if self.last_words() is not None else lambda _: None
             start = self._begin(context, context.raw_data_folder, begun)
@@ -196,6 +228,8 @@ class Subject(System):
         try:
             self._await_ready(context, start)
         except BaseException:
+            if self._robot is not None:
+                self._robot.look()
             self._end()
             raise
         self._startup_time = time.monotonic() - start.begun_at
@@ -209,13 +243,15 @@ class Subject(System):
         self._watch = watch
 
     def stop_run(self, context: RobotRunnerContext) -> None:
-        """End it with everything that it started, where it is the run's own."""
+        """End it with everything that it started, where it is the run's own, and have the robot stand still."""
+        if self._robot is not None:
+            self._robot.look()
         self._is_ending.set()
         if self._watch is not None:
             self._watch.join()
             self._watch = None
         program = self._program
-        if self.per != "run" or program is None:
+        if not self._is_of_run or program is None:
             return
         self._end()
         if self._ended is not None:
@@ -231,7 +267,7 @@ class Subject(System):
         """End it, whatever has failed."""
         del context
         self._is_ending.set()
-        if self.per == "run":
+        if self._is_of_run:
             self._end()
 
     def after_experiment(self) -> None:
@@ -240,7 +276,7 @@ class Subject(System):
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish how long it took to be ready."""
-        if self.per == "run":
+        if self._is_of_run:
             context.publish("StartupTime", self._startup_time, origin=Origin.MEASURED)  # a program of this machine
 
     def _begin(
@@ -287,11 +323,17 @@ class Subject(System):
         ready.wait(real, timeout_s=self.ready_timeout_s)
 
     def _watch_over(self, context: RobotRunnerContext, start: Start, is_ending: threading.Event) -> None:
-        """Fail the run as soon as the subject has died."""
+        """Fail the run as soon as the subject has died, and see meanwhile whether it commands the robot."""
+        robot, next_look = self._robot, time.monotonic() + _ROBOT_LOOK
         while not is_ending.wait(_LOOK):
             ended = start.ended()
+            if robot is not None and time.monotonic() >= next_look:
+                robot.look()
+                next_look = time.monotonic() + _ROBOT_LOOK
             if ended is None or is_ending.is_set():
                 continue
+            if robot is not None:
+                robot.halt()
             if not self.may_end(ended):
                 context.fail(self._death(start, ended))
             return
@@ -300,6 +342,8 @@ class Subject(System):
         program, self._program = self._program, None
         if program is not None:
             self._ended = program.stop()
+            if self._robot is not None:
+                self._robot.halt()
 
     def _death(self, start: Start, ended: Ended) -> str:
         said = start.last_lines()

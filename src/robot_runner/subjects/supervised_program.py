@@ -99,12 +99,14 @@ class Ended:
         how: the same in words.
         was_asked: whether we asked it to.
         was_killed: whether it took SIGKILL.
+        cpu: the CPU time of the program and of the children that it awaited, s; None where nobody knows it.
     """
 
     code: int | None
     how: str
     was_asked: bool = False
     was_killed: bool = False
+    cpu: float | None = None
 
 
 class Start:
@@ -114,7 +116,7 @@ class Start:
         folder: takes `stdout.txt`, `stderr.txt`, and the supervisor's `events.jsonl`.
 
     Attributes:
-        begun_at: from when on it is waited for, on the monotonic clock: an earlier start may have had to end first.
+        begun_at: when it was started, on the monotonic clock; of one on another computer, when we were told of it.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -141,7 +143,7 @@ class Start:
         told = self._told("ended")
         if told:
             code = told["ended"]
-            return Ended(code, _how(code), bool(told["asked"]), bool(told["killed"]))
+            return Ended(code, _how(code), bool(told["asked"]), bool(told["killed"]), told.get("cpu"))
         lost = self._told("lost")
         if lost:
             return Ended(None, f"the connection is lost: {gist(str(lost['lost']))}")
@@ -214,7 +216,6 @@ class SupervisedProgram(Start):
         # Unbuffered, and isolated from what lies around in the folder it is started in.
         words = [sys.executable, "-I", str(Path(__file__).with_name(module))]
         with self._turn() as turn, self.events.open("wb") as events:
-            self.begun_at = time.monotonic()
             self._supervisor = subprocess.Popen(  # noqa: S603 - our own program
                 words,
                 stdin=subprocess.PIPE,
@@ -274,6 +275,9 @@ class SupervisedProgram(Start):
             if ended is not None or time.monotonic() > deadline:
                 raise self._refused(ended)
             time.sleep(_LOOK)
+        # What its supervisor, and a connection, needed to be there is no part of its own start.
+        steady = self._told("started").get("steady")
+        self.begun_at = float(steady) if steady is not None and self._task.host is None else time.monotonic()
 
     def _refused(self, ended: Ended | None) -> PluginError:
         refusal, lost = self.refusal, str(self._told("lost").get("lost", ""))

@@ -4,7 +4,8 @@ It imports nothing of Robot Runner, as its text is sent to computers that have n
 
     in    one line of JSON, the task; then `stop`, or the end of the input (who asked is gone): end the program.
           With a `lease`, anything has to come every so many seconds: a network that is cut ends nobody's input.
-    out   one line of JSON for each event: `{"started": pid, "at": ...}` or `{"refused": why}`; where output is
+    out   one line of JSON for each event: `{"started": pid, "at": ..., "steady": ...}`, when by the clock of the wall
+          and by the steady one, or `{"refused": why}`; where output is
           forwarded `{"out": text}` and `{"err": text}`, a character a byte; `{"ended": code, "asked": ..., ...}` once
           the program has ended, and `{"gone": [...]}` once all that it started has ended, too, or could not be ended.
 
@@ -93,6 +94,7 @@ class Supervisor:
         self.task = task
         self.waiting = bytearray()
         self.code = None  # type: int | None
+        self.cpu = None  # type: float | None
         self.pipes = {}  # type: dict[int, str]
         self.wakes, wake = os.pipe()
         for end in (self.wakes, wake):
@@ -116,12 +118,12 @@ class Supervisor:
         except OSError as error:
             self.say(refused=error.strerror or str(error))
             return
-        self.say(started=self.pid, at=time.time())
+        self.say(started=self.pid, at=time.time(), steady=self.begun)
         while self.code is None and not self.is_told:
             self.look(1.0)
         asked = self.code is None
         killed = asked and not self.end_program()
-        self.say(ended=self.code, asked=asked, killed=killed, at=time.time())
+        self.say(ended=self.code, asked=asked, killed=killed, cpu=self.cpu, at=time.time())
         left = self.end_rest()
         self.wait(lambda: not self.pipes, 1.0)  # the last of the output
         self.clean_up()
@@ -144,6 +146,7 @@ class Supervisor:
             else:
                 outputs.append(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644))
         try:
+            self.begun = time.monotonic()
             # Kept, as an object that is gone would have Python reap the program behind our back.
             self.program = self.spawn(task["command"], outputs)
             self.pid = self.program.pid
@@ -193,10 +196,11 @@ class Supervisor:
         """Take note of everything that has ended; we are the parent of whatever lost its own."""
         try:
             while True:
-                pid, status = os.waitpid(-1, os.WNOHANG)
+                pid, status, used = os.wait4(-1, os.WNOHANG)
                 if pid == 0:
                     return
                 if pid == self.pid:
+                    self.cpu = used.ru_utime + used.ru_stime
                     self.code = -os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status)
         except ChildProcessError:
             return

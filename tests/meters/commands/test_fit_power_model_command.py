@@ -44,6 +44,7 @@ def experiment(executed, tmp_path):
     return "results/measured"
 
 
+@pytest.mark.long
 def test_a_model_is_fitted_shown_and_written(robot_runner, experiment, tmp_path):
     answer = robot_runner("fit-power-model", experiment, "--out", "model.json")
     assert answer.code == 0
@@ -59,6 +60,7 @@ def test_a_model_is_fitted_shown_and_written(robot_runner, experiment, tmp_path)
     assert "already" in refusal.err
 
 
+@pytest.mark.long
 def test_a_model_of_one_run_says_that_it_was_tried_on_no_other(robot_runner, experiment):
     assert "no run: there is one run only" in robot_runner("fit-power-model", experiment, "--runs", "r_1").out
 

@@ -34,6 +34,7 @@ def measured(tmp_path, meter: ScriptedMeter, seconds: float = SECONDS, **paramet
     return context
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("power", "joules"),
     [

@@ -37,6 +37,7 @@ def test_sequence_numbers_begin_anew_after_65535():
     assert streamed(steady(first_sequence=65_500).chunks(start=0.0, end=1.0)).troubles()[Trouble.LOST] == 0
 
 
+@pytest.mark.long
 @given(left_out=st.sets(st.integers(1, 398), max_size=60))
 def test_lost_samples_are_counted_exactly(left_out):
     stream = streamed(steady(left_out=left_out, first_sequence=65_400).chunks(start=0.0, end=2.0))

@@ -85,6 +85,7 @@ def as_others(watch: MachineWatch) -> MachineWatch:
     return watch
 
 
+@pytest.mark.long
 def test_a_busy_process_of_others_is_named_with_the_time_that_it_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -107,6 +108,7 @@ def test_a_busy_process_of_others_is_named_with_the_time_that_it_used(
     assert any("took" in finding.problem for finding in context.broker.findings)
 
 
+@pytest.mark.long
 def test_what_the_experiment_starts_is_not_of_others(tmp_path: Path) -> None:
     pids: list[int] = []
     watch = MachineWatch(load=1e6)
@@ -148,6 +150,7 @@ def test_the_last_look_is_compared_with_the_first(tmp_path: Path) -> None:
     assert "throttled for heat 8 times during r_1 (the hottest zone had 62 °C)" in said[0]
 
 
+@pytest.mark.long
 def test_a_measure_of_the_computer_is_doubted_and_others_are_not(
     tmp_path: Path, write_config: Callable[..., Path]
 ) -> None:
@@ -229,6 +232,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SshServer]:
     started.stop()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["python3", "sh"])
 def test_a_computer_over_ssh_is_watched_as_well(tmp_path: Path, server: SshServer, form: str) -> None:
     watch = MachineWatch(hosts=())

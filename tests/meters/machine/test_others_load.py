@@ -58,6 +58,13 @@ def test_children_that_ended_meanwhile_count_for_their_parent_and_only_from_the_
     assert shares(found) == {7: 20.0}
 
 
+def test_a_whole_family_that_ended_counts_for_who_reaped_it_and_only_from_the_first_look_on() -> None:
+    # A compiler (pid 9) had used 20 s before the first look and 2 s after it; make (pid 8) reaped it, and a shell make.
+    before = state(0.0, None, process(7, 1.0), process(8, 0.5, parent=7), process(9, 20.0, parent=8))
+    found = load(before, state(10.0, None, process(7, 1.0, children=23.0)))
+    assert shares(found) == {7: 25.0}
+
+
 def test_a_pid_that_went_to_another_process_begins_anew() -> None:
     found = load(state(0.0, None, process(7, 500.0)), state(10.0, None, process(7, 2.0, started="2")))
     assert shares(found) == {7: 20.0}

@@ -255,6 +255,7 @@ def test_an_experiment_is_executed_on_the_machine_that_was_asked_for(
     assert setting(copy) == AS_BEFORE
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scope", ["experiment", "run"])
 def test_the_guardian_puts_the_machine_back_when_the_experiment_is_killed(
     copy: ComputerCopy, machine: Machine, config: Callable[..., Path], tmp_path: Path, scope: str
@@ -267,6 +268,7 @@ def test_the_guardian_puts_the_machine_back_when_the_experiment_is_killed(
     assert setting(copy) == AS_BEFORE
 
 
+@pytest.mark.long
 def test_where_the_guardian_is_killed_too_the_next_command_puts_the_machine_back(
     copy: ComputerCopy,
     machine: Machine,

@@ -67,12 +67,14 @@ def coverage(runs, **data):
     return hits / REPETITIONS
 
 
+@pytest.mark.long
 def test_the_interval_of_one_run_covers_the_truth_where_uncorrelated_errors_do_not():
     ours, _, plain = coverage(runs=1)
     assert 0.90 <= ours <= 0.98
     assert plain < 0.6
 
 
+@pytest.mark.long
 def test_the_interval_of_two_runs_covers_the_truth_where_leaving_one_out_does_not():
     ours, jackknife, plain = coverage(runs=2)
     assert 0.90 <= ours <= 0.98
@@ -110,6 +112,7 @@ def test_power_that_bends_is_noticed_with_figures():
     assert "Ramsey's RESET, p < 0.001" in linearity.doubt()
 
 
+@pytest.mark.long
 def test_straight_power_is_hardly_ever_doubted_however_correlated_the_noise():
     noise = np.random.default_rng(13)
     doubts = [check_linearity(measured(noise, runs=2)).doubt() for _ in range(100)]

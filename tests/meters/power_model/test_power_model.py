@@ -359,6 +359,7 @@ def fitted(tmp_path_factory):
     return path
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("task", ["Computation", "Video", "Network"])
 def test_the_energy_of_other_runs_is_estimated_within_a_few_percent(fitted, tmp_path, task):
     model = PowerModel(model=fitted)

@@ -143,9 +143,12 @@ class Processes:
         for pid, places in self.matched.items():
             fields = first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
             if fields:
-                cpu = (int(fields[11]) + int(fields[12])) / TICK
-                rest = f"{pid}:{fields[19].decode()}:{cpu:.3f}:{int(fields[21]) * PAGE}"
-                found += [f"{place}:{rest}" for place in places]
+                cpu, reaped = ((int(fields[at]) + int(fields[at + 1])) / TICK for at in (11, 13))
+                rest = f"{pid}:{fields[19].decode()}:{cpu:.3f}:{int(fields[21]) * PAGE}:{int(fields[1])}"
+                for place in places:
+                    # Whose children belong to it, those that came and went between two looks do as well.
+                    children = reaped if self.selectors[place][0] == "subject" else 0.0
+                    found.append(f"{place}:{rest}:{children:.3f}")
         return found
 
     def scan(self) -> None:
@@ -167,7 +170,11 @@ class Processes:
         names = {program, first_bytes(f"/proc/{pid}/comm").decode("utf-8", "replace").strip()}
         if len(words) > 1 and program.startswith(INTERPRETERS):
             names.add(os.path.basename(words[1]))
-        return [place for place, one in enumerate(self.selectors) if is_match(one[0], one[1], pid, names, words)]
+        found = [place for place, one in enumerate(self.selectors) if is_match(one[0], one[1], pid, names, words)]
+        stat = first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
+        parents = self.matched.get(stat[1].decode(), []) if stat else []
+        # Whoever a subject has started belongs to it, also where sudo took the mark away.
+        return found + [at for at in parents if self.selectors[at][0] == "subject" and at not in found]
 
 
 def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[str]") -> bool:

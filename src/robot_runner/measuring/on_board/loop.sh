@@ -88,17 +88,30 @@ find_processes() {
     done
 }
 
-# The words after the first are the fields of /proc/PID/stat from the third on.
+# The words after the first are the fields of /proc/PID/stat from the third on. Whose children belong to it, those that
+# came and went between two looks do as well.
 add_process() {
-    used=$((${13} + ${14}))
-    rest=$((used % tick * 1000 / tick))
+    seconds_of $((${13} + ${14}))
+    processes="$processes,$1:${21}:$seconds:$((${23} * page)):$3"
+    case " $families " in
+        *" ${1%%:*} "*) seconds_of $((${15} + ${16})) ;;
+        *) seconds=0 ;;
+    esac
+    processes="$processes:$seconds"
+}
+
+# Set $seconds to ticks in seconds.
+seconds_of() {
+    rest=$(($1 % tick * 1000 / tick))
     while [ ${#rest} -lt 3 ]; do rest=0$rest; done
-    processes="$processes,$1:${21}:$((used / tick)).$rest:$((${23} * page))"
+    seconds=$(($1 / tick)).$rest
 }
 
 # Put `SELECTOR'S PLACE:PID` of each process that a selector means into $matches.
 scan() {
+    before=$matches
     matches=
+    families=
     place=0
     for selector in "$@"; do
         value=${selector#*:}
@@ -106,9 +119,22 @@ scan() {
             pid:*) matches="$matches $place:$value" ;;
             name:*) scan_names ;;
             node:*) scan_files cmdline "__name:=${value#/}" "__node:=${value#/}" ;;
-            subject:*) scan_files environ "ROBOT_RUNNER_SUBJECT=$value" "ROBOT_RUNNER_SUBJECT=$value" ;;
+            subject:*)
+                families="$families $place"
+                scan_files environ "ROBOT_RUNNER_SUBJECT=$value" "ROBOT_RUNNER_SUBJECT=$value"
+                keep_ended
+                ;;
         esac
         place=$((place + 1))
+    done
+}
+
+# What has ended is there, without its environment, until its parent awaits it, which has its time from then on.
+keep_ended() {
+    for match in $before; do
+        case $match in "$place":*) ;; *) continue ;; esac
+        { read -r stat <"/proc/${match#*:}/stat"; } 2>/dev/null || continue
+        case ${stat##*) } in Z*) matches="$matches $match" ;; esac
     done
 }
 

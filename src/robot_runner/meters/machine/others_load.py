@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
+from robot_runner.measuring.cpu_counters import counted_before
 from robot_runner.measuring.local_host import matches
 
 if TYPE_CHECKING:
@@ -127,10 +128,8 @@ def _is_own_loop(words: Sequence[str]) -> bool:
 
 def _spent(before: MachineState, after: MachineState) -> dict[int, float]:
     """Return the CPU time of each process that is there, s: its own, and that of children which ended meanwhile."""
-    # A parent's counter takes the whole life of a child that ended, also what went before the first look.
-    earlier: dict[int, float] = {}
-    for process in _ended(before, after):
-        earlier[process.parent] = earlier.get(process.parent, 0.0) + process.own + process.children
+    ended = {each.pid: (each.parent, each.own + each.children) for each in _ended(before, after)}
+    earlier = counted_before(ended)
     spent: dict[int, float] = {}
     for process in after.processes.values():
         old = before.processes.get(process.pid)
