@@ -86,6 +86,7 @@ def _children(pid: int) -> list[int]:
     return [int(each) for task in tasks for each in (task / "children").read_text().split()]
 
 
+@pytest.mark.long
 def test_an_attempt_that_ended_with_its_lease_leaves_nothing_to_the_next_one_on_its_worker(
     cluster: Cluster, watched: Watched
 ) -> None:
@@ -112,6 +113,7 @@ def test_an_attempt_that_ended_with_its_lease_leaves_nothing_to_the_next_one_on_
         assert (folder / "log.txt").read_text() == f"{name}\n"
 
 
+@pytest.mark.long
 def test_a_connection_that_breaks_and_is_made_anew_has_no_run_executed_twice_at_a_time(
     cluster: Cluster, watched: Watched, proxy: Proxy
 ) -> None:
@@ -242,19 +244,34 @@ def test_a_worker_that_is_slow_to_answer_loses_nothing(cluster: Cluster, watched
 def test_a_worker_whose_disk_is_full_executes_nothing_and_the_runs_go_elsewhere(
     cluster: Cluster, watched: Watched, tmp_path: Path
 ) -> None:
-    local = tmp_path / "full"
-    local.mkdir()
-    script = 'mount -t tmpfs -o size=8m none "$0" && exec "$@"'
-    before = ["unshare", "--mount", "sh", "-c", script, str(local)]
-    cluster.worker("full", before=before, local=local)
+    """One that is full at first costs no attempt, one that fills up costs the one that finds that."""
+    fills = """\
+        if filler := os.environ.get("FILLER"):
+            Path(filler).write_bytes(bytes(40_000_000))
+        while not"""
+    watched.config.write_text(watched.config.read_text().replace("        while not", fills))
+    for name, size in (("full", "8m"), ("filled", "90m")):
+        local = tmp_path / name
+        local.mkdir()
+        script = f'mount -t tmpfs -o size={size} none "$0" && exec "$@"'
+        before = ["unshare", "--mount", "sh", "-c", script, str(local)]
+        cluster.worker(name, before=before, local=local, FILLER=str(local / "filler"))
     experiment = cluster.experiment(watched.config)
-    until(lambda: "the worker's disk is full" in str(_lost(watched)), "the attempt is lost")
+    until(
+        lambda: "worker full: executes no runs: the worker's disk is full" in str(journal_of(watched.folder, "place")),
+        "the first one is refused",
+    )
+    watched.go()
+    until(lambda: _lost(watched), "an attempt is lost")
     cluster.worker("other")
     _ends_well(experiment, watched)
+    assert "the worker's disk is full" in "".join(_lost(watched))
+    assert len(_lost(watched)) == 1
     done = [each["run"] for each in journal_of(watched.folder, "attempt_finished") if each["status"] == "done"]
     assert sorted(done) == ["r_1", "r_2", "r_3"]
 
 
+@pytest.mark.long
 def test_a_scheduler_that_takes_connections_and_says_nothing_is_told_and_waited_for_as_long_as_was_set(
     cluster: Cluster, watched: Watched
 ) -> None:
@@ -268,12 +285,14 @@ def test_a_scheduler_that_takes_connections_and_says_nothing_is_told_and_waited_
     assert "the scheduler cannot be reached: it has not answered for 2 s" in answer
 
 
+@pytest.mark.long
 def test_a_worker_that_cannot_join_is_told_with_its_reason(cluster: Cluster, watched: Watched, tmp_path: Path) -> None:
     """Its disk is so full that it cannot even take down what is to be executed."""
     local = tmp_path / "full"
     local.mkdir()
     script = 'mount -t tmpfs -o size=4k none "$0" && exec "$@"'  # one page: Dask's own files there are empty
     cluster.worker("full", before=["unshare", "--mount", "sh", "-c", script, str(local)], local=local)
+    until(lambda: "Registered to" in cluster.log("full"), "the worker is there")  # a busy machine takes its time
     watched.config.write_text(watched.config.read_text() + f"# {'long' * 2000}\n")
     experiment = cluster.experiment(watched.config, DASK_ROBOT_RUNNER__PATIENCE="4s")
     answer, _ = experiment.communicate(timeout=PATIENCE)

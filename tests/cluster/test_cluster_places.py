@@ -45,6 +45,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 BESIDE = "import random\n\n\ndef drawn(context):\n    return random.Random(context.run_seed).random()\n"
 VOLATILE = "_at"
+WORKER = {"address": "tcp://one:1", "name": "one", "worker": "1", "host": "one", "threads": 1, "resources": []}
 
 
 def _values(folder: Path) -> list[dict[str, str]]:
@@ -60,6 +61,7 @@ def _all_files(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_shared", [False, pytest.param(True, marks=pytest.mark.soak)])
 def test_two_workers_yield_the_values_of_this_machine_with_and_without_a_shared_folder(
     cluster: Cluster, tmp_path: Path, is_shared: bool
@@ -119,6 +121,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_shared", [False, pytest.param(True, marks=pytest.mark.soak)])
 def test_a_worker_reads_the_files_that_the_experiment_names_and_not_its_own(
     cluster: Cluster, tmp_path: Path, is_shared: bool
@@ -142,6 +145,7 @@ def test_a_worker_reads_the_files_that_the_experiment_names_and_not_its_own(
     until(lambda: cluster.left_on("one") == [], "nothing is left")
 
 
+@pytest.mark.long
 def test_a_shared_folder_is_written_in_place_and_ctrl_c_ends_the_runs(cluster: Cluster, watched: Watched) -> None:
     cluster.worker("one")
     experiment = cluster.experiment(watched.config)
@@ -160,6 +164,7 @@ def test_a_shared_folder_is_written_in_place_and_ctrl_c_ends_the_runs(cluster: C
     assert not watched.was_executed_twice_at_a_time
 
 
+@pytest.mark.long
 def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told(
     cluster: Cluster, watched: Watched, tmp_path: Path
 ) -> None:
@@ -183,6 +188,7 @@ def test_a_worker_of_another_version_executes_nothing_and_the_difference_is_told
     assert {record["place"] for record in journal_of(watched.folder, "attempt_started")} == {"with"}
 
 
+@pytest.mark.long
 def test_a_run_waits_until_no_other_experiment_has_what_it_claims_of_the_worker_s_machine(
     cluster: Cluster, watched: Watched, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -219,17 +225,66 @@ def test_an_experiment_that_cannot_travel_leaves_no_probe_and_no_process(
     assert list(experiment.folder.root.iterdir()) == []
 
 
-def test_what_an_orchestrator_that_was_killed_left_of_its_probe_is_removed(
+def test_runs_of_an_orchestrator_that_was_killed_are_waited_for_before_any_is_begun(
     watched: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cluster_places, "PipedProcess", lambda module: Mock())
+    """They go on until their leases end: a run that was begun again at once would be executed twice at a time."""
+    now = 1000.0
+    gateway = Mock(replies=lambda: ([("settings", {"lease": 30.0, "patience": 10.0}), ("joined", WORKER)], True))
+    monkeypatch.setattr(cluster_places, "PipedProcess", lambda module: gateway)
+    monkeypatch.setattr(cluster_places, "time", Mock(monotonic=lambda: now))
     experiment = prepare_or_refuse(watched.config, {})
-    root = experiment.folder.root
-    root.mkdir(parents=True)
-    for name in (".probe-0123456789abcdef", ".probe-0123456789abcdef-0123456789abcdef"):
-        (root / name).touch()
-    places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
-    (probe,) = root.iterdir()
-    root.joinpath(f"{probe.name}-answered-too-late").touch()
+    experiment.folder.root.mkdir(parents=True)
+    killed = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
+    assert killed.advance() == []
+    assert len(killed.all) == 1, "nobody was killed before"
+    (probe,) = experiment.folder.root.iterdir()
+    probe.with_name(f"{probe.name}-answered").touch()
+    for _ in range(2):  # whoever interrupts the wait has the next one wait as well
+        places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
+        assert "an earlier execution was killed; its runs may go on for 33 s" in places.advance()[0]
+        assert (len(places.all), places.due) == (0, now + 33)
+        places.close()
+        (probe,) = experiment.folder.root.iterdir()
+        assert probe.name == f".probe-{places._session}", "what the one before left is removed"
+    probe.with_name(f"{probe.name}-answered-too-late").touch()
+    now += 33
+    assert len(places.all) == 1
     places.close()
-    assert list(root.iterdir()) == []
+    assert list(experiment.folder.root.iterdir()) == []
+
+
+def test_where_the_process_that_speaks_to_the_cluster_ends_the_experiment_says_so(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gateway = Mock(replies=lambda: ([], False), wait=lambda seconds: -9)
+    monkeypatch.setattr(cluster_places, "PipedProcess", lambda module: gateway)
+    experiment = prepare_or_refuse(watched.config, {})
+    experiment.folder.root.mkdir(parents=True)
+    places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
+    places.take_replies()
+    assert places.due == 0.0, "nobody waits for workers any more"
+    with pytest.raises(ExecutionError, match="the process that speaks to the cluster has ended with code -9"):
+        places.advance()
+    places.close()
+
+
+def test_nobody_loses_patience_while_a_worker_loads_the_experiment(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 1000.0
+    told = [("settings", {"lease": 30.0, "patience": 10.0}), ("joining", {"address": "tcp://one:1"})]
+    gateway = Mock(replies=lambda: (told, True))
+    monkeypatch.setattr(cluster_places, "PipedProcess", lambda module: gateway)
+    monkeypatch.setattr(cluster_places, "time", Mock(monotonic=lambda: now))
+    experiment = prepare_or_refuse(watched.config, {})
+    experiment.folder.root.mkdir(parents=True)
+    places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
+    assert places.advance() == []
+    told, now = [], now + 60
+    assert places.advance() == []
+    finding = {"where": "worker one", "problem": "executes no runs: the worker's disk is full", "fix": ""}
+    told = [("refused", {"address": "tcp://one:1", "findings": [finding]})]
+    with pytest.raises(ExecutionError, match=r"no worker has been there for 10 s .*the worker's disk is full"):
+        places.advance()
+    places.close()

@@ -11,7 +11,7 @@ import pytest
 from tests.cluster.conftest import BIN, PATIENCE, Cluster, Watched, table_of
 from tests.core.links.ssh_server import SshServer
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable

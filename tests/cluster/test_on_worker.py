@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -26,12 +29,17 @@ def _facts(tmp_path: Path) -> dict[str, Any]:
     return facts | {"root": str(tmp_path / "root"), "runs": str(tmp_path / "root" / "runs")}
 
 
+def _worker(tmp_path: Path) -> Any:
+    return SimpleNamespace(local_directory=str(tmp_path), periodic_callbacks={"profile": Mock(), "heartbeat": Mock()})
+
+
 def test_what_a_killed_orchestrator_left_on_a_worker_is_removed_long_after_its_lease(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nobody says goodbye: a process of each of its threads would wait there, beside what it has written."""
     monkeypatch.setattr(on_worker, "_ABANDONED", 6)
-    on_worker.join(_facts(tmp_path), SimpleNamespace(local_directory=str(tmp_path)))
+    monkeypatch.setattr(on_worker, "HostProcess", lambda folder: Mock())
+    on_worker.join(_facts(tmp_path), _worker(tmp_path))
     folder = tmp_path / "robot-runner-4567"
     on_worker.settle("0123", is_shared=False)
     renewed = time.monotonic()
@@ -42,3 +50,38 @@ def test_what_a_killed_orchestrator_left_on_a_worker_is_removed_long_after_its_l
     until(lambda: not folder.exists(), "it is removed", 10)
     with pytest.raises(KeyError):
         on_worker.renew("0123")
+
+
+def test_an_attempt_that_was_stopped_before_it_began_never_begins(tmp_path: Path) -> None:
+    """Dask holds it back as long as another experiment has the thread: whoever stops it does not wait for that."""
+    told: list[dict[str, Any]] = []
+    session = on_worker._Session(_facts(tmp_path) | {"lease": 100.0}, tmp_path)
+    session.renew()
+    request = {"kind": "stop", "because": "interrupted", "is_interruption": True}
+    assert session.stop("89ab", request) is False
+    session.execute({"token": "89ab", "task": {}}, told.append)
+    (message,) = told
+    assert json.loads(message["told"])[1] == {"because": "interrupted", "is_interrupted": True, "seconds": 0.0}
+    assert session.stop("89ab", request) is True
+
+
+def test_a_worker_that_cannot_load_the_experiment_says_why_before_it_gets_any_run(tmp_path: Path) -> None:
+    """Else each such worker would cost a run an attempt, and enough of them a run that never began."""
+    files = {"config.py": "import a_module_of_another_lab\n\nclass RobotRunnerConfig:\n    pass\n"}
+    snapshot = {"config": "config.py", "files": files, "set": {}, "batches": "", "revisions": []}
+    on_worker.join(_facts(tmp_path) | {"snapshot": snapshot}, _worker(tmp_path))
+    on_worker.settle("0123", is_shared=False)
+    found = asyncio.run(on_worker.unfitness("0123", 60))
+    assert found is not None
+    assert found.startswith("config.py:1: the config raised ModuleNotFoundError"), "and names the file as it is known"
+    on_worker.leave("0123")
+    until(lambda: not (tmp_path / "robot-runner-4567").exists(), "nothing is left", 10)
+
+
+def test_dask_does_not_sample_a_worker_that_executes_runs(tmp_path: Path) -> None:
+    """Two hundredths of a core, which a profiler of the machine would take for the run's."""
+    worker = _worker(tmp_path)
+    on_worker.join(_facts(tmp_path), worker)
+    assert worker.periodic_callbacks["profile"].stop.called
+    assert not worker.periodic_callbacks["heartbeat"].stop.called
+    on_worker.leave("0123")

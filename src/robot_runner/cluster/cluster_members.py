@@ -132,8 +132,20 @@ async def joined(client: Client, member: Member, facts: Mapping[str, Any]) -> li
         except StorageError as error:
             return [_plain(finding) for finding in error.findings]
     await answer_of(client, member, lease, _settle, facts["session"], is_shared)
+    if unfitness := await _unfitness(client, member, facts):  # else each such worker would cost a run an attempt
+        await answer_of(client, member, lease, on_worker.leave, facts["session"])
+        fix = "Mend this there, and start the worker again."
+        return [_plain(Finding.warning(f"worker {member.name}", f"executes no runs: {unfitness}", fix))]
     member.has_joined = True
     return []
+
+
+async def _unfitness(client: Client, member: Member, facts: Mapping[str, Any]) -> str:
+    """Return why a worker cannot execute runs, once it has tried to load the experiment; empty where it can."""
+    session, lease, found = facts["session"], facts["lease"], None
+    while found is None:
+        found = await answer_of(client, member, lease, on_worker.unfitness, session, lease / 4)
+    return str(found)
 
 
 def _settle(session: str, is_shared: bool) -> None:

@@ -1,4 +1,4 @@
-"""The workers of a Dask cluster as places, and the runs that they execute, on the orchestrator's side.
+"""The workers of a Dask cluster as places, on the orchestrator's side.
 
 Dask's client has threads, which the orchestrator must not have: a process beside it speaks to the cluster
 (`gateway.py`).
@@ -9,23 +9,24 @@ from __future__ import annotations
 import hashlib
 import os
 import time
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cluster.experiment_snapshot import snapshot_of
 from robot_runner.cluster.piped_process import PipedProcess
+from robot_runner.cluster.run_at_worker import RunAtWorker
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.execution.worker import described_task
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, System
 from robot_runner.core.storage import guarded_files
+from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
+    from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.places import Watch
-    from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
+    from robot_runner.core.execution.task import OutcomeBuilder, RunTask
 
 #: How long after the grace a run may take to be killed with all that it has started (`keeper.py`), and its systems to
 #: be made safe (`standby.py`), s.
@@ -34,6 +35,8 @@ _KILLING, _MAKING_SAFE = 2.0, 15.0
 _LEASE, _PATIENCE = 30.0, 300.0
 #: How long the gateway may take to say goodbye to the workers, s.
 _GOODBYE = 20.0
+#: How many reasons the error has why there is no worker.
+_MOST_KNOWN = 8
 #: How a file begins by which workers find out whether they see the experiment's folder; so do their answers.
 _PROBE = ".probe-"
 
@@ -56,20 +59,24 @@ class ClusterPlaces:
         self._places: list[ClusterPlace] = []
         self._runs: dict[str, RunAtWorker] = {}
         self._said: list[str] = []
-        self._asides: dict[str, str] = {}
+        self._asides: dict[tuple[str, str], str] = {}
         self._lease, self._patience = _LEASE, _PATIENCE
         self._closing = _closing_of(experiment)
-        self._alone_since: float | None = time.monotonic()
+        self._began = time.monotonic()
+        self._alone_since: float | None = self._began
+        self._joining: set[str] = set()
         self._is_gone = False
+        self._end_of_gateway = "the process that speaks to the cluster has ended"
         self._probe = experiment.folder.root / f"{_PROBE}{self._session}"
+        self._was_killed = any(experiment.folder.root.glob(f"{_PROBE}*"))  # an orchestrator that had taken it down
         facts = self._facts()
         self._gateway = PipedProcess("robot_runner.cluster.gateway")
         self.ask("facts", facts)
 
     @property
     def all(self) -> Sequence[ClusterPlace]:
-        """Those of all workers that have joined, with those that are aside."""
-        return self._places
+        """Those of all workers that have joined, with those that are aside; none while runs of before may go on."""
+        return self._places if time.monotonic() >= self._free_at else ()
 
     @property
     def descriptors(self) -> Collection[int]:
@@ -78,10 +85,10 @@ class ClusterPlaces:
 
     @property
     def due(self) -> float | None:
-        """The end of the patience, where there is no worker."""
-        if self._said:
+        """When runs of before have ended in any case, or the end of the patience, where there is no worker."""
+        if self._said or (self._is_gone and not self._runs):
             return 0.0
-        return None if self._alone_since is None else self._alone_since + self._patience
+        return self._free_at if time.monotonic() < self._free_at else self._patience_end
 
     def advance(self) -> Sequence[str]:
         """Take note of workers that have joined, were refused, or are gone.
@@ -92,9 +99,10 @@ class ClusterPlaces:
         self.take_replies()
         said, self._said = self._said, []
         if self._is_gone and not self._runs:
-            raise self._refusal("the process that speaks to the cluster has ended")
-        if self._alone_since is not None and time.monotonic() >= self._alone_since + self._patience:
-            raise self._refusal(f"no worker has been there for {self._patience:g} s")
+            raise self._refusal(self._end_of_gateway, "Start the experiment again: it resumes.")
+        if self._patience_end is not None and time.monotonic() >= self._patience_end:
+            fix = "Start workers with `dask worker`, and start the experiment again: it resumes."
+            raise self._refusal(f"no worker has been there for {self._patience:g} s", fix)
         return said
 
     def close(self) -> None:
@@ -103,7 +111,8 @@ class ClusterPlaces:
         self._gateway.let_go()
         self._gateway.wait(_GOODBYE)
         self._gateway.close()
-        self._remove_probes()
+        if time.monotonic() >= self._free_at:  # else the next one has to wait as well
+            self._remove_probes()
 
     def ask(self, kind: str, fields: Mapping[str, Any]) -> None:
         """Send a request to the gateway; where it is gone, its end tells."""
@@ -129,6 +138,21 @@ class ClusterPlaces:
         """How long the end of a run may take that is to be ended, s."""
         return self._lease + self._closing
 
+    @property
+    def _free_at(self) -> float:
+        """The moment at which no run is executed any more that was begun by an orchestrator which was killed.
+
+        Nobody knows of the workers that it had, nor when it was killed; but nobody has renewed a lease since.
+        """
+        return self._began + self.longest_end if self._was_killed else self._began
+
+    @property
+    def _patience_end(self) -> float | None:
+        """When no worker has been there for too long; None as long as one is, or loads the experiment."""
+        if self._alone_since is None or self._joining:
+            return None
+        return max(self._alone_since, self._free_at) + self._patience
+
     def take_replies(self) -> None:
         """Take what the gateway tells, for all runs: they share one pipe."""
         if self._is_gone:
@@ -138,36 +162,51 @@ class ClusterPlaces:
             self._take(kind, fields)
         if not is_open:
             self._is_gone = True
+            self._end_of_gateway += f" with code {self._gateway.wait(_GOODBYE)}"
             for place in self._places:
                 place.is_aside = True
             # It cannot renew leases any more, so the runs of all workers end.
             until = time.monotonic() + self._lease + self._closing
             for run in self._runs.values():
-                run.lose("the process that speaks to the cluster has ended", until)
+                run.lose(self._end_of_gateway, until)
 
     def _take(self, kind: str, fields: dict[str, Any]) -> None:
-        if kind == "records":
-            if (run := self._runs.get(fields["token"])) is not None:
-                run.take(fields["records"])
-        elif kind == "over":
-            if (run := self._runs.get(fields["token"])) is not None:
-                run.end(fields)
-        elif kind == "joined":
-            self._add(fields)
-        elif kind == "settings":
-            self._lease, self._patience = fields["lease"], fields["patience"]
+        run = self._runs.get(fields.get("token", ""))
+        if kind == "settings":
+            self._set(**fields)
         elif kind == "unconnected":
-            self._say(f"cluster {self._address}", f"the scheduler cannot be reached: {fields['because']}")
+            self._say(f"cluster {self._address}", fields["because"], fields["fix"])
+        elif kind not in {"records", "over"}:
+            self._take_of_worker(kind, fields)
+        elif run is not None and kind == "records":
+            run.take(fields["records"])
+        elif run is not None:
+            run.end(fields)
+
+    def _take_of_worker(self, kind: str, fields: dict[str, Any]) -> None:
+        if kind == "joined":
+            self._add(fields)
+        elif kind == "joining":
+            self._joining.add(fields["address"])
         elif kind == "refused":
+            self._joining.discard(fields["address"])
             for each in fields["findings"]:
                 self._say(each["where"], each["problem"], each["fix"])
         else:
             self._set_aside(kind, fields)
 
+    def _set(self, lease: float, patience: float) -> None:
+        self._lease, self._patience = lease, patience
+        self._alone_since = time.monotonic()  # only now is there somebody who looks for workers
+        if self._was_killed:
+            waits = f"its runs may go on for {self.longest_end:g} s, and none is begun before that"
+            self._say(f"cluster {self._address}", f"an earlier execution was killed; {waits}")
+
     def _add(self, worker: dict[str, Any]) -> None:
         self._places = [place for place in self._places if not place.is_aside or place.is_busy]
         slots = range(1, worker["threads"] + 1)
         self._places += [ClusterPlace(self, self._experiment, worker, slot) for slot in slots]
+        self._joining.discard(worker["address"])
         self._alone_since = None
 
     def _set_aside(self, kind: str, fields: dict[str, Any]) -> None:
@@ -180,30 +219,34 @@ class ClusterPlaces:
             self._alone_since = time.monotonic()
 
     def _say(self, where: str, problem: str, fix: str = "") -> None:
-        text = str(Finding.warning(where, problem, fix))
-        if self._asides.get(where) != text:  # a scheduler that is out of reach is looked for again and again
-            self._asides[where] = text
-            self._said.append(text)
+        if (where, problem) not in self._asides:  # a scheduler that is out of reach is looked for again and again
+            self._asides[where, problem] = fix
+            self._said.append(str(Finding.warning(where, problem, fix)))
 
-    def _refusal(self, problem: str) -> ExecutionError:
-        known = "; ".join(self._asides.values())
+    def _refusal(self, problem: str, fix: str) -> ExecutionError:
+        alike: dict[tuple[str, str], list[str]] = {}
+        for (where, each), mend in self._asides.items():
+            alike.setdefault((each, mend), []).append(where)
+        latest = list(alike.items())[-_MOST_KNOWN:]
+        known = "; ".join(str(Finding.warning(listed(wheres), *each)) for each, wheres in latest)
         return ExecutionError(
             f"{problem}{f' ({known})' if known else ''}",
             where=f"cluster {self._address}",
-            fix="Start workers with `dask worker`, and start the experiment again: it resumes.",
+            fix=fix,
         )
 
-    def _remove_probes(self) -> None:
+    def _remove_probes(self, *, but: Path | None = None) -> None:
         """Remove the probe, what workers answered to it, and what an orchestrator left that was killed."""
         root = self._experiment.folder.root
         for path in root.glob(f"{_PROBE}*"):
-            guarded_files.remove(path, root)
+            if path != but:
+                guarded_files.remove(path, root)
 
     def _facts(self) -> dict[str, Any]:
         experiment, content = self._experiment, os.urandom(64)
         snapshot = snapshot_of(experiment)  # or a refusal, before anything is left in the folder
-        self._remove_probes()
         guarded_files.replace(self._probe, content, experiment.folder.root)
+        self._remove_probes(but=self._probe)  # only now: there is one at each moment, in case this is killed as well
         runs = str(experiment.folder.runs.resolve())
         return {
             "address": self._address,
@@ -267,108 +310,3 @@ class ClusterPlace:
         self.is_busy = True
         run.order(task, self._claims)
         return run
-
-
-class RunAtWorker:
-    """One attempt at a run that a worker executes."""
-
-    def __init__(self, place: ClusterPlace, places: ClusterPlaces, builder: OutcomeBuilder, watch: Watch) -> None:
-        self._place = place
-        self._places = places
-        self._builder = builder
-        self._watch = watch
-        self._token = os.urandom(8).hex()
-        self._ended: dict[str, Any] | None = None
-        self._lost: tuple[str, float] | None = None
-        self._is_asked = self._is_interrupted = False
-
-    def order(self, task: RunTask, claims: Collection[str]) -> None:
-        """Order the attempt."""
-        self._places.begun(self._token, self)
-        worker = self._place.worker
-        order = {
-            "token": self._token,
-            "address": worker["address"],
-            "worker": worker["worker"],
-            "name": worker["name"],
-            "run": task.run_id,
-            "claims": list(claims),
-            "task": described_task(self._place.experiment, task),
-        }
-        self._places.ask("begin", order)
-
-    @property
-    def descriptors(self) -> Collection[int]:
-        """Where the gateway tells something, of this run or another."""
-        return self._places.descriptors
-
-    @property
-    def due(self) -> float | None:
-        """At once where another run's `advance` has taken the end of this one; or the end of a lost one."""
-        if self._ended is not None:
-            return 0.0
-        return None if self._lost is None else self._lost[1]
-
-    def advance(self) -> bool:
-        """Take what the gateway tells; return whether the attempt is over."""
-        self._places.take_replies()
-        if self._lost is not None and time.monotonic() >= self._lost[1]:
-            self._ended = self._ended or {"lost": self._lost[0]}
-        return self._ended is not None
-
-    def stop(self, because: str, *, is_interruption: bool = False) -> None:
-        """Have the worker stop the run."""
-        if not self._is_asked:
-            self._is_asked = True
-            self._is_interrupted = is_interruption
-            if is_interruption:
-                self._watch.noticed_interruption()
-            self._ask("stop", because)
-
-    def kill(self) -> None:
-        """Have the worker kill the run."""
-        self._is_interrupted = True
-        self._ask("kill", "")
-        if self._lost is not None:  # nobody is there who would tell
-            self._lost = self._lost[0], 0.0
-
-    def outcome(self) -> RunOutcome:
-        """Return how the attempt went."""
-        ended = self._ended or {}
-        if (lost := ended.get("lost")) is not None:
-            because = f"the attempt was lost: {lost}"
-            outcome = self._builder.outcome(ended_because=because, interrupted=self._is_interrupted)
-            return replace(outcome, is_lost=not self._is_interrupted)
-        outcome = self._builder.outcome(ended_because=ended["because"], interrupted=ended["is_interrupted"])
-        return replace(outcome, seconds=ended["seconds"])
-
-    def close(self) -> None:
-        """Let go of it; a run that is still being executed is ended first."""
-        if self._ended is None:
-            self._ask("kill", "")
-            until = time.monotonic() + self._places.longest_end
-            while not self.advance() and time.monotonic() < until:
-                time.sleep(0.01)
-        self._places.over(self._token)
-        self._place.is_busy = False
-
-    def take(self, records: Sequence[Sequence[Any]]) -> None:
-        """Take records of the run."""
-        for kind, fields in records:
-            self._builder.take(kind, fields)
-            self._watch.report(kind, fields)
-
-    def end(self, ended: dict[str, Any]) -> None:
-        """Take how it ended."""
-        for name in ended.get("skipped", ()):
-            problem = f"{name!r} is no regular file, and stayed on the worker, where it was removed"
-            self.take([["finding", {"owner": "cluster", "problem": problem, "fix": "Write files, and no links."}]])
-        self._ended = ended
-
-    def lose(self, because: str, until: float) -> None:
-        """Take for lost what nobody tells of any more, at a moment at which it has ended in any case."""
-        self._lost = because, until
-
-    def _ask(self, kind: str, because: str) -> None:
-        request = {"token": self._token, "because": because, "is_interruption": self._is_interrupted}
-        self._places.ask(kind, request)

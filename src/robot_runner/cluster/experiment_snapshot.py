@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.checks import announced_checks
-from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.plugin_checks import check_plugins
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.batches import EXTENDED
 from robot_runner.core.errors import ConfigError, ExecutionError, Finding
 from robot_runner.core.execution.recovery import config_files
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 #: How a worker spells that it has no cluster of its own: it executes its runs itself.
 _NO_CLUSTER = "none"
 #: The folder of the config and its modules, in that of the process that executes runs.
-_SOURCE = "source"
+SOURCE = "source"
 _TREES_FIX = "Have XDG_CACHE_HOME be a folder that workers see as well, and start the experiment again."
 
 
@@ -73,11 +73,11 @@ def experiment_of(snapshot: Mapping[str, Any], folder: Path) -> Experiment:
         ConfigError: the config cannot be loaded here, or this worker lacks what it needs; carries every finding.
     """
     for name, text in snapshot["files"].items():
-        path = folder / _SOURCE / name
+        path = folder / SOURCE / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(text.encode("latin-1"))
     settings = {**snapshot["set"], "cluster": _NO_CLUSTER, "results_output_path": str(folder / "experiments")}
-    path = folder / _SOURCE / snapshot["config"]
+    path = folder / SOURCE / snapshot["config"]
     if snapshot["batches"]:  # the design has grown; where to look for that is known once the config was read
         name = _loaded(path, settings).parameters.experiment_name
         journal = ExperimentFolder(folder / "experiments" / name).journal
@@ -106,8 +106,8 @@ def inputs_of(kept: Path, folder: Path) -> Iterator[None]:
     fix = "Put it there, as it is on the machine that starts the experiment."
     if lacking := [Finding.error(each.where, each.problem, fix) for each in missing_inputs(kept)]:
         raise ConfigError.of_findings(lacking)
-    copy_kept(kept, folder / _SOURCE)
-    with kept_copies(kept, folder / _SOURCE):
+    copy_kept(kept, folder / SOURCE)
+    with kept_copies(kept, folder / SOURCE):
         yield
 
 

@@ -32,7 +32,16 @@ from distributed import Client
 
 from robot_runner.cluster import on_worker
 from robot_runner.cluster.cluster_checks import cluster_settings
-from robot_runner.cluster.cluster_members import ANSWER, Member, answer_of, joined, refusal_of, why_unanswered
+from robot_runner.cluster.cluster_members import (
+    ANSWER,
+    Member,
+    UnansweredError,
+    answer_of,
+    joined,
+    refusal_of,
+    why_unanswered,
+)
+from robot_runner.cluster.gateway_replies import Replies
 from robot_runner.cluster.raw_data_transfer import TransferError, bring_home
 from robot_runner.core.errors import StorageError
 from robot_runner.core.execution.run_records import RecordReader
@@ -88,7 +97,7 @@ class Gateway:
         self._session: str = facts["session"]
         self._requests = RecordReader(requests)
         self._descriptor = requests
-        self._replies = _Replies(replies)
+        self._replies = Replies(replies)
         self._members: dict[str, Member] = {}
         self._attempts: dict[str, _Attempt] = {}
         self._transfers = asyncio.Semaphore(_TRANSFERS)
@@ -117,19 +126,26 @@ class Gateway:
 
     async def _follow(self) -> None:
         """Follow what the cluster does, until its scheduler is lost."""
+        because, fix = "", ""
         try:
             async with await self._connected() as self._client:
                 connection = self._client.scheduler_comm
                 connection.interval = _TOGETHER
+                await self._look_at_scheduler(self._client)
                 self._client.subscribe_topic(on_worker.TOPIC, self._take_event)
                 while self._client.scheduler_comm is connection:  # Dask makes another, without tasks
                     await self._look_for_workers(self._client)
                     await asyncio.sleep(max(_LOOK, len(self._members) / _WORKERS_A_SECOND))
         except (OSError, TimeoutError) as error:
             silent = f"it has not answered for {self._facts['lease']:g} s"
-            self._replies.tell("unconnected", {"because": str(error) or silent})
+            because = f"the scheduler cannot be reached: {str(error) or silent}"
+        except UnansweredError as error:
+            because = f"the scheduler cannot pass runs on to the workers: {error}"
+            fix = "Install Robot Runner there as it is here (with the extra `cluster`), and start the scheduler again."
         finally:
             self._client = None
+        if because:
+            self._replies.tell("unconnected", {"because": because, "fix": fix})
 
     async def _connected(self) -> Client:
         """Return a client of the scheduler.
@@ -147,6 +163,18 @@ class Gateway:
             await client.close()
             raise TimeoutError(f"it has not answered for {2 * lease:g} s") from error
 
+    async def _look_at_scheduler(self, client: Client) -> None:
+        """Look whether the scheduler can unpickle our tasks: else each of them would fail, and with it each run.
+
+        Raises:
+            UnansweredError: it cannot.
+        """
+        try:
+            async with asyncio.timeout(4 * self._facts["lease"]):  # it may have to import all of it
+                await client.run_on_scheduler(on_worker.be_there)
+        except (ImportError, AttributeError) as error:
+            raise UnansweredError(f"{type(error).__name__}: {error}") from error
+
     async def _look_for_workers(self, client: Client) -> None:
         async with asyncio.timeout(self._facts["lease"]):
             identity = await client.scheduler.identity(n_workers=-1)
@@ -162,20 +190,22 @@ class Gateway:
 
     async def _keep(self, client: Client, member: Member) -> None:
         """Have a worker join, and renew its lease as long as it answers."""
+        self._replies.tell("joining", {"address": member.address})
         try:
             findings = await joined(client, member, self._facts)
             if findings:
-                self._replies.tell("refused", {"worker": member.name, "findings": findings})
+                self._replies.tell("refused", {"address": member.address, "findings": findings})
                 return
             self._replies.tell("joined", member.facts())
-            while not member.is_lost:
+            while not (member.is_lost or self._is_ending.is_set()):
                 member.renewed = time.monotonic()
                 await answer_of(client, member, self._facts["lease"], on_worker.renew, self._session)
                 await asyncio.sleep(self._facts["lease"] / 4)
         except ANSWER as error:
             lease = self._facts["lease"]
-            if not member.has_joined and not member.is_lost:
-                self._replies.tell("refused", {"worker": member.name, "findings": refusal_of(member, lease, error)})
+            if not member.has_joined:
+                findings = [] if member.is_lost else refusal_of(member, lease, error)
+                self._replies.tell("refused", {"address": member.address, "findings": findings})
             self._lose(member, why_unanswered(member, lease, error))
 
     def _take_requests(self) -> None:
@@ -218,7 +248,8 @@ class Gateway:
         try:
             error = await attempt.future.exception()
         except (asyncio.CancelledError, CancelledError, OSError):  # the scheduler forgot it, and its worker did not
-            self._lose(attempt.member, "the connection to the scheduler was lost")
+            if not attempt.is_over:
+                self._lose(attempt.member, "the connection to the scheduler was lost")
             return
         if error is None and not attempt.is_ending:
             await asyncio.sleep(_LATE)
@@ -232,7 +263,16 @@ class Gateway:
         client, member, lease, asked = self._client, attempt.member, self._facts["lease"], {"kind": kind, **request}
         if client is not None and not member.is_lost:
             with contextlib.suppress(*ANSWER):
-                await answer_of(client, member, lease, on_worker.stop, self._session, attempt.token, asked)
+                is_begun = await answer_of(client, member, lease, on_worker.stop, self._session, attempt.token, asked)
+                if not is_begun and not attempt.is_ending:
+                    self._tell_unbegun(attempt, request)
+
+    def _tell_unbegun(self, attempt: _Attempt, request: Mapping[str, Any]) -> None:
+        """Tell that an attempt is over which its worker had no thread for yet, and does not begin any more."""
+        attempt.is_over = attempt.is_ending = True
+        self._forget(attempt)
+        over = {"because": request["because"], "is_interrupted": request["is_interruption"], "seconds": 0.0}
+        self._replies.tell("over", {"token": attempt.token, **over})
 
     def _take_event(self, event: tuple[float, Mapping[str, Any]]) -> None:
         message = event[1]
@@ -333,7 +373,7 @@ class Gateway:
         client = self._client
         if client is None:
             return
-        here = [each for each in self._members.values() if each.has_joined and not each.is_lost]
+        here = [each for each in self._members.values() if each.id and not each.is_lost]  # or are about to join
         answers = (answer_of(client, each, _GOODBYE, on_worker.leave, self._session) for each in here)
         await asyncio.gather(*answers, return_exceptions=True)
 
@@ -341,45 +381,6 @@ class Gateway:
         task = asyncio.create_task(steps)
         self._tasks.add(task)  # the loop itself holds no task
         task.add_done_callback(self._tasks.discard)
-
-
-class _Replies:
-    """What is told to the orchestrator; never waited for, as it may be busy with a callback of a user."""
-
-    def __init__(self, descriptor: int) -> None:
-        os.set_blocking(descriptor, False)
-        self._descriptor = descriptor
-        self._pending = bytearray()
-        self._is_sent = asyncio.Event()
-        self._is_sent.set()
-
-    def tell(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send one reply, once the pipe takes it."""
-        was_empty = not self._pending
-        self._pending += json.dumps([kind, fields]).encode() + b"\n"
-        if was_empty:
-            self._write()
-
-    async def flushed(self) -> None:
-        """Wait, but not for ever, until everything is sent."""
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(self._is_sent.wait(), _GOODBYE)
-
-    def _write(self) -> None:
-        loop = asyncio.get_running_loop()
-        try:
-            sent = os.write(self._descriptor, self._pending)
-        except BlockingIOError:
-            sent = 0
-        except OSError:  # nobody reads any more
-            sent = len(self._pending)
-        del self._pending[:sent]
-        if self._pending:
-            self._is_sent.clear()
-            loop.add_writer(self._descriptor, self._write)
-        else:
-            self._is_sent.set()
-            loop.remove_writer(self._descriptor)
 
 
 def main(requests: int, replies: int) -> None:

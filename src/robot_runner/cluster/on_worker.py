@@ -7,17 +7,17 @@ know the session that they name has been started anew meanwhile.
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import json
 import os
-import select
 import shutil
 import threading
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cluster.piped_process import PipedProcess
+from robot_runner.cluster.host_process import HostProcess, Outgoing
 from robot_runner.cluster.run_host import INPUTS, OUTBOX
 from robot_runner.cluster.worker_versions import described_versions
 
@@ -28,8 +28,11 @@ if TYPE_CHECKING:
 
 #: What workers tell of runs goes through the scheduler under this topic, which keeps the last thousand messages of it.
 TOPIC = "robot-runner"
-#: How often the records of a run are sent while it is executed, s, and how many of them at a time.
-_SENDING, _MOST_RECORDS = 0.5, 200
+#: What Dask samples a worker's threads by, a hundred times a second: it would be part of what runs measure of their
+#: machine, and finds nothing, as they are other processes.
+_PROFILING = {"profile", "profile-cycle"}
+#: How often to look whether a process has loaded the experiment, s.
+_LOOK = 0.05
 #: As much of a lease is left for a run to begin; half of it is, where it was renewed as it should be, see the gateway.
 _ENOUGH = 0.25
 #: How long a host may take to close a run after its worker has let go of it, s, beside the grace.
@@ -38,6 +41,10 @@ _CLOSING = 30.0
 _ABANDONED = 10
 
 _sessions: dict[str, _Session] = {}
+
+
+def be_there() -> None:
+    """Do nothing, at the scheduler: it unpickles tasks, and can only do so where this module is there as well."""
 
 
 def describe() -> dict[str, Any]:
@@ -57,6 +64,8 @@ def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
         whether the experiment's folder is shared with the orchestrator, and where the answer to its probe stands.
     """
     leave(facts["session"])
+    for name in _PROFILING & dask_worker.periodic_callbacks.keys():
+        dask_worker.periodic_callbacks[name].stop()
     session = _sessions[facts["session"]] = _Session(facts, Path(dask_worker.local_directory))
     threading.Thread(target=_leave_once_abandoned, args=[session], daemon=True, name="robot-runner-session").start()
     return {"answer": session.answer, "digest": session.answer_digest}
@@ -68,8 +77,18 @@ def take_inputs(session: str, pieces: Sequence[tuple[str, bytes]]) -> None:
 
 
 def settle(session: str, *, is_shared: bool) -> None:
-    """Take note of whether runs write into the orchestrator's folder, once both have looked."""
+    """Take note of whether runs write into the orchestrator's folder, and begin to load the experiment."""
     _sessions[session].settle(is_shared=is_shared)
+
+
+async def unfitness(session: str, seconds: float) -> str | None:
+    """Return why no run can be executed here, empty where one can; None where so many seconds do not tell."""
+    until = time.monotonic() + seconds
+    while True:
+        found = _sessions[session].unfitness()
+        if found is not None or time.monotonic() >= until:
+            return found
+        await asyncio.sleep(_LOOK)
 
 
 def renew(session: str) -> None:
@@ -77,9 +96,9 @@ def renew(session: str) -> None:
     _sessions[session].renew()
 
 
-def stop(session: str, token: str, request: Mapping[str, Any]) -> None:
-    """Have the run of an attempt end soon, or at once."""
-    _sessions[session].stop(token, request)
+def stop(session: str, token: str, request: Mapping[str, Any]) -> bool:
+    """Have the run of an attempt end soon, or at once; return whether it was begun. If not, it never will be."""
+    return _sessions[session].stop(token, request)
 
 
 def read_piece(session: str, token: str, name: str, offset: int, size: int) -> tuple[bytes, str]:
@@ -142,9 +161,9 @@ class _Session:
         self._changed = threading.Condition(self._lock)
         self._begun: set[str] = set()
         self._stopped: dict[str, Mapping[str, Any]] = {}
-        self._idle: list[_HostProcess] = []
-        self._hosts: list[_HostProcess] = []
-        self._of_attempt: dict[str, _HostProcess] = {}
+        self._idle: list[HostProcess] = []
+        self._hosts: list[HostProcess] = []
+        self._of_attempt: dict[str, HostProcess] = {}
         self._has_left = False
         self._seen = self._until = time.monotonic()
         self.answer, self.answer_digest = self._answered_probe()
@@ -174,6 +193,18 @@ class _Session:
         """Leave the experiment where the processes that execute runs find it."""
         told = {name: self._facts[name] for name in ("snapshot", "runs", "root")} | {"is_shared": is_shared}
         (self.folder / "snapshot.json").write_text(json.dumps(told), encoding="utf-8")
+        self._idle.append(self._started_host())
+
+    def unfitness(self) -> str | None:
+        """Return what the first of these processes says that keeps it from executing runs, once it says anything."""
+        with self._lock:
+            self._seen = time.monotonic()
+            (first,) = self._idle
+            unfitness = first.unfitness()
+            if unfitness:
+                self._idle.clear()
+                self._hosts.clear()
+        return unfitness
 
     def renew(self) -> None:
         """Move the end of the lease on.
@@ -196,14 +227,20 @@ class _Session:
                     return
                 self._changed.wait(left)
 
-    def stop(self, token: str, request: Mapping[str, Any]) -> None:
-        """Pass the request on to the process that executes the run; one that has not begun does not begin."""
+    def stop(self, token: str, request: Mapping[str, Any]) -> bool:
+        """Pass the request on to the process that executes the run; one that has not begun does not begin.
+
+        Returns:
+            whether it was begun: Dask holds it back for as long as another experiment has the thread, or the resource.
+        """
         with self._changed:
+            is_begun = token in self._begun
             host = self._of_attempt.get(token)
             self._stopped[token] = request
             self._changed.notify_all()
         if host is not None:
             host.ask(request["kind"], {"token": token, **request})
+        return is_begun
 
     def execute(self, order: Mapping[str, Any], tell: Any) -> None:
         """Have an attempt executed, and tell of it until it has ended."""
@@ -214,7 +251,7 @@ class _Session:
             self._begun.add(token)
             self._await_lease(token)
             stopped = self._stopped.pop(token, None)
-        outgoing = _Outgoing(self._facts["session"], token, tell)
+        outgoing = Outgoing(self._facts["session"], token, tell)
         if stopped is not None:
             outgoing.end({"because": stopped["because"], "is_interrupted": stopped["is_interruption"], "seconds": 0.0})
             return
@@ -273,98 +310,11 @@ class _Session:
             host.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _free_host(self) -> _HostProcess:
+    def _free_host(self) -> HostProcess:
         with self._lock:
-            if self._idle:
-                return self._idle.pop()
-            host = _HostProcess(self.folder / f"host-{len(self._hosts) + 1}-{os.urandom(4).hex()}")
-            self._hosts.append(host)
+            return self._idle.pop() if self._idle else self._started_host()
+
+    def _started_host(self) -> HostProcess:
+        host = HostProcess(self.folder / f"host-{len(self._hosts) + 1}-{os.urandom(4).hex()}")
+        self._hosts.append(host)
         return host
-
-
-class _HostProcess:
-    """A process that executes runs, as the worker sees it."""
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir()
-        self.folder = folder
-        self._process = PipedProcess("robot_runner.cluster.run_host", str(folder))
-        self._refused: list[str] = []
-        self.is_alive = True
-
-    def ask(self, kind: str, fields: dict[str, Any]) -> None:
-        """Send a request; where the process is gone, its end tells."""
-        self._process.ask(kind, fields)
-
-    def followed(self, outgoing: _Outgoing) -> dict[str, Any]:
-        """Pass on what the process tells of a run, and return what it tells of its end."""
-        poll = select.poll()
-        poll.register(self._process.descriptor, select.POLLIN)
-        while True:
-            poll.poll(_SENDING * 1000)
-            replies, is_open = self._process.replies()
-            for kind, fields in replies:
-                if kind == "records":
-                    outgoing.add(fields["records"])
-                elif kind == "ended":
-                    return fields
-                elif kind == "refused":
-                    self._refused = fields["problems"]
-            if not is_open:
-                self.is_alive = False
-                code = self._process.wait()
-                self._process.close()
-                because = f"the process that executed it ended with code {code}"
-                if self._refused:
-                    return {"lost": "; ".join(self._refused), "is_certain": True, "is_unfit": True}
-                return {"lost": because}
-            outgoing.send_if_due()
-
-    def let_go(self) -> None:
-        """Have it end: a run that it executes is stopped first."""
-        self._process.let_go()
-
-    def wait(self, seconds: float) -> None:
-        """Wait for its end; kill it where that takes longer, which ends its run as well."""
-        self._process.wait(seconds)
-
-    def close(self) -> None:
-        """Leave what it tells: it has ended, and nobody follows it."""
-        self._process.close()
-
-
-class _Outgoing:
-    """What is told of one attempt: records as they come, some at a time, and the end.
-
-    They are numbered, so that the other side can tell that none is missing.
-    """
-
-    def __init__(self, session: str, token: str, tell: Any) -> None:
-        self._of = {"session": session, "token": token}
-        self._tell = tell
-        self._records: list[list[Any]] = []
-        self._sent = 0
-        self._due = time.monotonic() + _SENDING
-
-    def add(self, records: list[list[Any]]) -> None:
-        """Take records."""
-        self._records += records
-        if len(self._records) >= _MOST_RECORDS:
-            self._send()
-
-    def send_if_due(self) -> None:
-        """Send what has come, some time after the last time."""
-        if self._records and time.monotonic() >= self._due:
-            self._send()
-
-    def end(self, ended: Mapping[str, Any]) -> None:
-        """Send the rest, and how the attempt ended."""
-        self._send(ended)
-
-    def _send(self, ended: Mapping[str, Any] | None = None) -> None:
-        # As text: Dask's own encoding does not know each integer of a record, nor each character of a file's name.
-        told = json.dumps([self._records, ended])
-        self._tell({**self._of, "first": self._sent, "told": told})
-        self._sent += len(self._records)
-        self._records = []
-        self._due = time.monotonic() + _SENDING

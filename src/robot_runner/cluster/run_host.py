@@ -26,7 +26,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.cluster.experiment_snapshot import experiment_of, inputs_of
+from robot_runner.cluster.experiment_snapshot import SOURCE, experiment_of, inputs_of
 from robot_runner.core.config.claims import Claims
 from robot_runner.core.errors import ExecutionError, RobotRunnerError
 from robot_runner.core.execution.executor import begin_run, load_before_forks
@@ -185,11 +185,9 @@ class _Host:
         return True
 
     def _begin(self, order: Mapping[str, Any]) -> None:
-        room = shutil.disk_usage(self._folder).free
-        if room < _ROOM:
-            lost = f"the worker's disk is full: {room / 1e6:.0f} MB are left"
+        if lack := _lack_of_room(self._folder):
             self._held.close()
-            self._tell("ended", {"lost": lost, "is_certain": True, "is_unfit": True})
+            self._tell("ended", {"lost": lack, "is_certain": True, "is_unfit": True})
             return
         self._task = task = replace(task_of(self._experiment, order["task"]), slot=1)  # of this machine
         for plugin in self._experiment.plugins:  # which the orchestrator has done as well
@@ -298,6 +296,12 @@ class _Builder(OutcomeBuilder):
         return super().outcome(ended_because=ended_because, interrupted=interrupted)
 
 
+def _lack_of_room(folder: Path) -> str:
+    """Return that there is no room for what a run writes; empty where there is."""
+    room = shutil.disk_usage(folder).free
+    return f"the worker's disk is full: {room / 1e6:.0f} MB are left" if room < _ROOM else ""
+
+
 def _listed(folder: Path) -> tuple[list[tuple[str, int, str]], list[str]]:
     """Return name, size and SHA-256 of each regular file of a folder, and the names of what else is there."""
     files: list[tuple[str, int, str]] = []
@@ -351,10 +355,16 @@ def main(requests: int, writer: int, folder: Path) -> None:
             experiment = experiment_of(session["snapshot"], folder)
             gc.collect()
             gc.freeze()  # what a forked run does not collect it does not have to copy
+            if lack := _lack_of_room(folder):
+                tell("refused", {"problems": [lack]})
+                return
+            host = _Host(experiment, folder, shared, requests, tell)
             tell("ready", {})
-            _Host(experiment, folder, shared, requests, tell).serve()
+            host.serve()
     except RobotRunnerError as error:
-        tell("refused", {"problems": [str(finding) for finding in error.findings if finding.is_error]})
+        # The path of the config, as who reads that knows it.
+        problems = [str(finding) for finding in error.findings if finding.is_error]
+        tell("refused", {"problems": [each.replace(f"{folder / SOURCE}{os.sep}", "") for each in problems]})
     except Exception as error:  # noqa: BLE001 - whatever it is, the worker has to know why no run is executed
         line = traceback.extract_tb(error.__traceback__)[-1]
         tell("refused", {"problems": [f"{type(error).__name__}: {error} ({Path(line.filename).name}:{line.lineno})"]})

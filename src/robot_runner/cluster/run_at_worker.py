@@ -1,0 +1,154 @@
+"""A run that a worker of a cluster executes, on the orchestrator's side."""
+
+from __future__ import annotations
+
+import os
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Protocol
+
+from robot_runner.core.execution.worker import described_task
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from robot_runner.core.config.experiment import Experiment
+    from robot_runner.core.execution.places import Watch
+    from robot_runner.core.execution.task import OutcomeBuilder, RunOutcome, RunTask
+
+
+class Orders(Protocol):
+    """What all runs share: the process that speaks to the cluster, and who takes its replies."""
+
+    @property
+    def descriptors(self) -> Collection[int]:
+        """Where it tells something."""
+
+    @property
+    def longest_end(self) -> float:
+        """How long the end of a run may take that is to be ended, s."""
+
+    def ask(self, kind: str, fields: Mapping[str, Any]) -> None:
+        """Send it a request."""
+
+    def begun(self, token: str, run: RunAtWorker) -> None:
+        """Take down that a run is in flight."""
+
+    def over(self, token: str) -> None:
+        """Take down that it no longer is."""
+
+    def take_replies(self) -> None:
+        """Take what it tells."""
+
+
+class Seat(Protocol):
+    """A thread of a worker, as the run that it executes sees it."""
+
+    experiment: Experiment
+    worker: Mapping[str, Any]
+    is_busy: bool
+
+
+class RunAtWorker:
+    """One attempt at a run that a worker executes."""
+
+    def __init__(self, place: Seat, places: Orders, builder: OutcomeBuilder, watch: Watch) -> None:
+        self._place = place
+        self._places = places
+        self._builder = builder
+        self._watch = watch
+        self._token = os.urandom(8).hex()
+        self._ended: dict[str, Any] | None = None
+        self._lost: tuple[str, float] | None = None
+        self._is_asked = self._is_interrupted = False
+
+    def order(self, task: RunTask, claims: Collection[str]) -> None:
+        """Order the attempt."""
+        self._places.begun(self._token, self)
+        worker = self._place.worker
+        order = {
+            "token": self._token,
+            "address": worker["address"],
+            "worker": worker["worker"],
+            "name": worker["name"],
+            "run": task.run_id,
+            "claims": list(claims),
+            "task": described_task(self._place.experiment, task),
+        }
+        self._places.ask("begin", order)
+
+    @property
+    def descriptors(self) -> Collection[int]:
+        """Where the gateway tells something, of this run or another."""
+        return self._places.descriptors
+
+    @property
+    def due(self) -> float | None:
+        """At once where another run's `advance` has taken the end of this one; or the end of a lost one."""
+        if self._ended is not None:
+            return 0.0
+        return None if self._lost is None else self._lost[1]
+
+    def advance(self) -> bool:
+        """Take what the gateway tells; return whether the attempt is over."""
+        self._places.take_replies()
+        if self._lost is not None and time.monotonic() >= self._lost[1]:
+            self._ended = self._ended or {"lost": self._lost[0]}
+        return self._ended is not None
+
+    def stop(self, because: str, *, is_interruption: bool = False) -> None:
+        """Have the worker stop the run."""
+        if not self._is_asked:
+            self._is_asked = True
+            self._is_interrupted = is_interruption
+            if is_interruption:
+                self._watch.noticed_interruption()
+            self._ask("stop", because)
+
+    def kill(self) -> None:
+        """Have the worker kill the run."""
+        self._is_interrupted = True
+        self._ask("kill", "")
+        if self._lost is not None:  # nobody is there who would tell
+            self._lost = self._lost[0], 0.0
+
+    def outcome(self) -> RunOutcome:
+        """Return how the attempt went."""
+        ended = self._ended or {}
+        if (lost := ended.get("lost")) is not None:
+            because = f"the attempt was lost: {lost}"
+            outcome = self._builder.outcome(ended_because=because, interrupted=self._is_interrupted)
+            return replace(outcome, is_lost=not self._is_interrupted)
+        outcome = self._builder.outcome(ended_because=ended["because"], interrupted=ended["is_interrupted"])
+        return replace(outcome, seconds=ended["seconds"])
+
+    def close(self) -> None:
+        """Let go of it; a run that is still being executed is ended first."""
+        if self._ended is None:
+            self._ask("kill", "")
+            until = time.monotonic() + self._places.longest_end
+            while not self.advance() and time.monotonic() < until:
+                time.sleep(0.01)
+        self._places.over(self._token)
+        self._place.is_busy = False
+
+    def take(self, records: Sequence[Sequence[Any]]) -> None:
+        """Take records of the run."""
+        for kind, fields in records:
+            self._builder.take(kind, fields)
+            self._watch.report(kind, fields)
+
+    def end(self, ended: dict[str, Any]) -> None:
+        """Take how it ended."""
+        for name in ended.get("skipped", ()):
+            problem = f"{name!r} is no regular file, and stayed on the worker, where it was removed"
+            self.take([["finding", {"owner": "cluster", "problem": problem, "fix": "Write files, and no links."}]])
+        self._ended = ended
+
+    def lose(self, because: str, until: float) -> None:
+        """Take for lost what nobody tells of any more, at a moment at which it has ended in any case."""
+        self._lost = because, until
+
+    def _ask(self, kind: str, because: str) -> None:
+        request = {"token": self._token, "because": because, "is_interruption": self._is_interrupted}
+        self._places.ask(kind, request)
