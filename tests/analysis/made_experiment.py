@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.batches import described_design
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.storage.cells import RunStatus

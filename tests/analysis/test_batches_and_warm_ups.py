@@ -38,6 +38,7 @@ def folder(tmp_path_factory):
     return execute_experiment(prepare_or_refuse(config), SilentObserver()).folder
 
 
+@pytest.mark.long
 def test_warm_up_runs_are_left_out_everywhere_unless_they_are_asked_for(folder):
     results = load_results(folder)
     assert results.warm_ups == ("w_1", "w_2", "w_3", "w_4")
@@ -65,6 +66,7 @@ def test_the_batch_is_a_column_with_a_role_and_no_factor(folder):
     assert results.runs.loc[results.runs["batch"] == 1, "Floor"].unique().tolist() == ["carpet"]
 
 
+@pytest.mark.long
 def test_the_report_accounts_for_batches_and_warm_up_runs(folder, tmp_path):
     write_report(folder, ReportFormat.MARKDOWN, output=tmp_path, figures=[FigureFormat.SVG])
     write_report(folder, ReportFormat.JSON, output=tmp_path)
@@ -105,6 +107,7 @@ def extended(folder, added):
     return measure
 
 
+@pytest.mark.long
 def test_an_effect_is_found_although_the_later_batch_is_shifted_by_more(tmp_path):
     measure = extended(tmp_path, Additions(10))
     (effect,) = measure["test"]["effects"]
@@ -114,6 +117,7 @@ def test_an_effect_is_found_although_the_later_batch_is_shifted_by_more(tmp_path
     assert pair["difference"] == pytest.approx(3.0, abs=0.2)
 
 
+@pytest.mark.long
 def test_a_treatment_that_only_the_later_batch_has_is_not_compared_in_silence(tmp_path):
     measure = extended(tmp_path, Additions(treatments={"Task": ("Idle",)}))
     (effect,) = measure["test"]["effects"]
@@ -124,6 +128,7 @@ def test_a_treatment_that_only_the_later_batch_has_is_not_compared_in_silence(tm
     assert "cannot be told apart from what changed between batches" in missing[0]
 
 
+@pytest.mark.long
 def test_a_planned_factor_that_differs_only_between_batches_has_no_verdict(tmp_path):
     hypotheses = [
         Hypothesis("The floor matters.", measure="Energy", factors="Floor"),

@@ -40,6 +40,7 @@ def results(tmp_path_factory):
     return load_results(made.root)
 
 
+@pytest.mark.long
 def test_batches_hold_what_the_whole_table_holds(results):
     whole = results.samples("Meter")
     pieces = list(results.lazy_samples("Meter").frames())
@@ -96,6 +97,7 @@ def test_a_file_that_holds_something_else_is_named(tmp_path):
     assert "r_2" in raised.value.where
 
 
+@pytest.mark.long
 def test_few_samples_are_held_at_once(tmp_path, monkeypatch):
     monkeypatch.setattr(lazy_samples, "_BLOCK", 1 << 16)  # so that a small file is long beside what is read ahead
     made = make_experiment(tmp_path / "trial", repetitions=1)
@@ -116,6 +118,7 @@ def independent_mean(times, values, at, period):
     return sum(near) / len(near) if near else float("nan")
 
 
+@pytest.mark.long
 def test_means_and_lines_agree_with_a_slow_computation(results):
     aligned = results.aligned_samples({"Meter": ["power_W"], "Host": ["cpu_percent"]}, period=0.05)
     frame = aligned.frame

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
+import pytest
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -20,6 +22,7 @@ results.factor
 """
 
 
+@pytest.mark.long
 def test_results_are_no_unknown_for_a_type_checker(tmp_path: Path) -> None:
     (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
     words = ["--strict", "--cache-dir", "cache", "script.py"]

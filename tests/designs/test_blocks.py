@@ -48,6 +48,7 @@ def test_each_published_balanced_design_is_found(
     assert facts["efficiency_bound"] == pytest.approx(facts["efficiency"], abs=1e-6)
 
 
+@pytest.mark.long
 def test_what_does_not_exist_is_not_found_and_the_best_that_is_says_its_efficiency() -> None:
     for treatments, blocks, _, size, pairs in IMPOSSIBLE:
         assert pair_count(treatments, size, blocks) == pairs
@@ -69,6 +70,7 @@ def test_the_search_comes_within_2_percent_of_square_lattices(side: int, replica
     assert published * 0.98 < facts["efficiency"] < published + 1e-6
 
 
+@pytest.mark.long
 @settings(deadline=None, max_examples=15)
 @given(
     treatments=st.integers(2, 5),

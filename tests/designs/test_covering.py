@@ -63,6 +63,7 @@ def covered_pairs(array: np.ndarray, levels: list[int]) -> int:
     return int(together.sum()) // 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("problem", PUBLISHED)
 def test_an_array_is_at_most_a_tenth_larger_than_the_best_published(problem: str) -> None:
     levels, published = PUBLISHED[problem]
@@ -71,6 +72,7 @@ def test_an_array_is_at_most_a_tenth_larger_than_the_best_published(problem: str
     assert len(array) <= 1.1 * published
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("problem", PUBLISHED_TRIPLES)
 def test_an_array_of_triples_is_not_much_larger_than_published_ones(problem: str) -> None:
     levels, published, times = PUBLISHED_TRIPLES[problem]
@@ -99,6 +101,7 @@ def test_ingredients_are_what_they_are_called() -> None:
     assert covered_pairs(starter, [6] * 10) == every_pair([6] * 10)
 
 
+@pytest.mark.long
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(excluded_designs(), st.integers(2, 3), st.integers(0, 3))
 def test_exactly_the_tuples_that_some_allowed_combination_has_are_covered(

@@ -83,6 +83,7 @@ def test_a_conditional_factor_is_estimated_where_it_applies() -> None:
     assert {row[2] for row in rows} == {"x", "y", INACTIVE}
 
 
+@pytest.mark.long
 def test_a_large_factorial_is_sampled() -> None:
     model = RunTableModel(factors_of([3] * 12), design=DOptimal(runs=27))
     assert model.design_facts["candidates"] == 4000

@@ -34,7 +34,8 @@ class History:
     """The journal, sorted by what its records are about.
 
     Attributes:
-        attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`.
+        attempts: `run_id`, `attempt`, `status` (done, failed, unfinished), `started_at`, `seconds`, `failure`, in the
+            order in which they were begun; `attrs["clock_was_set_back"]` says whether their times do not tell it.
         events: `run_id`, `event`, `at`, `clock_s`, `since_start_s`; of the last attempt at each run.
         published: `run_id`, `measure`, `value`, `owner`, `origin`; of the last attempt at each run.
         doubts: what makes values doubtful or missing: reasons by measure, by run, of the last attempt at each run that
@@ -122,6 +123,8 @@ class _Told:
         self.readers: dict[str, dict[str, None]] | None = {}
         self.is_any_done = False
         self.odd: list[Mapping[str, Any]] = []
+        self.was_set_back = False
+        self._latest = ""
         self._known: dict[Any, Any] = {}
 
     def _once(self, text: Any) -> Any:
@@ -135,10 +138,12 @@ class _Told:
         attempt = self._attempt(record)
         self.begun.pop(attempt, None)
         self.begun[attempt] = record["at"]
+        self._look_at_clock(record["at"])
 
     def take_end(self, record: Mapping[str, Any]) -> None:
         attempt, measures = self._attempt(record), record["measures"]
         self.ends[attempt] = self._once(record["status"]), record["seconds"], record["failure"]
+        self._look_at_clock(record["at"])
         # Of an attempt that has two ends, what was published after the run is in the later one.
         self.measures[attempt] = [
             (self._once(name), each["value"], self._once(each["owner"]), self._once(each["origin"]))
@@ -149,6 +154,11 @@ class _Told:
         }
         if record["status"] == "done":
             self._take_readers(record.get("readers"))
+
+    def _look_at_clock(self, at: str) -> None:
+        """Take note of what the orchestrator's own stamp says: of one form and length, texts are ordered as times."""
+        self.was_set_back |= at < self._latest
+        self._latest = at
 
     def _take_readers(self, told: object) -> None:
         self.is_any_done = True
@@ -209,6 +219,7 @@ class _Told:
         frame = pd.DataFrame(rows, columns=columns).astype({"run_id": "str", "attempt": "int64", "seconds": "float64"})
         frame["started_at"] = pd.to_datetime(frame["started_at"], utc=True, format="ISO8601")
         frame["status"] = pd.Categorical(frame["status"], ["done", "failed", "unfinished"])
+        frame.attrs["clock_was_set_back"] = self.was_set_back
         return frame
 
     def _events(self, attempts: Iterable[Attempt], starts: Mapping[str, float]) -> pd.DataFrame:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from robot_runner.core.design.design import DesignedRuns
-from robot_runner.core.design.held_order import HELD_ORDER, HeldOrder
+from robot_runner.core.design.design import HELD_ORDER, DesignedRuns, HeldOrder
 from robot_runner.core.design.numeric_range import is_number
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.design import DesignedRuns
-from robot_runner.core.design.held_order import HELD_ORDER, HeldOrder
+from robot_runner.core.design.design import HELD_ORDER, DesignedRuns, HeldOrder
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled

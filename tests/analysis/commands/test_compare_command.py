@@ -109,6 +109,7 @@ class TestMetaAnalysis:
         assert [each["name"] for each in facts["experiments"]] == ["lab_a", "lab_b", "lab_c"]
         assert disagreements_of_combined(facts) == []
 
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("words", "name"), [([], "difference_Energy"), (["--meta"], "forest_Energy_Video_less_Network")]
     )
@@ -121,6 +122,7 @@ class TestMetaAnalysis:
         tables = [each.suffix for each in (tmp_path / "paper" / "tables").iterdir()]
         assert tables.count(".csv") == tables.count(".tex") > 1
 
+    @pytest.mark.long
     def test_a_page_with_forest_plots_is_written(self, robot_runner, tmp_path):
         answer = robot_runner("compare", "lab_a", "lab_b", "lab_c", "--html", "combined.html")
         assert "combined.html" in answer.out
@@ -128,6 +130,7 @@ class TestMetaAnalysis:
         assert "<h1>lab_a, lab_b and lab_c</h1>" in page
         assert "Forest plot of Video less Network" in page
 
+    @pytest.mark.long
     def test_results_of_another_tool_are_combined_with_ours(self, robot_runner, tmp_path):
         for name, shift in (("theirs", 0.11), ("again", 0.11), ("third", 0.53)):
             (tmp_path / name).mkdir()

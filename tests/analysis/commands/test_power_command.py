@@ -42,6 +42,7 @@ def study(tmp_path: Path) -> Path:
     return config
 
 
+@pytest.mark.long
 def test_it_answers_with_a_table_a_curve_a_figure_and_json(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:
@@ -64,6 +65,7 @@ def test_it_answers_with_a_table_a_curve_a_figure_and_json(
     assert robot_runner("power", study, *ASSUMED, "--json", "--seed", "2").json["scenarios"] != told["scenarios"]
 
 
+@pytest.mark.long
 def test_means_come_from_a_file_and_from_a_pilot(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:

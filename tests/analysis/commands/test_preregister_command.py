@@ -50,6 +50,7 @@ def report_of(robot_runner: Callable[..., Answer], folder: Path) -> dict[str, An
     return found
 
 
+@pytest.mark.long
 def test_a_registered_study_is_cited_by_its_report_and_its_package(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:
@@ -93,6 +94,7 @@ def test_a_registered_study_is_cited_by_its_report_and_its_package(
     assert "not the one that the experiment began with" in refused.out + refused.err
 
 
+@pytest.mark.long
 def test_every_deviation_is_listed(robot_runner: Callable[..., Answer], study: Path, tmp_path: Path) -> None:
     assert robot_runner("preregister", study).code == 0
     changed = CONFIG.replace("alpha=0.05", "alpha=0.01").replace('["Energy", "CPU"]', '["Energy"]')
@@ -166,6 +168,7 @@ def test_a_registration_that_was_changed_or_is_missing_keeps_the_experiment_from
         assert "Traceback" not in answer.out + answer.err
 
 
+@pytest.mark.long
 def test_a_study_is_registered_once_and_before_its_first_run(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:
@@ -195,6 +198,7 @@ def test_a_design_that_is_too_large_to_be_listed_is_refused_at_once(
         assert "Traceback" not in answer.err
 
 
+@pytest.mark.long
 def test_the_power_of_the_same_study_is_registered_with_it(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:
@@ -235,6 +239,7 @@ def test_what_is_left_out_and_adjusted_for_is_registered(
     assert "outliers of the analysis plan" in answer.out
 
 
+@pytest.mark.long
 def test_repetitions_that_the_registered_rule_adds_are_no_deviation_and_another_rule_is_one(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:

@@ -16,6 +16,7 @@ def experiment(tmp_path):
     return two_tasks(tmp_path / "trial", video, network).root
 
 
+@pytest.mark.long
 def test_it_says_where_the_report_is(robot_runner, experiment):
     answer = robot_runner("report", "trial", "--figures", "none")
     assert answer.code == 0
@@ -24,6 +25,7 @@ def test_it_says_where_the_report_is(robot_runner, experiment):
     assert (experiment / "report" / "report.html").is_file()
 
 
+@pytest.mark.long
 def test_figures_are_made_in_the_formats_that_were_asked_for(robot_runner, experiment):
     assert robot_runner("report", "trial", "--figures", "svg,png").code == 0
     assert {path.suffix for path in (experiment / "report" / "figures").iterdir()} == {".svg", ".png"}
@@ -108,6 +110,7 @@ factors = ["Task"]
 """
 
 
+@pytest.mark.long
 def test_a_plan_in_a_file_is_followed_and_all_is_exploratory(robot_runner, experiment, tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN)
     words = ("report", "trial", "--format", "json", "--plan", tmp_path / "plan.toml", "--output", tmp_path)

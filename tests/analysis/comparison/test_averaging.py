@@ -44,6 +44,7 @@ def facts_of(*folders, **settings):
 TASKS = {"Video": 30.0, "Network": 20.0, "Idle": 20.0}
 
 
+@pytest.mark.long
 def test_the_differences_of_each_experiment_are_those_of_its_report(lab):
     folders = [lab(TASKS) for _ in range(3)]
     effects = meta_analyse(*folders).measure("Energy").effects
@@ -146,6 +147,7 @@ def test_counts_may_be_the_same_by_chance(make_folder):
     assert disagreements_of_combined(facts_of(*(each.root for each in folders))) == []
 
 
+@pytest.mark.long
 def test_names_that_differ_are_told_with_the_option_that_joins_them(lab):
     one = lab({"Video": 30.0, "Network": 20.0}, name="one")
     other = lab({"video": 30.0, "Network": 20.0}, name="other", factor="Tasks", measure="energy")
@@ -248,6 +250,7 @@ def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
     assert (contrast.factor, contrast.weights) == ("Task", {"Idle": 2.0, "Video": -1.0, "Network": -1.0})
 
 
+@pytest.mark.long
 def test_an_experiment_is_analysed_as_its_own_plan_has_it(make_folder):
     random = np.random.default_rng(6)
 
@@ -342,6 +345,7 @@ def test_the_standard_error_of_g_is_that_of_its_distribution():
     assert np.mean(found[:, 1] ** 2) == pytest.approx(found[:, 0].var(), rel=0.06)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("between", [0.0, 0.5, 4.0])
 @pytest.mark.parametrize("count", [2, 3, 6])
 def test_a_meta_analysis_agrees_with_itself(lab, between, count):
@@ -393,6 +397,7 @@ def test_what_contradicts_itself_is_found(lab):
         assert spoiled(change), place
 
 
+@pytest.mark.long
 def test_the_page_shows_a_forest_plot_for_each_effect(lab):
     found = meta_analyse(*(lab(TASKS) for _ in range(3)))
     document = combined_document(found, made="today")

@@ -83,6 +83,7 @@ def test_without_a_bound_nothing_is_equivalent(two_tasks):
     assert "without a bound" in comparison.measure("Energy").conclusion
 
 
+@pytest.mark.long
 def test_the_narrow_interval_decides_as_the_two_tests_do(two_tasks):
     first = load_results(two_tasks().root)
     for shift in np.linspace(0.0, 6.0, 25):
@@ -163,6 +164,19 @@ def test_units_that_differ_are_converted_and_told(make_folder):
     [difference] = comparison.measure("E").differences
     assert (difference.second_mean, difference.difference) == pytest.approx((1100.0, 50.0))
     assert any("J and kJ: values of other are converted to J" in note for note in comparison.notes)
+
+
+def test_no_percentage_is_of_a_temperature_whose_0_is_agreed_upon(make_folder):
+    degree = "\N{DEGREE SIGN}C"
+    rows = [["Video", 20.1], ["Video", 19.9], ["Network", 24.0], ["Network", 24.1]]
+    tasks, units = {"Task": ["Video", "Network"]}, {"Room": degree}
+    one, other = (make_folder(factors=tasks, rows=rows, measures=units, name=name).root for name in ("one", "other"))
+    [room] = compare(one, other, bound="5%", rope="2%").measures
+    assert room.verdict is Verdict.UNDECIDED
+    assert f"a percentage says nothing of values in {degree}" in room.conclusion
+    assert {each.relative for each in room.differences} == {None}
+    assert (room.agreement.error, {each.practical for each in room.differences}) == (None, {None})
+    assert compare(one, other, bound=2.0).verdict is Verdict.EQUIVALENT
 
 
 def test_a_share_in_percent_is_converted_to_one_of_one(make_folder):
@@ -322,6 +336,7 @@ def of_answers(root, yes, n):
     ).root
 
 
+@pytest.mark.long
 def test_proportions_have_score_intervals_that_decide_as_their_tests_do(tmp_path):
     folders = of_answers(tmp_path / "one", 18, 20), of_answers(tmp_path / "other", 33, 40)
     (difference,) = compare(*folders, bound=0.25).measure("Success").differences

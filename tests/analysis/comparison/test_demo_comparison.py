@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
 from robot_runner.analysis.comparison.compared import Verdict
 from robot_runner.analysis.comparison.comparing import compare
 
 
+@pytest.mark.long
 def test_the_demo_compared_with_itself_and_with_a_hungrier_robot(executed_demo, tmp_path, robot_runner):
     text = (executed_demo / "robot-runner-demo" / "demo.py").read_text().replace("range(1, 6)", "range(1, 4)")
     again, hungrier = tmp_path / "again.py", tmp_path / "hungrier.py"  # three repetitions show it as well as five do

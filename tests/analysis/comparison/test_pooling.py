@@ -68,6 +68,7 @@ def test_statsmodels_finds_the_same(name):
     assert (found.random.interval.low, found.random.interval.high) == pytest.approx((low, high), rel=1e-4)
 
 
+@pytest.mark.long
 def test_the_reference_is_what_metafor_prints_here():
     program = shutil.which("Rscript")
     if program is None:

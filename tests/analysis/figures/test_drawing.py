@@ -255,6 +255,7 @@ def test_a_file_name_is_safe_whatever_the_name(text):
     assert name not in {"", ".", ".."}
 
 
+@pytest.mark.long
 def test_the_same_figure_is_the_same_file_in_each_process():
     program = (
         "import hashlib\n"

@@ -15,6 +15,7 @@ def figure():
     return draw_quantiles([-1, 0, 1], [-2, 0, 2], slope=2, intercept=0, value_label="Energy (J)")
 
 
+@pytest.mark.long
 def test_figures_are_written_by_the_time_it_is_left(figure, tmp_path):
     with PdfWorker() as worker:
         for name in ("a", "b"):
@@ -23,6 +24,7 @@ def test_figures_are_written_by_the_time_it_is_left(figure, tmp_path):
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.long
 def test_modules_in_the_user_s_folder_are_not_taken_for_ours(figure, tmp_path, monkeypatch):
     (tmp_path / "statistics.py").write_text("raise RuntimeError")
     monkeypatch.chdir(tmp_path)
@@ -31,6 +33,7 @@ def test_modules_in_the_user_s_folder_are_not_taken_for_ours(figure, tmp_path, m
     assert (tmp_path / "a.pdf").is_file()
 
 
+@pytest.mark.long
 def test_a_file_that_cannot_be_written_is_named(figure, tmp_path):
     with pytest.raises(StorageError, match="cannot be written") as caught, PdfWorker() as worker:
         worker.write(figure, tmp_path / "missing" / "a.pdf", tmp_path)

@@ -44,6 +44,7 @@ def figures(results: Results) -> dict[str, tuple[float, ...]]:
 PLOTS = [(f"{rep}/{method}", rep, method, heat, y) for rep, method, heat, y in PAPER]
 
 
+@pytest.mark.long
 def test_a_split_plot_has_the_errors_of_the_textbook_once_it_is_declared(tmp_path: Path) -> None:
     root = table(tmp_path / "paper", "batch,rep,method,temperature,y", PLOTS)
     columns = {"factors": ("method", "temperature"), "measures": ("y",)}
@@ -62,6 +63,7 @@ def test_a_split_plot_has_the_errors_of_the_textbook_once_it_is_declared(tmp_pat
     assert figures(later) == {name: pytest.approx(each) for name, each in found.items()}
 
 
+@pytest.mark.long
 def test_a_square_a_fraction_a_surface_and_a_base_are_analysed_as_such(tmp_path: Path) -> None:
     rows = [(batch, operator, letter, y) for batch, operator, letter, _, y in PROPELLANTS]
     square = table(tmp_path / "square", "batch,operator,formulation,y", rows)
@@ -85,6 +87,7 @@ def test_a_square_a_fraction_a_surface_and_a_base_are_analysed_as_such(tmp_path:
     assert any("compared with the base alone" in note for note in of_base.notes)
 
 
+@pytest.mark.long
 def test_a_declaration_goes_through_a_file_and_back_and_by_an_option(tmp_path: Path, robot_runner: Any) -> None:
     root = table(tmp_path / "paper", "batch,rep,method,temperature,y", PLOTS)
     words = ("import", root, "--yes", "--factor", "method", "--factor", "temperature", "--measure", "y")

@@ -91,6 +91,7 @@ def test_responses_of_robots_are_told_from_chance(tmp_path: Path) -> None:
     assert found.response_sd == pytest.approx(15, rel=0.35)
 
 
+@pytest.mark.long
 def test_a_pilot_answers_at_its_own_effect_and_at_the_smallest_of_interest(tmp_path: Path) -> None:
     study = study_of(TASK)
     pilot = pilot_of(tmp_path / "pilot", study, assumed(), 10)

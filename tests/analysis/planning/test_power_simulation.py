@@ -199,6 +199,7 @@ def test_robots_that_respond_differently_are_not_made_up_for_by_repetitions() ->
     assert answer.point(40).least.share < 0.3
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_figures_whatever_is_asked_for() -> None:
     study = study_of([TASK])
     scenario = scenario_of(study, "Task=1")

@@ -203,6 +203,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Written
     return write
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", DESIGNS)
 def test_the_notebook_agrees_with_the_report(
     name: str, written: Callable[[str], Written], monkeypatch: pytest.MonkeyPatch
@@ -215,6 +216,7 @@ def test_the_notebook_agrees_with_the_report(
     assert ("not computed again" in told) is (name == "adjusted for a covariate")
 
 
+@pytest.mark.long
 @needs_r
 @pytest.mark.parametrize("name", DESIGNS)
 def test_the_r_script_agrees_with_the_report(name: str, written: Callable[[str], Written]) -> None:
@@ -237,6 +239,7 @@ SHARED = {
 }
 
 
+@pytest.mark.long
 @needs_r
 @pytest.mark.parametrize("name", SHARED)
 @pytest.mark.parametrize("answers", [False, True])
@@ -282,6 +285,7 @@ def test_of_a_search_the_runs_that_confirm_it_are_computed_again(
     assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
 
 
+@pytest.mark.long
 @needs_r
 def test_a_table_that_was_changed_does_not_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = experiment(tmp_path, "two treatments")
@@ -375,6 +379,7 @@ def test_the_command_writes_both_beside_the_report(robot_runner: Any, tmp_path: 
     assert "level=0.99" in code
 
 
+@pytest.mark.long
 def test_another_plan_is_followed_as_the_report_follows_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = AnalysisPlan(measures=["Energy"], estimand=Estimand.RANK)
     folder = experiment(tmp_path, "three treatments")

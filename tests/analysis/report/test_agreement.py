@@ -91,6 +91,7 @@ DISCLOSED: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("choice", DISCLOSED.values(), ids=DISCLOSED)
 def test_reports_of_what_a_plan_leaves_out_or_adjusts_for_agree_with_themselves(
     tmp_path: Path, choice: dict[str, Any]
@@ -100,6 +101,7 @@ def test_reports_of_what_a_plan_leaves_out_or_adjusts_for_agree_with_themselves(
     assert disagreements(report) == []
 
 
+@pytest.mark.long
 def test_reports_of_blocks_agree_with_themselves(tmp_path: Path) -> None:
     assert disagreements(made(tmp_path, SPREADS["all differ"], (1, 1, 2), blocks="Repetition")) == []
 
@@ -205,6 +207,7 @@ def test_what_contradicts_itself_is_found(tmp_path: Path) -> None:
         assert spoiled(change)
 
 
+@pytest.mark.long
 def test_what_contradicts_the_plan_is_found(tmp_path: Path) -> None:
     plan = {**PLAN, "covariates": ["CPU"], "outliers": {"median_deviations": 2}}
     report = made(tmp_path, SPREADS["alike"], (3, 0, 0), analysis=plan)

@@ -75,6 +75,20 @@ def test_values_that_the_plan_leaves_out_are_in_no_mean_of_a_figure(tmp_path: Pa
     assert "but for values that the analysis leaves out" in means.note
 
 
+@pytest.mark.long
+def test_of_many_pairs_of_factors_those_are_drawn_whose_interaction_is_clearest(tmp_path: Path) -> None:
+    def energy(treatments: dict[str, Any], repetition: int) -> dict[str, Any]:
+        noise = hash((tuple(treatments.values()), repetition)) % 97 / 97
+        return {"Energy": 9.0 * (treatments["F1"] == treatments["F6"]) + noise}
+
+    factors = [Factor(f"F{number}", [1, 2]) for number in range(1, 7)]
+    folder = make_experiment(tmp_path / "six", factors, energy, repetitions=2)
+    results = load_results(folder.root)
+    document = report_document(Material(results, analyse(results)), made="")
+    drawn = [each.name for each in document.figures if each.name.startswith("interaction")]
+    assert (len(drawn), "interaction Energy F1 F6" in drawn) == (10, True)
+
+
 def test_what_was_fixed_names_each_planned_measure_and_whose_values_a_rule_leaves_out(tmp_path: Path) -> None:
     rule = Outliers(interquartile_ranges=3, bounds={"Energy": (0, None)})
     document = report(tmp_path / "trial", [TASK], plan=AnalysisPlan("Energy", secondary=["Reached"], outliers=rule))

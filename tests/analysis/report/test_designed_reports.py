@@ -93,6 +93,7 @@ def test_sentences_agree_with_the_tests_of_every_design(tmp_path: Path, design: 
         assert bool(measure["surface"]) is (design in {"central composite", "Latin hypercube"})
 
 
+@pytest.mark.long
 def test_a_surface_is_drawn_and_told(tmp_path: Path) -> None:
     folder = made(tmp_path / "experiment", "central composite", 6.0)
     written = write_report(load_results(folder), ReportFormat.HTML, output=tmp_path / "out", figures=())

@@ -49,6 +49,7 @@ def report(folder: ExperimentFolder, kind: ReportFormat = ReportFormat.JSON) -> 
     return written.document.read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("half_width", ["5 %", "0.1 J"])
 def test_the_planned_measure_has_intervals_that_hold_after_all_looks(tmp_path: Path, half_width: str) -> None:
     folder = made(tmp_path / "made", Precision("Energy", half_width=half_width, at_most=30))
@@ -81,6 +82,7 @@ def test_a_report_that_contradicts_itself_about_precision_is_found(tmp_path: Pat
     assert disagreements(broken)
 
 
+@pytest.mark.long
 def test_the_report_says_what_was_asked_for_and_what_becomes_of_the_tests(tmp_path: Path) -> None:
     page = report(made(tmp_path / "made", Precision("Energy", half_width="5 %", at_most=30)), ReportFormat.MARKDOWN)
     assert "at least 5, at most 30 repetitions; 8 repetitions in the end" in page
@@ -107,6 +109,7 @@ def test_the_report_says_that_intervals_of_skewed_values_hold_less_often(tmp_pat
     assert "skewed" not in time
 
 
+@pytest.mark.long
 def test_values_that_the_plan_leaves_out_are_left_out_of_the_precision(tmp_path: Path) -> None:
     folder = made(tmp_path / "made", Precision("Energy", half_width="5 %", at_most=30))
     manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))

@@ -127,6 +127,7 @@ def test_without_moments_the_order_of_the_table_is_not_taken_for_that_of_executi
     rows = [(task, 870.0 + place + (task == "b")) for place, task in enumerate("ababababab")]
     folder = Folder(tmp_path / "trial", {"Task": ["a", "b"]}, rows, {"Energy": "J"})
     folder.write()
+    (tmp_path / "trial" / "journal.jsonl").unlink()
     text = text_of(folder)
     assert "Energy over the order of the table: each run less the mean" in text
     assert "Residuals over the order of the table, which may be another than that of execution" in text
@@ -148,6 +149,7 @@ def test_a_measure_that_is_no_number_is_shown_and_not_computed(make_folder):
     assert re.search(r"Verdict.{0,200}number", text)
 
 
+@pytest.mark.long
 def test_a_factor_of_a_hundred_levels_has_a_report(make_folder):
     levels = [f"level {number}" for number in range(100)]
     rows = [(level, 1.0 + place * 0.01 + repeat * 0.1) for place, level in enumerate(levels) for repeat in range(2)]

@@ -13,6 +13,7 @@ from robot_runner.analysis.report.writing import write_report
 VISIBLE = "[...document.querySelectorAll('{}')].filter(each => each.getClientRects().length > 0)"
 
 
+@pytest.mark.long
 def test_the_demo_s_report_shows_its_sections_and_asks_for_nothing(browser, executed_demo, tmp_path):
     page = write_report(executed_demo / "robot-runner-demo" / "basic_experiment", output=tmp_path, figures=()).document
     assert page.stat().st_size < 3_000_000

@@ -235,6 +235,7 @@ def test_residuals_are_without_what_a_batch_adds():
     assert np.abs(residuals_of(data)[0]).max() < 1e-9
 
 
+@pytest.mark.long
 def test_data_of_one_batch_are_as_they_were():
     data = measure(cells({"a": (5, 0), "b": (4, 0)}))
     assert comparable(data) == (data, "", ())

@@ -38,6 +38,25 @@ def test_four_runs_that_rise_together_are_no_proof(tmp_path: Path) -> None:
     assert found.p_value == pytest.approx(2 / 24)
 
 
+def test_runs_of_one_block_vary_together_so_that_no_p_value_holds(tmp_path: Path) -> None:
+    """Of six blocks that differ by three standard deviations 52 % of such pairs have p < 0.05, of three blocks 76 %."""
+    random = np.random.default_rng(3)
+    blocks = random.normal(0, 3, (2, 20))
+
+    def values(_: object, repetition: int) -> dict[str, float]:
+        energy, seconds = blocks[:, repetition - 1] + random.normal(size=2)
+        return {"Energy": float(energy), "Time": float(seconds)}
+
+    made = make_experiment(
+        tmp_path / "e", values=values, repetitions=20, measures=("Energy", "Time"), blocks="Repetition"
+    )
+    [found] = analyse(load_results(made.root)).correlations
+    assert (found.p_value, found.adjusted_p_value, found.pearson_interval) == (None, None, None)
+    assert abs(found.pearson) < 1
+    assert found.within is not None
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("count", [4, 5, 6, 7])
 def test_of_few_values_all_orders_are_looked_at(count: int) -> None:
     random = np.random.default_rng(count)

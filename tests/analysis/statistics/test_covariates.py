@@ -193,12 +193,14 @@ def p_values(design: NullDesign, slope: float, effect: float = 0.0, count: int =
     return found
 
 
+@pytest.mark.long
 def test_the_level_holds_where_small_groups_vary_more() -> None:
     # The analysis of covariance with one variance finds a difference in 21 % here.
     rate = np.mean(np.array(p_values(NullDesign((2,), (5, 15), (3, 1)), 2.0)) < 0.05)
     assert 0.02 <= rate <= 0.09
 
 
+@pytest.mark.long
 def test_a_covariate_that_explains_much_adds_power() -> None:
     design = NullDesign((2,), 10)
     assert np.mean(np.array(p_values(design, 3.0, effect=1.5)) < 0.05) > 0.75  # without it: 0.17
@@ -245,6 +247,7 @@ def test_slopes_adjusted_means_and_what_stands_without_are_told(tmp_path: Path) 
     assert statistics.measure("Voltage").adjustment is None
 
 
+@pytest.mark.long
 def test_order_and_time_are_covariates_as_well(tmp_path: Path) -> None:
     places = iter(range(1, 100))
 
@@ -314,6 +317,7 @@ def test_slopes_that_differ_are_told(tmp_path: Path) -> None:
     assert any("Slopes of Energy over Voltage differ between treatments" in each for each in found.warnings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "more", [{}, {"blocks": "Repetition"}, {"plan": {"estimand": "rank"}}, {"plan": {"statistic": "anova-type"}}]
 )

@@ -35,6 +35,7 @@ def figures(effect):
     return effect.statistic, *effect.degrees_of_freedom
 
 
+@pytest.mark.long
 def test_a_split_plot_has_two_errors():
     # Table 14.15: methods against the error of whole plots, temperatures and the interaction within them.
     facts = {"kind": "split_plot", "whole_plot": "Batch", "whole_plot_factors": ["Method"], "replicate": "Replicate"}
@@ -102,6 +103,7 @@ def test_a_crossover_is_the_one_of_the_textbook():
     assert figures(effects["Method"]) == pytest.approx((2276.78 / 2 / ((616.19 + 199.25) / 6), 2, 6), rel=1e-5)
 
 
+@pytest.mark.long
 def test_a_fraction_names_what_it_cannot_tell_apart():
     # Table 8.3 and example 8.1: effects 19, 1.5, 14, 16.5, -1, -18.5, 19.
     facts = {"kind": "fractional_factorial", "resolution": 4}
@@ -148,6 +150,7 @@ def test_a_factor_that_cannot_be_tested_gives_its_effect_to_no_other():
     assert "what Resolution does cannot be told apart" in found.measure("y").not_computed[0].why
 
 
+@pytest.mark.long
 def test_lenth_is_as_published():
     signs = np.array([[1 if place >> bit & 1 else -1 for bit in range(4)] for place in range(16)])
     columns = [np.prod(signs[:, [bit for bit in range(4) if which >> bit & 1]], axis=1) for which in range(1, 16)]
@@ -220,6 +223,7 @@ def drifting(days, slope):
     return analyse(designed(lines, ["Day", "Treatment"], {"kind": "blocks", "block": ["Day"]})).measure("y")
 
 
+@pytest.mark.long
 def test_a_drift_is_looked_for_within_the_blocks_that_the_model_takes_out():
     falling = drifting([0.0] * 8, -1.0).drift
     assert falling.slope == pytest.approx(-1, abs=0.05)  # and not the 0 that blocks leave over all runs
@@ -310,6 +314,7 @@ def made_tables():
     }
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("Rscript") is None, reason="R is not installed (Debian: apt install r-base-core)")
 def test_all_designs_are_analysed_as_r_does(tmp_path):
     ours = {}

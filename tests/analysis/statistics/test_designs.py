@@ -249,6 +249,7 @@ def test_degrees_of_freedom_are_unbiased_for_groups_of_blocks():
     assert total.mean(axis=0) == pytest.approx(traces**2, rel=0.06)
 
 
+@pytest.mark.long
 def test_intervals_of_d_do_not_depend_on_the_order_of_treatments():
     assert np.isnan(special.nctdtr(18, 30, -2)), "what intervals were made of before"
     random = np.random.default_rng(3)
@@ -311,6 +312,7 @@ def test_errors_are_controlled_among_the_family_of_the_plan(tmp_path, plan, size
     assert task.adjusted_p_value == pytest.approx(task.p_value * sizes[0])
 
 
+@pytest.mark.long
 def test_asking_for_one_measure_changes_none_of_its_p_values(tmp_path):
     results = analysed(tmp_path, {"measures": ["Energy", "CPU"]}, shift=1.0)
     alone, among = analyse(results, measures=["Energy"]), analyse(results)
@@ -352,6 +354,7 @@ def test_ranks_have_no_unit_and_no_bound_in_one(tmp_path):
     assert "a bound in the unit of the measure says nothing of ranks" in bound.conclusion
 
 
+@pytest.mark.long
 def test_a_plan_names_the_blocks(tmp_path):
     results = analysed(tmp_path, {"measures": ["Energy"], "blocks": "Repetition"})
     measure = analyse(results).measure("Energy")

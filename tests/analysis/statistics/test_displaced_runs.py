@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.conftest import HEAD
 from tests.core.execution.conftest import execute_in
 
@@ -46,6 +47,7 @@ def executed_twice(folder: Path, table: str, failing: list[str]) -> Path:
     return again.folder
 
 
+@pytest.mark.long
 def test_a_period_that_is_made_up_for_later_is_not_analysed(tmp_path: Path) -> None:
     # Robot A has runs 1 to 3: the second fails, and is executed again after the third; robot B's last one in its place.
     folder = executed_twice(tmp_path, CROSSOVER, ["r_2", "r_6"])
@@ -69,6 +71,7 @@ def test_a_period_that_is_made_up_for_later_is_not_analysed(tmp_path: Path) -> N
     assert "executed after Period 3 of Robot A had begun" in report
 
 
+@pytest.mark.long
 def test_a_run_of_a_whole_plot_that_is_gone_is_not_analysed(tmp_path: Path) -> None:
     # Plot 2 has runs 4 to 6: one of them fails, and its floor is another when it is executed again.
     results = load_results(executed_twice(tmp_path, SPLIT_PLOT, ["r_5", "r_12"]))

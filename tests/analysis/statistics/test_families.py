@@ -60,6 +60,7 @@ def test_the_p_value_of_a_check_is_said_to_be_uncorrected_where_that_beside_it_i
     assert "The same test of ranks does show one (p = 0.049 before correction)" in effect.conclusion
 
 
+@pytest.mark.long
 def test_a_conclusion_that_stands_or_falls_has_the_p_value_that_decides(tmp_path: Path) -> None:
     found = statistics(tmp_path, 1, doubts={"r_1": "hot"})
     effect = energy(found.without_doubtful)
@@ -68,6 +69,7 @@ def test_a_conclusion_that_stands_or_falls_has_the_p_value_that_decides(tmp_path
     assert re.search(r"the effect of Task on Energy is \D* \(p = 0\.0\d+, p = 0\.\d+ after correction\)", conclusion)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factors", [20, 64])
 def test_factors_whose_combinations_are_too_many_to_be_looked_at_are_compared_one_by_one(factors: int) -> None:
     random = np.random.default_rng(factors)

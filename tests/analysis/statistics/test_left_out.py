@@ -142,6 +142,7 @@ def test_the_plan_may_refuse_a_conclusion_while_values_are_doubtful(tmp_path: Pa
     assert statistics(tmp_path / "b", plan).measure("Energy").test is not None
 
 
+@pytest.mark.long
 def test_outliers_and_doubtful_values_are_left_out_together(tmp_path: Path) -> None:
     plan = {"doubtful": "leave out", "outliers": {"median_deviations": 3}}
     found = statistics(tmp_path, plan, doubts={"r_2": HOT})

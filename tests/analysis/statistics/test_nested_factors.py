@@ -123,6 +123,7 @@ def test_the_coding_of_effects_and_their_contrasts_ask_the_same() -> None:
             assert found.row(terms, {name: text}) @ inverse == pytest.approx(found.weights({name: text}), abs=1e-12)
 
 
+@pytest.mark.long
 def test_a_conditional_factor_is_tested_among_the_runs_where_it_applies() -> None:
     results = experiment(lambda sensor, resolution, _: 4.0 * (resolution == "1080p") + 2.0 * (sensor == "lidar"))
     found = analyse(results)
@@ -290,6 +291,7 @@ def test_proportions_of_a_parent_are_of_all_of_its_runs() -> None:
     assert [each.label for each in found.proportions.by_treatment] == ["camera", "lidar", "720p", "1080p"]
 
 
+@pytest.mark.long
 def test_a_design_that_is_made_for_main_effects_tells_a_conditional_one() -> None:
     # Only the resolution of the camera costs anything.
     cells = {("camera", "720p", "2"): 0, ("camera", "1080p", "1"): 9, ("camera", "1080p", "2"): 9}

@@ -210,6 +210,7 @@ def test_where_all_say_the_same_nothing_is_tested(tmp_path: Path, answers: list[
     assert found.proportions.overall.n == 12
 
 
+@pytest.mark.long
 def test_a_pair_is_judged_by_the_exact_test_as_an_effect_is(tmp_path: Path) -> None:
     answers = {("lab",): said(8, 10), ("hall",): said(3, 10), ("yard",): said(10, 10)}
     found = analysed(tmp_path, [ROOM], answers).measure("Success")

@@ -109,6 +109,7 @@ def test_intervals_of_effect_sizes_have_the_level_of_the_study(is_blocked, last)
         assert other.interval.low <= one.interval.low < one.value < one.interval.high <= other.interval.high
 
 
+@pytest.mark.long
 def test_cliffs_delta_of_thousands_of_runs_holds_no_table_of_all_pairs():
     random = np.random.default_rng(4)
     one, other = np.round(random.normal(0.2, 1, 4_000), 2), np.round(random.normal(size=4_000), 2)

@@ -115,6 +115,7 @@ def test_columns_of_qualities_are_no_measures(tmp_path: Path) -> None:
     assert load_results(made.root).measures == ("Energy",)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["html", "md", "json"])
 def test_the_report_says_what_is_doubtful_and_what_stands(tmp_path: Path, kind: str) -> None:
     made = results(tmp_path, FAR, {"r_1": HOT, "r_8": HOT})
@@ -132,6 +133,7 @@ def test_the_report_says_what_is_doubtful_and_what_stands(tmp_path: Path, kind: 
         assert HOT in latex["doubtful_values.tex"]
 
 
+@pytest.mark.long
 def test_a_report_without_doubtful_values_says_nothing_of_them(tmp_path: Path) -> None:
     written = write_report(results(tmp_path, FAR, {}), ReportFormat.MARKDOWN, figures=())
     assert "oubtful" not in written.document.read_text(encoding="utf-8")

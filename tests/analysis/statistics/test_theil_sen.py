@@ -24,6 +24,7 @@ def values_of(kind, count):
     }[kind]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["drifting", "whole numbers", "mostly alike", "heavy tails", "a step"])
 @pytest.mark.parametrize(("level", "least"), [(0.95, 1), (0.99, 1), (0.95, 0)])  # 0: some places are alike
 def test_it_is_the_slope_of_scipy_to_the_last_digit(kind, level, least):
@@ -33,6 +34,7 @@ def test_it_is_the_slope_of_scipy_to_the_last_digit(kind, level, least):
     assert theil_sen(places, values, level) == (expected.slope, expected.low_slope, expected.high_slope)
 
 
+@pytest.mark.long
 def test_of_five_thousand_values_it_holds_a_few_megabytes_where_scipy_holds_hundreds():
     values, places = values_of("drifting", 5_000), np.arange(1.0, 5_001.0)
     tracemalloc.start()

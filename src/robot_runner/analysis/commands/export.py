@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.cli.console import output, print_facts, print_json, shown_path
-from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_json, add_set, add_target
-from robot_runner.cli.target import folder_of_target
+from robot_runner.cli.target import folder_of_target, only_experiment
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -14,9 +14,8 @@ from robot_runner.analysis.declared_design import with_declared_design
 from robot_runner.analysis.libraries import require_libraries
 from robot_runner.analysis.plan_file import PlanFile, read_plan
 from robot_runner.cli.console import output, print_facts, shown_path
-from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import UsageError, add_set, add_target
-from robot_runner.cli.target import folder_of_target
+from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.errors import did_you_mean
 from robot_runner.core.words import counted
 

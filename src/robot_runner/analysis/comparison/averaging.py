@@ -27,12 +27,13 @@ from robot_runner.analysis.run_frame import several
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.descriptive import out_of_range, quiet
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
+from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.tested import Interval, NotComputed
 from robot_runner.analysis.statistics.tests import planned_model_of
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 from robot_runner.core.design.outliers import Doubtful
-from robot_runner.core.errors import AnalysisError
+from robot_runner.core.errors import AnalysisError, Finding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -88,6 +89,7 @@ def meta_analyse(
     chosen, found = chosen_measures_of_all(alike, None if measures is None else several(measures))
     findings += found
     findings += [finding for of in (unit_findings, value_findings) for each in chosen for finding in of(each, alike)]
+    findings += [Finding.warning(each.name, why) for each in alike if (why := failures_in_words(each.results))]
     if errors := [each for each in findings if each.is_error]:
         raise AnalysisError.of_findings(errors)
     factors = [name for each in alike for name in each.design.factors]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.analysis.wording import labelled
 from robot_runner.core.errors import AnalysisError
+from robot_runner.core.words import has_true_zero
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -75,8 +76,22 @@ class Bound:
         return f"{self.value:g} %" if self.is_relative else f"{self.value:g}"
 
 
-#: Why no proportions are equivalent within a bound that all of them are within.
-TOO_WIDE = "no proportions differ by more than 1, so that the bound says nothing: give one below 1, or a percentage."
+def why_vain(bound: Bound | None, unit: str, *, are_answers: bool) -> str:
+    """Return why a bound says nothing of a measure in this unit, or one that is yes or no; empty where it does.
+
+    Example:
+        >>> why_vain(Bound.parse("5%"), "degC", are_answers=False)
+        'a percentage says nothing of values in degC, whose 0 is agreed upon: give it in degC.'
+    """
+    if bound is None:
+        return ""
+    if are_answers and bound.holds_all_proportions:
+        return (
+            "no proportions differ by more than 1, so that the bound says nothing: give one below 1, or a percentage."
+        )
+    if bound.is_relative and not has_true_zero(unit):
+        return f"a percentage says nothing of values in {unit}, whose 0 is agreed upon: give it in {unit}."
+    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +201,7 @@ class Difference:
         interval: confidence interval of the difference at 1 - alpha.
         narrow_interval: at 1 - 2 alpha: it lies within the bound exactly where the two are equivalent, if the bound is
             in the unit of the measure.
-        relative: the difference in percent of the first mean.
+        relative: the difference in percent of the first mean; None of units whose 0 is agreed upon, such as degC.
         p_value: of a t-test that there is none (Welch's, or of pairs); `adjusted_p_value` after Holm, for the number of
             combinations.
         bound: what would not matter, in the unit of the measure; None where no bound was stated, or one that every
@@ -241,7 +256,7 @@ class Agreement:
         lower, upper: limits of agreement: bias less and plus 1.96 standard deviations of the differences; None of
             measures that are yes or no.
         error: mean absolute percentage error in percent: of pairs if they are natural, else of the combinations' means;
-            None where a value of the first is 0.
+            None where a value of the first is 0, and of units whose 0 is agreed upon.
     """
 
     pairs: Mapping[str, Sequence[tuple[float, float]]]

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.analysis.comparison.compared import (
-    TOO_WIDE,
     Bound,
     Bounds,
     Comparison,
@@ -15,6 +14,7 @@ from robot_runner.analysis.comparison.compared import (
     MeasureComparison,
     Side,
     Verdict,
+    why_vain,
 )
 from robot_runner.analysis.comparison.comparison_document import conclusion_of, procedure_of
 from robot_runner.analysis.comparison.equivalence import (
@@ -41,13 +41,14 @@ from robot_runner.analysis.comparison.matching import (
 from robot_runner.analysis.comparison.shared_units import estimate_of
 from robot_runner.analysis.results import results_of
 from robot_runner.analysis.statistics.experiment_statistics import SEARCHED
+from robot_runner.analysis.statistics.lost_runs import failures_in_words
 from robot_runner.analysis.statistics.post_hoc import adjusted
 from robot_runner.analysis.statistics.robustness import doubtful_runs
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.wording import listed, sentence
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.errors import AnalysisError
-from robot_runner.core.words import counted
+from robot_runner.core.words import counted, has_true_zero
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -116,6 +117,11 @@ def compare(
         *matching.notes,
         *([f"No means are compared of what is text in both: {listed(texts)}."] if texts else []),
         *_notes_on_values((ours, theirs), called, chosen),
+        *(
+            f"Of {name}, {why}."
+            for name, each in zip(called, (ours, theirs), strict=True)
+            if (why := failures_in_words(each))
+        ),
     ]
     return Comparison(
         Side(labels[0], ours.name, ours.folder, len(ours.done)),
@@ -182,12 +188,13 @@ def _regions(regions: Regions, names: Sequence[str], first: Results) -> dict[str
 
 
 class _Asked(NamedTuple):
-    """What is asked of a measure; whether it is yes or no, and why it cannot be compared, if it cannot."""
+    """What is asked of a measure; its unit, whether it is yes or no, and why it cannot be compared, if it cannot."""
 
     bound: Bound | None
     region: Bound | None
     alpha: float
     is_paired: bool
+    unit: str = ""
     are_answers: bool = False
     obstacle: str = ""
 
@@ -196,10 +203,13 @@ class _Asked(NamedTuple):
         """Whether proportions are compared: answers that are no pairs."""
         return self.are_answers and not self.is_paired
 
-    @property
-    def is_bound_too_wide(self) -> bool:
-        """Whether all there is is within the bound."""
-        return self.are_answers and self.bound is not None and self.bound.holds_all_proportions
+    def why_vain(self, bound: Bound | None) -> str:
+        """Return why a bound, or a region, says nothing of the measure; empty where it does."""
+        return why_vain(bound, self.unit, are_answers=self.are_answers)
+
+    def telling(self, bound: Bound | None) -> Bound | None:
+        """Return a bound, or a region, that says something of the measure; None where there is none."""
+        return None if self.why_vain(bound) else bound
 
 
 def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) -> MeasureComparison:
@@ -210,7 +220,7 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
         obstacle = sentence(SEARCHED)
     elif any(map(are_texts, (matching.first, matching.second), names)):
         obstacle = "One of the experiments has values that are no numbers."
-    asked = asked._replace(are_answers=are_answers(matching, names), obstacle=obstacle)
+    asked = asked._replace(unit=units[0], are_answers=are_answers(matching, names), obstacle=obstacle)
     found_values = (group.values(*names, is_paired=asked.is_paired) for group in matching.groups)
     values = [each._replace(second=in_unit(each.second, units[1], units[0])) for each in found_values]
     found = [_tested(group.treatments, each, asked) for group, each in zip(matching.groups, values, strict=True)]
@@ -225,7 +235,9 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
         second_origin=theirs.origin,
         bound=asked.bound,
         differences=differences,
-        agreement=agreement_of(labelled, is_paired=asked.is_paired, has_limits=not asked.are_answers),
+        agreement=agreement_of(
+            labelled, is_paired=asked.is_paired, has_limits=not asked.are_answers, has_shares=has_true_zero(units[0])
+        ),
         verdict=Verdict.of_all([each.verdict for each in differences]),
         conclusion="",
         not_computed=tuple(_missed(differences, asked, *units)),
@@ -239,8 +251,8 @@ def _compare_measure(matching: Matching, names: tuple[str, str], asked: _Asked) 
 def _tested(treatments: Mapping[str, str], values: MatchedValues, asked: _Asked) -> Difference:
     """Compare the values of one combination; p-values are not adjusted yet."""
     first, second, units = values
-    region, alpha, is_paired = asked.region, asked.alpha, asked.is_paired
-    bound = None if asked.is_bound_too_wide else asked.bound
+    alpha, is_paired = asked.alpha, asked.is_paired
+    bound, region = asked.telling(asked.bound), asked.telling(asked.region)
     one, other = (float(each.mean()) if len(each) else None for each in (first, second))
     size = None if one is None or other is None else other - one
     described = Difference(
@@ -252,7 +264,7 @@ def _tested(treatments: Mapping[str, str], values: MatchedValues, asked: _Asked)
         spread_of(first),
         spread_of(second),
         size,
-        relative=size / abs(one) * _PERCENT if size is not None and one else None,
+        relative=size / abs(one) * _PERCENT if size is not None and one and has_true_zero(asked.unit) else None,
         bound=None if bound is None or one is None else bound.in_units(one),
         **_facts_of(units, first, second),
     )
@@ -316,15 +328,16 @@ def _judged(difference: Difference, alpha: float) -> Difference:
 
 
 def _missed(differences: Sequence[Difference], asked: _Asked, one: str, other: str) -> Iterator[NotComputed]:
-    if asked.is_bound_too_wide:
-        yield NotComputed("equivalence", sentence(TOO_WIDE))
+    for what, bound in (("equivalence", asked.bound), ("probabilities", asked.region)):
+        if why := asked.why_vain(bound):
+            yield NotComputed(what, sentence(why))
     for each in differences:
         if each.not_computed:
             yield NotComputed(f"test of {each.label}", each.not_computed)
         elif each.bound == 0:
             why = "The bound is a percentage of the first mean, which is 0: give it in the unit of the measure."
             yield NotComputed(f"equivalence of {each.label}", why)
-        elif asked.region is not None and each.practical is None:
+        elif asked.telling(asked.region) is not None and each.practical is None:
             why = "The runs of one experiment are all equal, so that there is no posterior distribution."
             why = "They are computed of means, and not of proportions." if asked.are_proportions else why
             yield NotComputed(f"probabilities of {each.label}", why)

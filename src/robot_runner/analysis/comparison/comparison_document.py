@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from robot_runner.analysis.comparison.compared import TOO_WIDE, Verdict
+from robot_runner.analysis.comparison.compared import Verdict, why_vain
 from robot_runner.analysis.figures.effects import Estimate, draw_agreement, draw_differences
 from robot_runner.analysis.report.blocks import (
     Badge,
@@ -116,8 +116,8 @@ def _why_undecided(measure: MeasureComparison) -> str:
         return f"nothing could be tested. {untested[0].not_computed}"
     if measure.bound is None:
         return "no difference was found, and without a bound nothing can be called equivalent."
-    if measure.are_answers and measure.bound.holds_all_proportions:
-        return TOO_WIDE
+    if why := why_vain(measure.bound, measure.unit, are_answers=measure.are_answers):
+        return why
     if without := [each.label for each in undecided if each.bound == 0]:
         return f"the bound is a percentage of the first mean, which is 0 for {listed(without)}: give it in its unit."
     return (

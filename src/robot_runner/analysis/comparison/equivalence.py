@@ -168,7 +168,11 @@ _SPREAD = 1.96
 
 
 def agreement_of(
-    groups: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]], *, is_paired: bool, has_limits: bool = True
+    groups: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]],
+    *,
+    is_paired: bool,
+    has_limits: bool = True,
+    has_shares: bool = True,
 ) -> Agreement | None:
     """Return relative error and limits of agreement, or None where there is no pair.
 
@@ -176,6 +180,7 @@ def agreement_of(
         groups: by combination: the values of the first and the second experiment; of pairs in the same order.
         is_paired: whether values belong together; otherwise those of one combination are put beside each other.
         has_limits: whether differences can be normal, as limits take for granted; those of yes and no cannot.
+        has_shares: whether a percentage of a value says anything, as it does not in degC.
     """
     pairs = {
         label: [(float(one), float(other)) for one, other in zip(first, second, strict=False)]
@@ -201,7 +206,7 @@ def agreement_of(
         bias=bias,
         lower=None if reach is None else bias - reach,
         upper=None if reach is None else bias + reach,
-        error=_error(references),
+        error=_error(references) if has_shares else None,
     )
 
 

@@ -178,7 +178,7 @@ def _notes_on_same_units(first: Results, second: Results, groups: Sequence[Match
         if ours == theirs:
             yield (
                 f"Units of {name} have the same names in both, and are taken for others all the same. Where they are "
-                "the same robots, rooms or people, --paired compares within them."
+                "the same robots, rooms or people, `robot-runner compare --paired` compares within them."
             )
 
 

@@ -282,6 +282,9 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
     stamps = [stamp for stamp, run in zip(cells.column(_STAMP), cells.column(RUN_ID), strict=True) if run in wanted]
     is_stamped = _STAMP in results.done and all(map(_STAMPS.fullmatch, stamps))
     places = [int(place) for place in design.frame[PLACE]]
+    # Not where the clock was set back: the journal, which the script does not read, knows the order.
+    by_stamps = {at: place for place, at in enumerate(sorted(range(len(stamps)), key=stamps.__getitem__), start=1)}
+    is_stamped = is_stamped and places == [by_stamps[at] for at in range(len(stamps))]
     is_ordered = is_stamped or places == list(range(1, len(places) + 1))
     return TableSource(
         path=os.path.relpath(path.resolve(), folder.resolve()).replace(os.sep, "/"),

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.analysis.planning.registered import registered
 from robot_runner.analysis.report.blocks import Badge, Tone
 from robot_runner.analysis.sample_files import noted
-from robot_runner.analysis.statistics.analysed_design import has_known_order
 from robot_runner.analysis.statistics.disclosed import Reason
+from robot_runner.analysis.statistics.execution_order import execution_order
 from robot_runner.analysis.statistics.known_precision import known_precisions
 from robot_runner.core.design.analysis_plan import Correction
 from robot_runner.core.design.columns import RUN_ID, STATUS
@@ -176,7 +176,7 @@ class Material:
     @property
     def order_of_runs(self) -> str:
         """The order over which a drift is looked for, in words: that of the table where runs do not tell another."""
-        return "order of execution" if has_known_order(self.results) else "order of the table"
+        return "order of execution" if execution_order(self.results).is_known else "order of the table"
 
     @property
     def factors(self) -> tuple[str, ...]:

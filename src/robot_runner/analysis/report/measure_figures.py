@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 _MOST_COMBINATIONS = 16
 _MOST_LINES = 8
+#: Nobody reads the 66 figures of all pairs of 12 factors, which take more than a minute to draw.
+_MOST_PAIRS = 10
 
 
 def quantile_figure(material: Material, measure: MeasureStatistics) -> FigureBlock | None:
@@ -160,8 +162,19 @@ def _groups(material: Material, measure: MeasureStatistics, factors: tuple[str, 
     return groups
 
 
-def _interactions(material: Material, measure: MeasureStatistics) -> Iterator[FigureBlock]:
-    """Yield how each two factors act together on a measure; nothing where no run has a number."""
+def _interactions(material: Material, measure: MeasureStatistics) -> list[FigureBlock]:
+    """Return how two factors each act together on a measure: of many pairs those whose interaction is clearest."""
+    pairs = list(_pairs(material, measure))
+    if len(pairs) > _MOST_PAIRS:
+        effects = measure.test.effects if measure.test is not None else ()
+        told = {frozenset(each.factors): each.p_value for each in effects if each.p_value is not None}
+        clearest = sorted(pairs, key=lambda pair: told.get(frozenset(pair), 1.0))[:_MOST_PAIRS]
+        pairs = [pair for pair in pairs if pair in clearest]
+    return [_interaction(material, measure, *pair) for pair in pairs]
+
+
+def _pairs(material: Material, measure: MeasureStatistics) -> Iterator[tuple[str, str]]:
+    """Yield the pairs of factors that can be drawn; none where no run has a number."""
     if measure.overall is None or not measure.overall.n:
         return
     varied, is_full = material.statistics.design.factors, material.statistics.design.kind == "full_factorial"
@@ -175,7 +188,7 @@ def _interactions(material: Material, measure: MeasureStatistics) -> Iterator[Fi
         if material.done[along].nunique() < material.done[across].nunique():
             along, across = across, along  # noqa: PLW2901 - fewer lines over more places are easier to read
         if material.done[across].nunique() <= _MOST_LINES:
-            yield _interaction(material, measure, along, across)
+            yield along, across
 
 
 def _interaction(material: Material, measure: MeasureStatistics, along: str, across: str) -> FigureBlock:
@@ -220,6 +233,9 @@ def figures_section(material: Material) -> Section:
     interactions = [each for measure in measures for each in _interactions(material, measure)]
     if interactions:
         blocks.append(Part("interactions", "Interactions of factors", (Gallery(tuple(interactions)),)))
+    if any(len(list(_pairs(material, measure))) > _MOST_PAIRS for measure in measures):
+        words = f"Of each measure, the {_MOST_PAIRS} pairs of factors are drawn whose interaction is clearest."
+        blocks.append(Paragraph(words, Tone.NOTE))
     others = len(material.statistics.measures) - len(measures)
     if others:
         words = f"{counted(others, 'more measure')} {'is' if others == 1 else 'are'} not drawn"

@@ -14,6 +14,7 @@ import re
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
+from unicodedata import normalize
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 _PACKAGE = "robot_runner.analysis.report"
 #: Rows of a table that a page shows; files have them all.
 _MOST_ROWS = 400
+#: Letters of a row that a column of a paper has room for, with those that the gap between two cells takes.
+_COLUMN_OF_A_PAPER, _GAP = 50, 2
 #: Screen pixels for a point of a figure: a column of a paper becomes 470 pixels wide.
 _SCALE = 1.87
 _SIZE = re.compile(rb'<svg[^>]*? viewBox="0 0 ([\d.]+) ([\d.]+)"', re.DOTALL)
@@ -42,12 +45,21 @@ _MARKDOWN = re.compile(r"([\\`*_{}\[\]<>#|~$!&]|(?:^|(?<=^[0-9])|(?<=^[0-9]{2}))
 _LATEX = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "_": r"\_", "%": r"\%",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}",
-    "|": r"\textbar{}", '"': r"\char34{}", "`": r"\textasciigrave{}", "\N{MINUS SIGN}": "$-$", "\N{EN DASH}": "--",
-    "\N{MULTIPLICATION SIGN}": r"$\times$", "±": r"$\pm$", "≤": r"$\leq$", "≥": r"$\geq$",
-    "\N{GREEK SMALL LETTER ALPHA}": r"$\alpha$", "\N{GREEK SMALL LETTER RHO}": r"$\rho$", "η": r"$\eta$",
-    "ω": r"$\omega$", "δ": r"$\delta$", "χ": r"$\chi$", "²": r"\textsuperscript{2}", "°": r"\textdegree{}",
-    "·": r"$\cdot$", "…": r"\ldots{}", "\N{GREEK CAPITAL LETTER OMEGA}": r"$\Omega$", "\N{OHM SIGN}": r"$\Omega$",
-    "\N{GREEK SMALL LETTER MU}": r"$\mu$",
+    "|": r"\textbar{}", '"': r"\char34{}", "`": r"\textasciigrave{}", "\N{EN DASH}": "--", "°": r"\textdegree{}",
+    "…": r"\ldots{}", "\N{MINUS SIGN}": "$-$", "\N{MULTIPLICATION SIGN}": r"$\times$",
+    "±": r"$\pm$", "≤": r"$\leq$", "≥": r"$\geq$", "≪": r"$\ll$", "≫": r"$\gg$", "≈": r"$\approx$", "≠": r"$\neq$",
+    "≡": r"$\equiv$", "∝": r"$\propto$", "∞": r"$\infty$", "√": r"$\surd$", "∂": r"$\partial$", "∇": r"$\nabla$",
+    "∈": r"$\in$", "·": r"$\cdot$", "⋅": r"$\cdot$", "⇒": r"$\Rightarrow$", "↔": r"$\leftrightarrow$",
+    **{sign: rf"\textsuperscript{{{plain}}}" for sign, plain in zip("⁰¹²³⁴⁵⁶⁷⁸⁹⁺", "0123456789+", strict=True)},
+    **{sign: rf"\textsubscript{{{plain}}}" for sign, plain in zip("₀₁₂₃₄₅₆₇₈₉₊", "0123456789+", strict=True)},
+    "⁻": r"\textsuperscript{$-$}", "₋": r"\textsubscript{$-$}",
+    # Greek, from alpha on: LaTeX has no command for letters that look like Latin ones.
+    **{chr(code): rf"$\{letter}$" if len(letter) > 1 else letter for first, letters in (
+        (0x391, "A B Gamma Delta E Z H Theta I K Lambda M N Xi O Pi P"),
+        (0x3A3, "Sigma T Upsilon Phi X Psi Omega"),
+        (0x3B1, "alpha beta gamma delta varepsilon zeta eta theta iota kappa lambda mu nu xi o pi rho"),
+        (0x3C2, "varsigma sigma tau upsilon varphi chi psi omega"),
+    ) for code, letter in enumerate(letters.split(), first)},
 }  # fmt: skip
 
 
@@ -104,8 +116,19 @@ def markdown_of(document: Document, figure_path: Callable[[str], str]) -> str:
 
 
 def latex_of(table: Table, labels: Callable[[str], str]) -> str:
-    """Return a table as LaTeX, for `booktabs`, with numbers as a reader sees them; `labels` names it for references."""
-    return _papers().get_template("table.tex.j2").render(table=table.for_readers, label=labels(table.name))
+    """Return a table as LaTeX, for `booktabs` and `graphicx`, with numbers as a reader sees them.
+
+    One that is too wide for a column of a paper spans the page, and is made smaller where it is too wide for that.
+
+    Args:
+        table: it.
+        labels: names it for references.
+    """
+    table = table.for_readers
+    rows = [[column.name for column in table.columns], *([cell.text for cell in row] for row in table.rows)]
+    width = sum(max(map(len, column)) + _GAP for column in zip(*rows, strict=True))
+    star = "*" * (width > _COLUMN_OF_A_PAPER)
+    return _papers().get_template("table.tex.j2").render(table=table, label=labels(table.name), star=star)
 
 
 def latex_label(name: str) -> str:
@@ -133,7 +156,7 @@ def latex_text(text: str) -> str:
         >>> latex_text("--fast"), latex_text("[0, 1]")  # neither a dash nor the argument of the line that ends before
         ('-{}-fast', '{}[0, 1]')
     """
-    line = verbatim(text)
+    line = normalize("NFC", verbatim(text))  # a letter and its accents are one sign, an ohm sign is an omega
     signs = (
         _LATEX.get(sign, sign) + "{}" * (sign == after and sign in "-',")
         for sign, after in zip(line, f"{line[1:]} ", strict=False)

@@ -166,7 +166,7 @@ def _power(power: Power) -> str:
             f"{power.effect_name} = {shown_number(power.detectable_effect, 3)}."
         )
     if needed:
-        parts.append(f"Runs that a group needs for that power: {needed}.")
+        parts.append(f"{sentence(power.counted).rstrip('.')} that are needed for that power: {needed}.")
     return " ".join([*parts, power.note])
 
 
@@ -311,14 +311,17 @@ def _correlation_table(material: Material) -> Table:
         number("Pearson's r", "pearson", 3),
         interval("CI", "pearson_interval", 3),
         number(f"Spearman's {RHO}", "spearman", 3),
-        p_value("Adjusted p", "adjusted_p_value", lambda each: each.adjusted_p_value < alpha),
+        p_value("Adjusted p", "adjusted_p_value", lambda each: (each.adjusted_p_value or 1.0) < alpha),
         number("r within treatments", "within", 3),
         text("Magnitude", "magnitude.value"),
     )
     about = about_intervals((each.pearson_interval for each in found), " of r")
+    told = f"p-values are of Spearman's {RHO}, {counted(len(found), 'pair')}."
+    if all(each.p_value is None for each in found):
+        told = "Runs of one block, plot, subject or batch vary together: there are neither p-values nor intervals."
     note = (
-        f"{about}p-values are of Spearman's {RHO}, {counted(len(found), 'pair')}. Within treatments: what is left once "
-        "the effects of the treatments, and of blocks and batches, are taken away."
+        f"{about}{told} Within treatments: what is left once the effects of the treatments, and of blocks and batches, "
+        "are taken away."
     )
     caption = "How measures go together, over all runs that are done."
     return build_table("correlations", caption, found, fields, note)

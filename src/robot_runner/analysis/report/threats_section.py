@@ -10,9 +10,16 @@ from robot_runner.analysis.report.machine_threats import machine_threats
 from robot_runner.analysis.report.material import by_plugin
 from robot_runner.analysis.report.measure_figures import drift_figure
 from robot_runner.analysis.report.outcome_section import failures_in_words
-from robot_runner.analysis.statistics.analysed_design import has_known_order
 from robot_runner.analysis.statistics.disclosed import Beside
+from robot_runner.analysis.statistics.execution_order import execution_order
 from robot_runner.analysis.statistics.experiment_statistics import order_warnings, planned_warnings
+from robot_runner.analysis.statistics.lost_runs import (
+    failed_by_treatment,
+    limits_in_words,
+    missing_by_treatment,
+    repeated_by_treatment,
+)
+from robot_runner.analysis.statistics.robot_shares import robot_warnings
 from robot_runner.analysis.wording import kind_of, listed, sentence, shown_number
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID
 from robot_runner.core.events.measure import Quality
@@ -50,7 +57,7 @@ def threats_section(material: Material, threats: Sequence[Remark]) -> Section:
         if measure.drift is not None and (measure.name in material.drawn or measure.drift.is_significant)
     )
     if figures:
-        doubt = "" if has_known_order(material.results) else ", which may be another than that of execution,"
+        doubt = "" if execution_order(material.results).is_known else ", which may be another than that of execution,"
         about = f"Residuals over the {material.order_of_runs}{doubt} show whether battery or room drifted."
         blocks += [Paragraph(about, Tone.NOTE), Gallery(figures)]
     return Section("threats-to-validity", "Threats to validity", tuple(blocks))
@@ -71,7 +78,7 @@ def threats_of(material: Material) -> tuple[Remark, ...]:
             _odd,
             _gaps,
         ),
-        "Construct validity": (_unread, _origins, _saturation),
+        "Construct validity": (_unread, _origins, _saturation, _limits),
         "External validity": (_constant_factors,),
     }
     return tuple(
@@ -189,6 +196,8 @@ def _order(material: Material) -> Threats:
         yield "Runs were executed out of the order of the run table", text, Tone.WARNING
     for text in order_warnings(material.results):
         yield "The design does not hold for all runs", text, Tone.WARNING
+    for text in robot_warnings(material.results, material.statistics.design):
+        yield "Treatments are unevenly spread over robots", text, Tone.BAD
 
 
 def _chosen_runs(material: Material) -> Iterator[str]:
@@ -250,7 +259,8 @@ def _unfinished(material: Material) -> Threats:
     failed = material.counts[RunStatus.FAILED]
     if failed:
         reasons = " ".join(f"{runs}: {reason}" for runs, reason in failures_in_words(material))
-        text = f"{counted(failed, 'run')} failed and {_are(failed)} not in the statistics. {reasons}"
+        uneven = failed_by_treatment(material.results, material.statistics.design)
+        text = f"{counted(failed, 'run')} failed and {_are(failed)} not in the statistics.{uneven} {reasons}"
         yield "Runs failed", text, Tone.BAD
     left = material.counts[RunStatus.TODO] + material.counts[RunStatus.RUNNING]
     if left:
@@ -263,12 +273,14 @@ def _unfinished(material: Material) -> Threats:
         failures = attempts[attempts["run_id"].isin(again)].groupby("failure", sort=False)["run_id"]
         if earlier := [f"{listed(runs.unique())} ({failure})" for failure, runs in failures]:
             text += f" Earlier ones failed: {listed(earlier, shown=8)}."
-        yield "Runs took more than one attempt", text, Tone.NOTE
+        uneven = repeated_by_treatment(material.results, material.statistics.design)
+        yield "Runs took more than one attempt", f"{text}{uneven}", Tone.WARNING if uneven else Tone.NOTE
     for name in material.results.measures:
         mine = material.doubted["measure"] == name
         missing = int((mine & (material.doubted["quality"] == Quality.MISSING.value)).sum())
         if missing:
-            text = f"No value in {missing:,} of {counted(len(material.done), 'run')} that are done."
+            uneven = missing_by_treatment(material.results, material.statistics.design, name)
+            text = f"No value in {missing:,} of {counted(len(material.done), 'run')} that are done.{uneven}"
             yield f"{name} has missing values", text, Tone.WARNING
 
 
@@ -347,6 +359,12 @@ def _saturation(material: Material) -> Threats:
         count = counted(sum(each.saturated or 0 for each in mine), "sample")
         text = f"{count} reached the end of the sensor's range ({listed(each.run_id for each in mine)})."
         yield f"{plugin} was saturated", text, Tone.WARNING
+
+
+def _limits(material: Material) -> Threats:
+    for name in material.results.measures:
+        for text in limits_in_words(material.results, material.statistics.design, name):
+            yield f"{name} may have a limit", text, Tone.WARNING
 
 
 def _unread(material: Material) -> Threats:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from robot_runner.analysis.run_frame import treatment_texts
 from robot_runner.analysis.statistics.design_structure import are_complete, treatments_before, with_structure
+from robot_runner.analysis.statistics.execution_order import STAMP, execution_order
 from robot_runner.analysis.statistics.grouped_runs import Group, group_of, numbered
 from robot_runner.analysis.statistics.known_design import PLAIN, KnownDesign, role_column
 from robot_runner.analysis.statistics.nested_factors import IDLE, Conditions, NestedFactors, conditions_of
@@ -32,7 +33,6 @@ _BLOCK = " block"
 #: How the schema of a run table describes a factor that applies to all runs.
 EVERYWHERE = "A factor."
 BATCH = " batch"
-_STAMP = "start_measurement_at"
 
 
 def covariate_column(name: str) -> str:
@@ -267,8 +267,9 @@ class Design:
         found = self._numbers(name) if name in self.results.measures else None
         if found is None and name == ORDER and name not in done:
             found = self.frame[PLACE].to_numpy(dtype=np.float64)
-        if found is None and name == ELAPSED and name not in done and _STAMP in done:
-            found = (done[_STAMP] - done[_STAMP].min()).dt.total_seconds().to_numpy(dtype=np.float64, na_value=np.nan)
+        is_told = STAMP in done and execution_order(self.results).has_times
+        if found is None and name == ELAPSED and name not in done and is_told:
+            found = (done[STAMP] - done[STAMP].min()).dt.total_seconds().to_numpy(dtype=np.float64, na_value=np.nan)
         return np.full(len(done), np.nan) if found is None else found
 
     def summary(self) -> DesignSummary:
@@ -341,7 +342,7 @@ def design_of(results: Results, *, blocks: str | None = None) -> Design:
         known, column = PLAIN, known.blocks[0]
     if column is not None and known != PLAIN:  # complete blocks are those of a full factorial alone
         known, column = known.with_blocks((column,)), None
-    columns = {RUN_ID: done[RUN_ID], PLACE: _places(done)}
+    columns = {RUN_ID: done[RUN_ID], PLACE: execution_order(results).places}
     counted_only = {results.repetition, column, *known.columns}
     names = [name for name in results.factors if name not in counted_only]
     for name in names:
@@ -385,16 +386,3 @@ def _several(treatments: pd.Series, conditions: Conditions) -> bool:
 
 def _distinct(values: pd.Series) -> int:
     return len(set(values))
-
-
-def has_known_order(results: Results) -> bool:
-    """Return whether all runs tell when they were executed; else the order of the table is taken for that."""
-    done = results.confirming.done
-    return _STAMP in done and bool(done[_STAMP].notna().all())
-
-
-def _places(done: pd.DataFrame) -> NDArray[np.int64]:
-    """Return the place of each run in the order of execution: by its time stamp, where all have one."""
-    if _STAMP in done and done[_STAMP].notna().all():
-        return np.asarray(done[_STAMP].rank(method="first"), dtype=np.int64)
-    return np.arange(1, len(done) + 1, dtype=np.int64)

@@ -10,6 +10,7 @@ from scipy import stats
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, QuantilePairs
 from robot_runner.analysis.wording import p_in_words
+from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,9 +74,18 @@ def normality(
     return AssumptionCheck(SHAPIRO_WILK, group, float(result.statistic), float(result.pvalue), holds, conclusion)
 
 
-def equal_variances(groups: Sequence[Group], alpha: float) -> AssumptionCheck | NotComputed:
-    """Check by Levene's test, around medians (Brown and Forsythe 1974), whether groups may have equal variances."""
+def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str] = ()) -> AssumptionCheck | NotComputed:
+    """Check by Levene's test, around medians (Brown and Forsythe 1974), whether groups may have equal variances.
+
+    Args:
+        groups: the runs of each combination.
+        alpha: below this p-value variances are taken to differ.
+        within: what several runs have in common, such as blocks: the test takes runs that stand by themselves.
+    """
     what = f"{LEVENE} test"
+    if within:
+        # With blocks that vary three times as much as runs it hardly ever finds anything, whatever the spreads.
+        return NotComputed(what, f"{enumerated(within)} add to the spread of all groups, and hide how these differ.")
     samples = [group.values for group in groups if len(group.values)]
     if len(samples) < _LEAST_FOR_VARIANCE:
         return NotComputed(what, "there is only one group.")

@@ -47,7 +47,7 @@ MOST_FACTORS = 3
 _MOST_CELLS = 500
 
 #: Of the blocks, the share that has to be complete so that the others are left out.
-_COMPLETE = 0.75
+COMPLETE = 0.75
 
 _PAIR = 2
 
@@ -277,7 +277,7 @@ def _blocked(
     group_of = np.zeros(count, dtype=np.intp)
     group_of[block] = group
     sizes = np.bincount(group_of[complete], minlength=_size(factors, between))
-    if complete.mean() < _COMPLETE or sizes.min() < _PAIR:
+    if complete.mean() < COMPLETE or sizes.min() < _PAIR:
         return None
     used = np.flatnonzero(complete[block] & counts)
     rows = used[np.lexsort((cell[used], block[used], group[used]))]

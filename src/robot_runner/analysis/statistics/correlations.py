@@ -42,14 +42,18 @@ _MOST_PERMUTED = 8
 def correlations_of(
     measures: Sequence[MeasureData], correction: Correction
 ) -> tuple[tuple[Correlation, ...], tuple[NotComputed, ...]]:
-    """Correlate each pair of measures, over all runs and within combinations of treatments."""
+    """Correlate each pair of measures, over all runs and within combinations of treatments.
+
+    Where several runs are of one block, plot, subject or batch there is neither p-value nor interval: these take runs
+    that stand by themselves.
+    """
     found: list[Correlation] = []
     missing: list[NotComputed] = []
     for first, second in combinations(measures, 2):
         result = _correlation(first, second)
         (found if isinstance(result, Correlation) else missing).append(result)  # type: ignore[arg-type]
-    after = adjusted([each.p_value for each in found], correction)
-    listed = (replace(each, adjusted_p_value=value) for each, value in zip(found, after, strict=True))
+    after = iter(adjusted([each.p_value for each in found if each.p_value is not None], correction))
+    listed = (each if each.p_value is None else replace(each, adjusted_p_value=next(after)) for each in found)
     return tuple(listed), tuple(missing)
 
 
@@ -68,15 +72,18 @@ def _correlation(first: MeasureData, second: MeasureData) -> Correlation | NotCo
     if not math.isfinite(pearson.statistic) or not math.isfinite(p_value):
         return NotComputed(what, "the values hardly vary.")
     interval = Interval(float(ends.low), float(ends.high), _LEVEL, "Fisher's z")
+    # Of runs in six rooms that differ, half of all pairs of measures seem to go together that do not.
+    units = [name for name in first.unit_names if name] or (list(map(str, first.batches)) if first.is_extended else [])
+    is_known = len(set(units)) == len(units)
     return Correlation(
         first=first.name,
         second=second.name,
         n=len(joined),
         pearson=float(pearson.statistic),
-        pearson_interval=interval if math.isfinite(interval.low) else None,
+        pearson_interval=interval if is_known and math.isfinite(interval.low) else None,
         spearman=rho,
-        p_value=p_value,
-        adjusted_p_value=p_value,
+        p_value=p_value if is_known else None,
+        adjusted_p_value=p_value if is_known else None,
         within=_within(first, second),
         magnitude=correlation_magnitude(rho),
     )

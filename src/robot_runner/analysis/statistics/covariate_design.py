@@ -14,7 +14,7 @@ from robot_runner.analysis.statistics.cell_layout import relative_ranks
 from robot_runner.analysis.statistics.effect_coding import marginal_row
 from robot_runner.analysis.statistics.linear_model import estimable_terms
 from robot_runner.analysis.statistics.robust_covariance import fit_robustly
-from robot_runner.core.design.analysis_plan import Estimand
+from robot_runner.core.design.analysis_plan import ELAPSED, Estimand
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
@@ -92,7 +92,8 @@ class CovariateDesign:
         """
         unknown = [name for name in data.covariates if not np.isfinite(data.covariate(name)).all()]
         if unknown:
-            raise AdjustmentError(f"the covariate {enumerated(unknown)} has no number in any run.")
+            why = "; time stamps lack, or the clock was set back between runs" if ELAPSED in unknown else ""
+            raise AdjustmentError(f"the covariate {enumerated(unknown)} has no number in any run{why}.")
         factors = data.treatments
         texts = data.frame[list(factors)].astype(str)
         units = np.unique(data.blocks, return_inverse=True)[1] if data.is_blocked else None

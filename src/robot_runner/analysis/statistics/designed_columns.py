@@ -62,22 +62,22 @@ def carried_over(frame: pd.DataFrame, factors: Mapping[str, Sequence[str]], besi
 def grouped(data: MeasureData) -> dict[str, NDArray[np.str_]]:
     """Return what the model of a design takes out of values as a whole, by name: blocks, whole plots, batches.
 
-    What is left lies within each, and so does the order of execution that it is compared with. Where a factor differs
-    between the blocks of a factorial, it is compared with how these vary: they are not taken out.
+    What is left lies within each, and so does the order of execution that it is compared with: where a factor differs
+    between blocks, too, as runs of one room, executed one after another, would pass for a drift.
     """
     batches = {"batches": _texts(data.batches)} if data.is_extended else {}
     if data.known.is_plain:
-        return batches | ({"blocks": data.blocks} if data.is_blocked and _is_within(data) else {})
+        return batches | ({"blocks": data.blocks} if data.is_blocked and _leave_any(data) else {})
     found = {name: _texts(data.frame[role_column(name)]) for name in data.known.blocks}
     found |= {data.known.whole_plot: _texts(data.plots)} if data.known.whole_plot else {}
     return found | batches
 
 
-def _is_within(data: MeasureData) -> bool:
-    """Return whether all differences of combinations show within blocks."""
+def _leave_any(data: MeasureData) -> bool:
+    """Return whether anything is left beside combinations and blocks, or all combinations differ within blocks."""
     cells, number = _cells(data), len(data.frame)
     _, freedom = _left_beside([cells, data.blocks], (), np.zeros(number))
-    return number - freedom == len(set(cells)) + len(set(data.blocks)) - 1
+    return freedom > 0 or number - freedom == len(set(cells)) + len(set(data.blocks)) - 1
 
 
 def _cells(data: MeasureData) -> NDArray[np.str_]:

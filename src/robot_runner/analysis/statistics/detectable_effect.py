@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import stats
 from scipy.optimize import brentq
 
+from robot_runner.analysis.statistics.cell_layout import COMPLETE
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.outcome import Power, RepetitionsNeeded
 from robot_runner.analysis.statistics.tested import NotComputed
@@ -19,6 +22,7 @@ from robot_runner.analysis.statistics.tested import NotComputed
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.grouped_runs import Group
 
 _TARGET = 0.8
@@ -29,51 +33,101 @@ _SMALLEST, _LARGEST = 1e-6, 100.0  # effects between which the detectable one is
 _COHEN_D = {"small": 0.2, "medium": 0.5, "large": 0.8}
 _COHEN_F = {"small": 0.1, "medium": 0.25, "large": 0.4}
 
+_PLAN = "Plan the next study by its own tests, with the effect that matters: robot-runner power."
 _NOTE = (
     "Figures are for a test of independent groups with equal spreads, with as many runs in each as in the groups on "
-    "average (harmonic mean). Plan the next study by its own tests, with the effect that matters: robot-runner power."
+    f"average (harmonic mean). {_PLAN}"
 )
-_NOTE_ON_BLOCKS = "Blocks are left out of account: where they differ from each other, the power is higher than this."
+_NOTE_BETWEEN = (
+    "Figures are for a test of the means of blocks, each of which has one treatment: more runs of the same blocks "
+    f"hardly help. {_PLAN}"
+)
+_NOTE_WITHIN = (
+    "Figures are for a test within complete blocks, with equal spreads; effects are in standard deviations of what is "
+    f"left once the means of blocks are taken away. More runs in the same blocks hardly help. {_PLAN}"
+)
 
 
-def power_of(groups: Sequence[Group], alpha: float, *, is_blocked: bool = False) -> Power | NotComputed:
+@dataclass(frozen=True, slots=True)
+class Units:
+    """What varies by chance.
+
+    Attributes:
+        sizes: how many of these each group has.
+        are_blocks: whether they are blocks; else runs.
+        are_shared: whether all groups are in each block.
+    """
+
+    sizes: Sequence[int]
+    are_blocks: bool = False
+    are_shared: bool = False
+
+
+def units_of(data: MeasureData) -> Units | NotComputed:
+    """Return what varies by chance, of a measure that one factor is compared for.
+
+    Of runs in blocks these are the blocks: either each block has one treatment, or nearly each has all.
+    """
+    if not data.is_blocked:
+        return Units([len(group.values) for group in data.groups(data.factors)])
+    (name,) = data.factors
+    held: dict[str, set[str]] = {}
+    for block, treatment in zip(data.blocks, data.frame[name].astype("str"), strict=True):
+        held.setdefault(block, set()).add(treatment)
+    if max(map(len, held.values())) == 1:
+        only = [next(iter(each)) for each in held.values()]
+        return Units([only.count(level) for level in data.levels(name)], are_blocks=True)
+    levels = data.levels(name)
+    complete = sum(len(each) == len(levels) for each in held.values())
+    if complete < COMPLETE * len(held):
+        return NotComputed("power", "it is computed for runs that stand by themselves, and for complete blocks.")
+    return Units([complete] * len(levels), are_blocks=True, are_shared=True)
+
+
+def power_of(groups: Sequence[Group], units: Units, alpha: float) -> Power | NotComputed:
     """Return the power for the groups of one factor: of a t-test for two, of an analysis of variance for more.
 
     Args:
         groups: the runs of each treatment.
+        units: what varies by chance.
         alpha: the level of significance.
-        is_blocked: whether runs belong to blocks, which are left out of account.
     """
-    sizes = [len(group.values) for group in groups]
+    sizes = units.sizes
     if len(groups) < 2 or min(sizes) < 2:  # noqa: PLR2004 - a single run has no spread
-        return NotComputed("power", "the power of a test takes two groups of two runs each.")
+        of = "blocks" if units.are_blocks else "groups of two runs"
+        return NotComputed("power", f"the power of a test takes two {of} each.")
     if all(np.ptp(group.values) == 0 for group in groups):
         return NotComputed("power", "within each group all values are equal.")
     each = len(sizes) / sum(1 / size for size in sizes)
     count = len(groups)
     named = _COHEN_D if count == 2 else _COHEN_F  # noqa: PLR2004
+    needed = [
+        RepetitionsNeeded(size, name, found)
+        for name, size in named.items()
+        if (found := repetitions_needed(size, count, alpha=alpha, in_blocks=units.are_shared)) is not None
+    ]
     return Power(
         effect_name="Cohen's d" if count == 2 else "Cohen's f",  # noqa: PLR2004
         alpha=alpha,
         target_power=_TARGET,
-        detectable_effect=_detectable(each, count, alpha),
-        needed=tuple(
-            RepetitionsNeeded(size, name, runs)
-            for name, size in named.items()
-            if (runs := repetitions_needed(size, count, alpha=alpha)) is not None
-        ),
-        note=f"{_NOTE} {_NOTE_ON_BLOCKS}" if is_blocked else _NOTE,
+        detectable_effect=_detectable(each, count, alpha, in_blocks=units.are_shared),
+        needed=tuple(needed),
+        note=_NOTE_WITHIN if units.are_shared else _NOTE_BETWEEN if units.are_blocks else _NOTE,
+        counted="blocks" if units.are_shared else "blocks of a group" if units.are_blocks else "runs of a group",
     )
 
 
-def repetitions_needed(effect: float, groups: int, *, alpha: float = 0.05, power: float = _TARGET) -> int | None:
-    """Return how many runs each group needs so that an effect is found with this power.
+def repetitions_needed(
+    effect: float, groups: int, *, alpha: float = 0.05, power: float = _TARGET, in_blocks: bool = False
+) -> int | None:
+    """Return how many runs each group needs, or how many blocks, so that an effect is found with this power.
 
     Args:
         effect: Cohen's d for two groups, Cohen's f for more.
         groups: how many groups there are.
         alpha: the level of significance.
         power: the probability of finding the effect, 0..1.
+        in_blocks: whether groups are compared within blocks, each of which has all of them.
 
     Returns:
         None where no reasonable number suffices.
@@ -82,15 +136,25 @@ def repetitions_needed(effect: float, groups: int, *, alpha: float = 0.05, power
         >>> repetitions_needed(0.8, groups=2)
         26
     """
-    if not effect > 0 or _power(effect, _MOST_REPETITIONS, groups, alpha) < power:
+
+    def found(runs: float) -> float:
+        return _power(effect, runs, groups, alpha, in_blocks=in_blocks)
+
+    if not effect > 0 or found(_MOST_REPETITIONS) < power:
         return None
     enough = 2
-    while _power(effect, enough, groups, alpha) < power:
+    while found(enough) < power:
         enough *= 2
-    return bisect_left(range(enough), power, lo=2, key=lambda runs: _power(effect, runs, groups, alpha))
+    return bisect_left(range(enough), power, lo=2, key=found)
 
 
-def _power(effect: float, runs: float, groups: int, alpha: float) -> float:
+def _power(effect: float, runs: float, groups: int, alpha: float, *, in_blocks: bool = False) -> float:
+    if in_blocks:  # its noncentrality is the same, and blocks take degrees of freedom
+        freedom = groups - 1, (groups - 1) * (runs - 1)
+        squares = runs * effect**2 / 2 if groups == 2 else runs * groups * effect**2  # noqa: PLR2004
+        with quiet():
+            share = float(stats.ncf.sf(stats.f.isf(alpha, *freedom), *freedom, squares))
+        return share if math.isfinite(share) else 1.0
     from statsmodels.stats.power import FTestAnovaPower, TTestIndPower  # noqa: PLC0415 - takes a second to import
 
     with quiet():
@@ -101,10 +165,12 @@ def _power(effect: float, runs: float, groups: int, alpha: float) -> float:
     return float(found) if math.isfinite(found) else 1.0  # an effect beyond what the noncentral distribution computes
 
 
-def _detectable(runs: float, groups: int, alpha: float) -> float | None:
+def _detectable(runs: float, groups: int, alpha: float, *, in_blocks: bool) -> float | None:
     """Return the smallest effect that is found with the target power."""
     try:
-        found = brentq(lambda effect: _power(effect, runs, groups, alpha) - _TARGET, _SMALLEST, _LARGEST)
+        found = brentq(
+            lambda effect: _power(effect, runs, groups, alpha, in_blocks=in_blocks) - _TARGET, _SMALLEST, _LARGEST
+        )
     except ValueError:  # not even the largest
         return None
     return float(found)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import RUN_ID
-from robot_runner.core.design.held_order import HELD_ORDER, HeldOrder
+from robot_runner.core.design.design import HELD_ORDER, HeldOrder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

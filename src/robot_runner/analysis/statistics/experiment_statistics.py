@@ -18,8 +18,10 @@ from robot_runner.analysis.statistics.left_out import (
     left_out_of,
     rate_in_words,
 )
+from robot_runner.analysis.statistics.lost_runs import lost_warnings
 from robot_runner.analysis.statistics.measure_statistics import measure_statistics
 from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
+from robot_runner.analysis.statistics.robot_shares import robot_warnings
 from robot_runner.analysis.statistics.robustness import Otherwise, doubtful_runs, standing_effects, standing_hypotheses
 from robot_runner.analysis.statistics.tested import NotComputed
 from robot_runner.analysis.statistics.tests import Choices
@@ -213,6 +215,7 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
     """Yield threats to validity, the gravest first."""
     summary = design.summary()
     yield from order_warnings(design.results)
+    yield from robot_warnings(design.results, summary)
     for measure in measures:
         if measure.drift is not None and measure.drift.warning:
             yield measure.drift.warning
@@ -220,6 +223,7 @@ def _warnings(design: Design, measures: Sequence[MeasureStatistics]) -> Iterator
     if summary.left_out:
         is_one = summary.left_out == 1
         yield f"{counted(summary.left_out, 'run')} of the table {'is' if is_one else 'are'} not done and left out."
+    yield from lost_warnings(design.results, summary, [measure.name for measure in measures])
     if summary.factors and not summary.is_balanced:
         least, most = summary.smallest_group, summary.largest_group
         sizes = f"{least} to {most} runs" if least < most else f"{counted(least, 'run')} each"

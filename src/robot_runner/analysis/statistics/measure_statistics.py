@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, TypeVar
 
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.adjustment import adjustment_of
-from robot_runner.analysis.statistics.analysed_design import VALUE, has_known_order
+from robot_runner.analysis.statistics.analysed_design import VALUE
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.correlations import drift_of
 from robot_runner.analysis.statistics.descriptive import describe, out_of_range
 from robot_runner.analysis.statistics.designed_columns import grouped, residuals_of
-from robot_runner.analysis.statistics.detectable_effect import power_of
+from robot_runner.analysis.statistics.detectable_effect import power_of, units_of
 from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
+from robot_runner.analysis.statistics.execution_order import execution_order
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
 from robot_runner.analysis.statistics.outcome import MeasureStatistics
@@ -133,7 +134,9 @@ def measure_statistics(
         test=test,
         post_hoc=post_hoc,
         contrasts=tuple(each for each in contrasts if each is not None),
-        drift=gathered.take(drift_of(data, choices.alpha, column.unit, is_ordered=has_known_order(design.results))),
+        drift=gathered.take(
+            drift_of(data, choices.alpha, column.unit, is_ordered=execution_order(design.results).is_known)
+        ),
         power=_power(gathered, data, choices.alpha),
         not_computed=tuple(dict.fromkeys(gathered.missing)),
         left_out=(*left_out, *_lacking(data)),
@@ -220,7 +223,9 @@ def _power(gathered: _Gathered, data: MeasureData, alpha: float) -> Power | None
         return gathered.take(NotComputed("power", why))
     if not data.factors or not data.known.is_plain:
         return None
-    return gathered.take(power_of(data.groups(data.factors), alpha, is_blocked=data.is_blocked))
+    units = units_of(data)
+    found = units if isinstance(units, NotComputed) else power_of(data.groups(data.factors), units, alpha)
+    return gathered.take(found)
 
 
 def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[AssumptionCheck, ...]:
@@ -230,7 +235,8 @@ def _assumptions(gathered: _Gathered, data: MeasureData, alpha: float) -> tuple[
     if groups:
         left, freedom = residuals_of(data)
         of_residuals = normality(left, alpha, freedom=freedom)
-        all_groups = [of_residuals, equal_variances(groups, alpha)]
+        kept_apart = tuple(grouped(data)) or (("blocks",) if data.is_blocked else ())
+        all_groups = [of_residuals, equal_variances(groups, alpha, within=kept_apart)]
     if len(groups) > _MOST_DESCRIBED:
         groups = []
     checks = [*all_groups, *(normality(group.values, alpha, group.treatments) for group in groups)]

@@ -172,8 +172,9 @@ class Power:
         effect_name: `Cohen's d` or `Cohen's f`.
         target_power: the power that the figures are for.
         detectable_effect: the smallest effect that would be found with the target power; None if there is none.
-        needed: runs a group for a small, a medium and a large effect.
+        needed: runs a group for a small, a medium and a large effect; or blocks, where `counted` says so.
         note: how to read it.
+        counted: what `needed` counts: `runs of a group`, `blocks of a group` or `blocks`.
     """
 
     effect_name: str
@@ -182,6 +183,7 @@ class Power:
     detectable_effect: float | None
     needed: tuple[RepetitionsNeeded, ...]
     note: str
+    counted: str = "runs of a group"
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +194,8 @@ class Correlation:
         n: runs that have both.
         pearson, spearman: over all runs.
         within: Pearson's r of the residuals: what is left once the treatments' own effect is taken away.
-        p_value: of Spearman's rho; `adjusted_p_value` after correction for the number of pairs.
+        p_value: of Spearman's rho; `adjusted_p_value` after correction for the number of pairs. None, as the interval
+            is, where several runs are of one unit, such as a block, and vary together.
     """
 
     first: str
@@ -201,8 +204,8 @@ class Correlation:
     pearson: float
     pearson_interval: Interval | None
     spearman: float
-    p_value: float
-    adjusted_p_value: float
+    p_value: float | None
+    adjusted_p_value: float | None
     within: float | None
     magnitude: Magnitude
 

@@ -1,0 +1,105 @@
+"""Which treatments lose more runs, or values, is said: the mean of what is left may look better than all would."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from tests.analysis.experiment_folders import Folder
+
+from robot_runner.analysis import analyse, compare, load_results, meta_analyse
+from robot_runner.analysis.report.material import Material
+from robot_runner.analysis.report.threats_section import threats_of
+from robot_runner.core.storage.journal import Journal
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from robot_runner.analysis.statistics.outcome import ExperimentStatistics
+
+TIMEOUT = 60
+#: Planner B is the slower one, and its slow runs are those that are broken off.
+DURATIONS = {"A": [20, 30, 40, 50, 55, 65], "B": [20, 30, 62, 70, 80, 90]}
+PLACES = [(planner, seconds) for planner, several in DURATIONS.items() for seconds in several]
+
+
+def threats(root: Path) -> tuple[ExperimentStatistics, dict[str, str]]:
+    results = load_results(root)
+    statistics = analyse(results)
+    return statistics, {each.title: each.text for each in threats_of(Material(results, statistics))}
+
+
+def folder(root: Path, *, is_failed: bool) -> Path:
+    rows = [(planner, seconds if seconds <= TIMEOUT else None) for planner, seconds in PLACES]
+    late = {place: "Failed" for place, (_, seconds) in enumerate(PLACES) if seconds > TIMEOUT}
+    factors, statuses = {"Planner": list(DURATIONS)}, late if is_failed else {}
+    return Folder(root / "timeouts", factors, rows, {"Duration": "s"}, statuses=statuses).write()
+
+
+@pytest.mark.parametrize(
+    ("is_failed", "title"), [(True, "Runs failed"), (False, "Duration has missing values")], ids=["failed", "missing"]
+)
+def test_treatments_that_lose_more_runs_are_named(tmp_path: Path, is_failed: bool, title: str) -> None:
+    statistics, told = threats(folder(tmp_path, is_failed=is_failed))
+    means = {each.label: each.mean for each in statistics.measure("Duration").by_treatment}
+    assert means == {"A": pytest.approx(39.0), "B": pytest.approx(25.0)}  # it looks faster
+    assert " By Planner: B 4 of 6 runs, A 1 of 6 runs. Means are of the others" in told[title]
+    assert [each for each in statistics.warnings if "By Planner: B 4 of 6 runs" in each]
+
+
+def test_comparisons_with_other_experiments_say_how_many_runs_failed(tmp_path: Path) -> None:
+    one = folder(tmp_path / "one", is_failed=True)
+    rows = [(planner, seconds + 0.5) for planner, seconds in PLACES]
+    other = Folder(tmp_path / "all", {"Planner": list(DURATIONS)}, rows, {"Duration": "s"}, day="2026-02-01").write()
+    [note] = [each for each in compare(one, other).notes if "failed" in each]
+    assert note.startswith("Of timeouts, 5 of 12 runs failed: means are of the others")
+    assert [each for each in meta_analyse(one, other).findings if "5 of 12 runs failed" in each.problem]
+
+
+def test_attempts_that_were_repeated_until_they_succeeded_are_counted_by_treatment(tmp_path: Path) -> None:
+    rows = [(planner, min(seconds, 50 + place) * 1.0) for place, (planner, seconds) in enumerate(PLACES)]
+    made = Folder(tmp_path / "again", {"Planner": list(DURATIONS)}, rows, {"Duration": "s"})
+    made.write()
+    with Journal(made.files.journal) as journal:
+        for place in (7, 8, 9, 10):  # of each, one attempt ran into the timeout
+            for attempt, status in ((2, "failed"), (3, "done")):
+                which: dict[str, Any] = {"run": made.run_id(place), "attempt": attempt}
+                ended: dict[str, Any] = {
+                    "status": status,
+                    "seconds": 60.0,
+                    "stamps": {},
+                    "measures": {},
+                    "failure": None,
+                }
+                journal.append("attempt_started", **which)
+                journal.append("attempt_finished", **which, is_last=status == "done", **ended)
+    statistics, told = threats(made.root)
+    assert (
+        " By Planner: B 4 of 6 runs, A 0 of 6 runs. Means are of the attempts that"
+        in (told["Runs took more than one attempt"])
+    )
+    assert [each for each in statistics.warnings if each.startswith("Runs were repeated after attempts that failed.")]
+
+
+def test_nothing_is_said_where_as_many_runs_failed_with_each_treatment(tmp_path: Path) -> None:
+    rows = [(planner, float(place)) for place, planner in enumerate("AABBAABB")]
+    statuses = {0: "Failed", 2: "Failed"}
+    root = Folder(tmp_path / "even", {"Planner": ["A", "B"]}, rows, {"Duration": "s"}, statuses=statuses).write()
+    assert "By Planner" not in threats(root)[1]["Runs failed"]
+
+
+def test_a_value_that_many_runs_share_at_the_end_of_the_range_may_be_a_timeout(tmp_path: Path) -> None:
+    rows = [(planner, min(seconds + place / 10, TIMEOUT)) for place, (planner, seconds) in enumerate(PLACES)]
+    root = Folder(tmp_path / "limit", {"Planner": list(DURATIONS)}, rows, {"Duration": "s"}).write()
+    statistics, told = threats(root)
+    assert told["Duration may have a limit"].startswith(
+        "5 of 12 runs have the largest value, 60.00 s. By Planner: B 4 of 6 runs, A 1 of 6 runs. Where that is a limit"
+    )
+    assert [each for each in statistics.warnings if each.startswith("Duration may have a limit")]
+
+
+@pytest.mark.parametrize("values", [[1, 2, 3, 3, 2, 3] * 2, [0.0] * 5 + [1.5, 2.5, 3.5], [1.5, 2.5, 3.5, 4.5]])
+def test_counts_zeros_and_values_of_their_own_have_no_limit(tmp_path: Path, values: list[float]) -> None:
+    rows = [("AB"[place % 2], value) for place, value in enumerate(values)]
+    root = Folder(tmp_path / "none", {"Planner": ["A", "B"]}, rows, {"Duration": "s"}).write()
+    assert not [title for title in threats(root)[1] if "limit" in title]
