@@ -84,6 +84,7 @@ def facts_of(folder: Path, run: str, name: str) -> dict[str, str]:
     return dict(explain_run(folder, run, [name]).values[0].facts)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("run", "rate"), [("r_1", "1.0"), ("r_8", "2.0")])
 def test_a_run_tells_the_value_of_each_bound_parameter(either: Path, run: str, rate: str) -> None:
     assert dict(explain_run(either, run).facts)["Parameter"] == f"rate of Meter = {rate}, bound to the factor Rate"
@@ -106,6 +107,7 @@ def test_a_factor_that_nobody_read_is_a_threat_to_validity(either: Path) -> None
     assert found["Floor may never have been applied"].kind == "Construct validity"
 
 
+@pytest.mark.long
 def test_units_and_periods_that_nobody_reads_are_no_threat(tmp_path: Path) -> None:
     config = tmp_path / "config.py"
     crossed = CONFIG.replace(

@@ -84,6 +84,7 @@ def test_a_licence_that_is_misspelt_is_named_with_the_nearest():
     assert "or is it CC-BY-4.0?" in missing_text(replace(ABOUT, licence="CC-BY-4")).fix
 
 
+@pytest.mark.long
 def test_a_text_that_nobody_has_is_said_and_the_authors_own_is_taken(experiment, tmp_path, ada):
     import shutil
 

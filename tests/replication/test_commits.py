@@ -6,6 +6,7 @@ import json
 import shutil
 from collections import Counter
 
+import pytest
 from tests.command_line import robot_runner
 from tests.subjects.conftest import Repository, own_cache, repository
 
@@ -35,6 +36,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 def test_commits_are_told_by_the_folder_and_by_its_package(robot_runner, repository: Repository, tmp_path):
     old, new = (repository.commit_of(name)[:12] for name in ("v1.0", "main"))
     repository.git("remote", "add", "origin", "https://example.org/planner.git")
@@ -78,6 +80,7 @@ def test_commits_are_told_by_the_folder_and_by_its_package(robot_runner, reposit
     assert sources == {old, new}
 
 
+@pytest.mark.long
 def test_an_experiment_is_repeated_without_the_repository_of_its_revisions(
     robot_runner, repository: Repository, tmp_path, monkeypatch
 ):
@@ -106,6 +109,7 @@ def test_an_experiment_is_repeated_without_the_repository_of_its_revisions(
     assert all(git("cat-file", "-e", commit, folder=kept).returncode == 0 for commit in (old, new))
 
 
+@pytest.mark.long
 def test_a_password_in_a_revision_is_found_by_pack_and_one_in_its_history_is_in_no_package(
     robot_runner, repository: Repository, tmp_path, monkeypatch
 ):

@@ -77,12 +77,14 @@ def issues(monkeypatch):
     return validate
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("profile", "accepted"), [("ro-crate-1.1", set()), ("workflow-run-crate", {CONTRADICTION})])
 def test_the_crate_has_all_that_is_required_and_recommended(packed, issues, profile, accepted):
     # Workflow Run Crate includes Process Run Crate and Workflow RO-Crate: issues of all of them are reported.
     assert set(issues(packed.path, profile)) == accepted
 
 
+@pytest.mark.long
 def test_the_package_of_the_demo_is_valid_and_nobody_has_to_be_asked_for_more(executed_demo, issues, tmp_path):
     folder = next((executed_demo / "robot-runner-demo").glob("*/manifest.json")).parent
     packed = pack(folder, tmp_path / "demo.zip")
@@ -111,6 +113,7 @@ def test_each_run_is_an_action_that_executed_the_config_with_its_treatments(unpa
     assert {"@id": "#run-r_1"} in entities["./"]["mentions"]
 
 
+@pytest.mark.long
 def test_the_validator_would_notice(unpacked, issues):
     path = unpacked / "ro-crate-metadata.json"
     crate = json.loads(path.read_text(encoding="utf-8"))

@@ -24,6 +24,7 @@ def manifest():
     return {"software": describe_software(), "host": describe_host(), "robot": "simulated"}
 
 
+@pytest.mark.long
 def test_what_the_program_needs_is_told_from_what_happens_to_be_installed(manifest, tmp_path):
     (tmp_path / "config.py").write_text("import pexpect\n", encoding="utf-8")
     needed = {each.name for each in record_environment(manifest, tmp_path).needed}
@@ -32,6 +33,7 @@ def test_what_the_program_needs_is_told_from_what_happens_to_be_installed(manife
     assert "mdurl" in closure(["rich"])
 
 
+@pytest.mark.long
 def test_what_it_needs_and_was_uninstalled_since_is_listed(manifest, tmp_path):
     (tmp_path / "config.py").write_text("import left_pad\nimport rich\n", encoding="utf-8")
     manifest["software"]["packages"] |= {"left_pad": "1.0", "unrelated": "1.0"}
@@ -42,6 +44,7 @@ def test_what_it_needs_and_was_uninstalled_since_is_listed(manifest, tmp_path):
     assert "left-pad" in finding.problem
 
 
+@pytest.mark.long
 def test_a_hash_is_required_only_where_all_are_known(manifest, tmp_path):
     environment = record_environment(manifest, tmp_path)
     some = environment.requirements({"robot-runner": "ab" * 32})
@@ -59,6 +62,7 @@ def test_an_environment_of_another_machine_is_said_to_be_one(manifest, tmp_path)
     assert "not the environment" in environment.findings[0].problem
 
 
+@pytest.mark.long
 def test_a_wheel_of_a_local_package_can_be_imported_elsewhere(tmp_path):
     distribution = installed_distributions()["robot-runner"]
     if not distribution.is_local:
@@ -81,11 +85,13 @@ def test_a_wheel_of_a_local_package_can_be_imported_elsewhere(tmp_path):
     assert answer.stdout.startswith(str(tmp_path / "site"))
 
 
+@pytest.mark.long
 def test_the_same_environment_does_not_differ(manifest, tmp_path):
     environment = record_environment(manifest, tmp_path).as_mapping({})
     assert differing_environment(environment, robot="simulated") == []
 
 
+@pytest.mark.long
 def test_each_kind_of_difference_is_named(manifest, tmp_path):
     environment = record_environment(manifest, tmp_path).as_mapping({})
     environment["python"] = "3.9.1"
@@ -121,6 +127,7 @@ def test_ros_packages_are_found_with_their_versions(tmp_path):
     assert describe_ros({}) is None
 
 
+@pytest.mark.long
 def test_an_environment_is_made_of_the_packages_own_wheels(tmp_path):
     root = tmp_path / "package"
     tiny_wheel(root / "environment" / "wheels")
@@ -150,6 +157,7 @@ def test_an_environment_gets_its_own_pip_where_there_is_none_beside_us(tmp_path,
     assert called[1][:4] == [str(folder / "bin" / "python"), "-m", "pip", "install"]
 
 
+@pytest.mark.long
 def test_what_pip_said_is_shown_where_an_environment_cannot_be_made(tmp_path):
     root = tmp_path / "package"
     tiny_wheel(root / "environment" / "wheels")

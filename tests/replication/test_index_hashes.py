@@ -46,6 +46,7 @@ def index(tmp_path, set_up_pip):
         yield small
 
 
+@pytest.mark.long
 def test_the_hash_is_that_of_exactly_the_recorded_version(index):
     digest = index.add("tiny", "1.0")
     index.add("tiny", "2.0")
@@ -54,6 +55,7 @@ def test_the_hash_is_that_of_exactly_the_recorded_version(index):
     assert answer.lacking == {}
 
 
+@pytest.mark.long
 def test_files_of_the_other_platforms_have_their_hashes_beside_it(index):
     platforms = ("manylinux2014_x86_64", "manylinux_2_28_aarch64", "macosx_11_0_arm64")
     digests = {index.add("fast", platform=platform) for platform in platforms}
@@ -61,6 +63,7 @@ def test_files_of_the_other_platforms_have_their_hashes_beside_it(index):
     assert set(ask_index(["fast==1.0"], PYTHON).hashes["fast"]) == digests
 
 
+@pytest.mark.long
 def test_what_is_not_in_the_index_is_lacking_and_the_others_are_not(index):
     digests = {name: (index.add(name),) for name in ("a", "b", "d", "e")}
     answer = ask_index(["e==1.0", "d==1.0", "c==1.0", "b==1.0", "a==1.0"], PYTHON)
@@ -78,6 +81,7 @@ def test_the_lock_knows_exactly_its_versions(tmp_path):
     assert index_hashes.locked_hashes(pins, tmp_path) == {"tiny-one": tuple(digests)}
 
 
+@pytest.mark.long
 @of_the_lock
 def test_the_lock_of_the_project_saves_asking_the_index(experiment):
     manifest = json.loads((experiment / "manifest.json").read_text("utf-8"))
@@ -87,6 +91,7 @@ def test_the_lock_of_the_project_saves_asking_the_index(experiment):
     assert lacking == {}
 
 
+@pytest.mark.long
 def test_nobody_answers_where_there_is_no_index(set_up_pip):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -103,6 +108,7 @@ def test_an_index_that_is_silent_is_not_waited_for(set_up_pip):
     assert answer.lacking == {"tiny": "there was no answer within 2 s"}
 
 
+@pytest.mark.long
 def test_files_of_a_folder_of_ones_own_do_not_count(index, tmp_path, monkeypatch):
     digest = index.add("tiny")
     assert tiny_wheel(tmp_path / "own", "tiny", code="changed = True\n") != digest
@@ -121,6 +127,7 @@ def test_one_finding_for_each_reason_names_the_packages(tmp_path):
     assert found == ["no hash of 2 of the packages needed: left-pad, rich: why", "no hash of robot-runner: why not"]
 
 
+@pytest.mark.long
 def test_the_requirements_demand_the_hash_of_every_package_and_are_the_same_each_time(
     experiment, ada, index, tmp_path, monkeypatch
 ):
@@ -145,6 +152,7 @@ def test_the_requirements_demand_the_hash_of_every_package_and_are_the_same_each
         assert not [name for name in made if b"127.0.0.1" in archive.read(name)]
 
 
+@pytest.mark.long
 def test_a_file_of_another_hash_is_not_installed(tmp_path, index):
     root = tmp_path / "package"
     (root / "environment").mkdir(parents=True)
@@ -157,6 +165,7 @@ def test_a_file_of_another_hash_is_not_installed(tmp_path, index):
     assert not list(tmp_path.glob("made/lib/python*/site-packages/tiny.py"))
 
 
+@pytest.mark.long
 def test_a_list_with_hashes_is_installed_also_once_newer_releases_are_there(tmp_path, index):
     old = index.add("library", "1.0")
     index.add("library", "2.0")

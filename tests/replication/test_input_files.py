@@ -101,6 +101,7 @@ def _values(table: Path) -> list[tuple[str, ...]]:
         return [(row["Model"], row["Ahead"], row["Messages"]) for row in csv.DictReader(file)]
 
 
+@pytest.mark.long
 def test_an_experiment_is_repeated_without_the_files_that_it_named(
     study: Path, robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -130,6 +131,7 @@ def test_an_experiment_is_repeated_without_the_files_that_it_named(
     assert input_file(study / "nothing.toml") == study / "nothing.toml"
 
 
+@pytest.mark.long
 def test_what_is_too_large_is_left_out_with_its_size_and_checksum(
     study: Path, robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,6 +194,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 def test_a_program_of_the_users_own_is_repeated_with_what_it_reads_and_may_write_beside_it(
     robot_runner: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,6 +53,7 @@ def _text(path, name):
         return archive.read(name).decode()
 
 
+@pytest.mark.long
 def test_packing_twice_gives_the_same_bytes(experiment, ada, tmp_path):
     # Wheels of code that somebody edits meanwhile would differ: that they are the same is a test of theirs.
     with home(ada):
@@ -103,6 +104,7 @@ def test_secrets_and_home_paths_are_nowhere(packed, ada):
                 assert b"/home/ada" not in content, name
 
 
+@pytest.mark.long
 def test_a_secret_of_the_environment_is_replaced_as_text_json_and_tables_write_it(copied, tmp_path, monkeypatch):
     planted = 'open-"sesame'
     monkeypatch.setenv("LAB_TOKEN", planted)
@@ -137,6 +139,7 @@ def test_a_config_still_parses_once_its_secrets_are_replaced(packed):
     assert 'wifi_password = "REDACTED"' in code
 
 
+@pytest.mark.long
 def test_keys_links_and_what_is_half_written_stay_behind(copied, tmp_path):
     (copied / "known_hosts").write_text("robot ssh-ed25519 AAAA\n", encoding="utf-8")
     (copied / "robot.pem").write_text("-----BEGIN PRIVATE KEY-----", encoding="utf-8")
@@ -175,6 +178,7 @@ def test_raw_data_are_packed_or_listed_whatever_their_names(tmp_path):
     assert [each.name for each in chosen.left_out] == [f"{below}/.git"]
 
 
+@pytest.mark.long
 def test_a_file_whose_name_is_no_text_stays_behind_and_is_told(copied, tmp_path):
     Path(os.fsdecode(os.fsencode(copied) + b"/runs/r_1/caf\xe9.txt")).write_text("from another system\n")
     cut_off = gzip.compress(b"x")[:-4]
@@ -188,6 +192,7 @@ def test_a_file_whose_name_is_no_text_stays_behind_and_is_told(copied, tmp_path)
     assert json.loads(_text(packed.path, "package.json"))["left_out"][0]["name"] == packed.left_out[0].name
 
 
+@pytest.mark.long
 def test_files_in_whose_place_the_package_has_its_own_are_told(copied, tmp_path, unpacked):
     (copied / "README.md").write_text("The door was open on Monday.\n", encoding="utf-8")
     packed = _pack(copied, tmp_path / "small.zip")
@@ -195,6 +200,7 @@ def test_files_in_whose_place_the_package_has_its_own_are_told(copied, tmp_path,
     assert _pack(unpacked, tmp_path / "again.zip").left_out == (), "they are of the package before"
 
 
+@pytest.mark.long
 def test_a_binary_file_with_a_secret_is_left_out_unless_it_is_kept(copied, tmp_path):
     (copied / "recording.db3").write_bytes(b"\0\1\2 /home/ada/bags \0")
     assert [each.name for each in _pack(copied, tmp_path / "a.zip").left_out] == ["recording.db3"]
@@ -203,6 +209,7 @@ def test_a_binary_file_with_a_secret_is_left_out_unless_it_is_kept(copied, tmp_p
     assert "recording.db3" in _names(kept.path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("raw", "taken"),
     [(("none",), set()), (("PsUtil",), {"PsUtil"}), (("all",), {"PsUtil", "Ina219", "BasicTurtlebot3"})],
@@ -215,12 +222,14 @@ def test_raw_data_can_be_chosen(copied, tmp_path, raw, taken):
     assert len(packed.left_out) == 3 - len(taken)
 
 
+@pytest.mark.long
 def test_raw_data_of_a_plugin_that_has_none_are_refused(copied, tmp_path):
     with pytest.raises(PackageError, match="'Ina219'"):
         pack(copied, tmp_path / "small.zip", Packing(raw=("Ina129",)))
     assert not (tmp_path / "small.zip").exists()
 
 
+@pytest.mark.long
 def test_who_packs_may_name_authors_and_licence(copied, tmp_path):
     packed = _pack(copied, tmp_path / "small.zip", authors=(Author("Ada Lovelace"),), licence="MIT")
     crate = json.loads(_text(packed.path, "ro-crate-metadata.json"))["@graph"]
@@ -242,6 +251,7 @@ def test_the_environment_names_versions_and_fingerprints(packed):
     assert environment["host"]["memory_bytes"] > 0
 
 
+@pytest.mark.long
 def test_an_experiment_that_is_being_executed_is_not_packed(copied, tmp_path):
     with ExperimentLock(copied / ".lock"):  # this process holds it: another one has to look
         code = (
@@ -272,6 +282,7 @@ def test_a_folder_is_not_taken_for_a_file_to_be_removed(copied, tmp_path):
     assert refused.value.fix == f"Name a file in it: {tmp_path / 'packages' / 'small.zip'}"
 
 
+@pytest.mark.long
 def test_memory_does_not_grow_with_the_size_of_a_file(copied, tmp_path):
     line = b"0.041389,6051,24938,0.605100,12.468,7.544387\n"
     with (copied / "runs" / "r_1" / "Ina219" / "long.csv").open("wb") as file:
@@ -289,6 +300,7 @@ def test_memory_does_not_grow_with_the_size_of_a_file(copied, tmp_path):
     assert told[-1][0] == told[-1][1] > 50 << 20
 
 
+@pytest.mark.long
 def test_what_is_missing_is_said(copied, tmp_path):
     said = " ".join(finding.problem for finding in _pack(copied, tmp_path / "small.zip").findings)
     assert "there is no report" in said

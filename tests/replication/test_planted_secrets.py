@@ -45,6 +45,7 @@ def _leaked(planted, contents):
     return [kind for kind, texts in forms.items() if any(text in raw for text in texts for raw in contents.values())]
 
 
+@pytest.mark.long
 def test_hardly_a_secret_is_in_the_package(packed_secrets, record_property):
     packed, planted = packed_secrets
     assert len({each.kind for each in planted}) == len({each.marker for each in planted}) == len(planted) >= 63
@@ -86,6 +87,7 @@ def test_what_was_replaced_is_told_by_file_line_and_kind_and_never_by_value(pack
     assert _leaked(planted, {"told": text.encode()}) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "content"),
     [
@@ -112,6 +114,7 @@ def test_in_doubt_nothing_is_packed_unless_it_is_told(experiment, tmp_path, robo
     assert not {b"wanderlust", b"adalovelace"} & set(re.findall(rb"\w+", _contents(tmp_path / "b.zip").get(name, b"")))
 
 
+@pytest.mark.long
 def test_what_cannot_be_looked_into_is_told(experiment, tmp_path, robot_runner):
     folder = Path(shutil.copytree(experiment, tmp_path / "small"))
     (folder / "data.7z").write_bytes(b"7z\xbc\xaf\x27\x1c\0\4" + b"\1\0" * 99)

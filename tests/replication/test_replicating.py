@@ -75,6 +75,9 @@ def of_a_table_by_hand(tmp_path_factory):
     table = "run_id,Task,Repetition\nfirst,Network,1\nsecond,Network,2\nlast,Video,1\n"
     (folder / "run_table.csv").write_text(table, encoding="utf-8")
     original = execute(config, robot="simulated:task_power_factor=1.5")
+    head, *rows = (original / "run_table.csv").read_text("utf-8").splitlines()
+    counted = [f"{head},Collisions", *(f"{row},7" for row in rows)]  # by a person who looked on
+    (original / "run_table.csv").write_text("\n".join(counted) + "\n", encoding="utf-8")
     with own_modules():
         return original, _replicate(original, tmp_path_factory.mktemp("again"))
 
@@ -104,6 +107,7 @@ def test_the_same_runs_from_a_seed_that_was_drawn_yield_the_same_values(replicat
     assert all(each.is_complete for each in same.values())
 
 
+@pytest.mark.long
 def test_a_deviation_is_recorded_as_deliberate(unpacked, tmp_path):
     _replicate(unpacked, tmp_path, robot="simulated:task_power_factor=1.5")
     manifest = read_manifest(tmp_path / "small" / "manifest.json")
@@ -119,6 +123,15 @@ def test_what_a_replication_decides_itself_is_not_ignored_where_it_is_set(unpack
         prepare_replication(unpacked, tmp_path, {name: "elsewhere"})
 
 
+@pytest.mark.long
+def test_a_replication_asks_for_no_cluster_of_the_original(unpacked, tmp_path):
+    their_own = {"cluster": "tcp://their-lab:8786"}
+    _change(unpacked / "manifest.json", lambda manifest: manifest["executions"][-1].update(deviations=their_own))
+    experiment = prepare_replication(unpacked, tmp_path, {}).experiment
+    assert experiment.parameters.cluster is None
+    assert "cluster" not in experiment.overrides
+
+
 def test_what_was_set_originally_is_set_again(of_a_table_by_hand):
     original, replication = of_a_table_by_hand
     assert replication.experiment.parameters.robot == "simulated:task_power_factor=1.5"
@@ -126,6 +139,7 @@ def test_what_was_set_originally_is_set_again(of_a_table_by_hand):
     assert identical_values(original, replication.experiment.folder.root)["Energy"].is_complete
 
 
+@pytest.mark.long
 def test_it_is_resumed_as_any_experiment(unpacked, replicated, tmp_path):
     folder = ExperimentFolder(Path(shutil.copytree(replicated[1], tmp_path / "small")))
     before = folder.run_table.read_text("utf-8")
@@ -154,8 +168,10 @@ def test_a_table_that_was_written_by_hand_is_executed_again_as_it_is(of_a_table_
     folder = replication.experiment.folder.root
     assert [run for run, _, _ in _runs(folder)] == ["first", "second", "last"]
     assert identical_values(original, folder)["Energy"].is_complete
+    assert "Collisions" not in (folder / "run_table.csv").read_text("utf-8")
 
 
+@pytest.mark.long
 def test_runs_that_the_config_plans_otherwise_here_are_those_of_the_package(unpacked, tmp_path):
     path = unpacked / "config" / "small.py"
     path.write_text(path.read_text("utf-8").replace("repetitions=2", "repetitions=3"), encoding="utf-8")
@@ -213,6 +229,7 @@ def test_nothing_is_written_into_the_original(replicated):
     assert after == before
 
 
+@pytest.mark.long
 def test_an_experiment_that_was_extended_is_executed_again_with_its_batches(tmp_path):
     config = tmp_path / "study.py"
     config.write_text(GROWING, encoding="utf-8")
@@ -235,6 +252,7 @@ def test_an_experiment_that_was_extended_is_executed_again_with_its_batches(tmp_
     assert _runs(again) == _runs(original)
 
 
+@pytest.mark.long
 def test_a_replication_has_the_repetitions_that_were_added_until_the_original_was_precise(tmp_path):
     config = tmp_path / "study.py"
     body = GROWING.replace("import ExperimentConfig", "import ExperimentConfig, Precision").replace(
@@ -252,6 +270,7 @@ def test_a_replication_has_the_repetitions_that_were_added_until_the_original_wa
     assert manifest["repeat_until"]["least"] == 3
 
 
+@pytest.mark.long
 def test_a_run_in_an_interpreter_of_its_own_writes_into_the_replication_and_knows_added_treatments(tmp_path):
     config = tmp_path / "study.py"
     body = GROWING.replace("import ExperimentConfig", "import ExperimentConfig, RunProcess")

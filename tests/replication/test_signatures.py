@@ -87,6 +87,7 @@ def test_nothing_else_counts(package, keys, tmp_path):
     assert "no file of a signature's size" in refusal()
 
 
+@pytest.mark.long
 def test_pack_signs_and_verify_asks_who(experiment, robot_runner, keys, tmp_path):
     shutil.copytree(experiment, tmp_path / "small")
     words = ["--no-wheels", "--no-hashes", "--raw", "none"]
@@ -111,6 +112,7 @@ def test_pack_signs_and_verify_asks_who(experiment, robot_runner, keys, tmp_path
     assert robot_runner("verify", "small", "--signed-by", keys / "ada.pub").code == 2
 
 
+@pytest.mark.long
 def test_a_passphrase_is_asked_for_on_the_terminal(experiment, terminal, keys, tmp_path):
     ssh_keygen("-q", "-t", "ed25519", "-N", "correct horse", "-f", tmp_path / "locked")
     shutil.copytree(experiment, tmp_path / "small")

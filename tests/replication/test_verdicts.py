@@ -80,6 +80,7 @@ def _last(answer):
     return answer.out.rstrip("\n").rpartition("\n")[2]
 
 
+@pytest.mark.long
 def test_noise_within_the_default_bound_is_equivalent_and_the_default_is_said_to_be_one(replicated, tmp_path):
     answer = replicated(plan=ONLY_ENERGY)
     assert answer.code == 0, answer.out + answer.err
@@ -96,6 +97,7 @@ def test_noise_within_the_default_bound_is_equivalent_and_the_default_is_said_to
     assert again == 4
 
 
+@pytest.mark.long
 def test_what_chance_does_not_explain_is_different_and_json_says_the_same(replicated):
     answer = replicated("--json", "--bound", "Energy=3", plan=ONLY_ENERGY, shift="50")
     assert answer.code == 3, answer.err
@@ -107,6 +109,7 @@ def test_what_chance_does_not_explain_is_different_and_json_says_the_same(replic
     assert "All 12 runs are done" in answer.err
 
 
+@pytest.mark.long
 def test_too_few_runs_are_undecided_by_the_margin_of_the_plan_and_it_is_said_what_would_do(replicated):
     answer = replicated(plan=PLAN.format(within=0.5), repetitions=3)
     assert answer.code == 4, answer.out
@@ -116,6 +119,7 @@ def test_too_few_runs_are_undecided_by_the_margin_of_the_plan_and_it_is_said_wha
     assert _last(answer) == "Whether the results agree could not be decided: Energy."
 
 
+@pytest.mark.long
 def test_without_the_libraries_the_comparison_gets_an_environment_of_its_own(replicated, monkeypatch, tmp_path):
     made = []
 
@@ -136,6 +140,7 @@ def test_without_the_libraries_the_comparison_gets_an_environment_of_its_own(rep
     assert json.loads((tmp_path / "again" / "comparison.json").read_text("utf-8"))["measures"]
 
 
+@pytest.mark.long
 def test_nothing_compared_is_never_a_success(replicated, monkeypatch):
     def absent():
         raise MissingLibraryError("pandas is not installed", where="here", fix="")
@@ -153,6 +158,7 @@ def test_nothing_compared_is_never_a_success(replicated, monkeypatch):
     assert _last(answer) == "Whether the results agree could not be decided: Energy."
 
 
+@pytest.mark.long
 def test_an_environment_that_cannot_be_made_is_found_before_a_robot_moves(replicated, monkeypatch, tmp_path):
     def absent():
         raise MissingLibraryError("pandas is not installed", where="here", fix="")
@@ -166,6 +172,7 @@ def test_an_environment_that_cannot_be_made_is_found_before_a_robot_moves(replic
     assert not (tmp_path / "again" / "noisy").exists()
 
 
+@pytest.mark.long
 def test_a_bound_for_a_measure_that_is_not_there_is_refused_before_anything_is_executed(replicated, tmp_path):
     answer = replicated("--bound", "Enrgy=3")
     assert answer.code == 2
@@ -173,6 +180,7 @@ def test_a_bound_for_a_measure_that_is_not_there_is_refused_before_anything_is_e
     assert not (tmp_path / "again" / "noisy").exists()
 
 
+@pytest.mark.long
 def test_runs_without_a_verdict_on_request(replicated, tmp_path):
     answer = replicated("--without-verdict")
     assert answer.code == 0
@@ -204,10 +212,16 @@ def test_how_long_the_machine_took_and_which_robot_was_free_are_not_primary():
 def test_the_margin_is_what_is_given_then_what_is_planned_then_the_default():
     contrast = {"measure": "Energy", "within": 10, "contrast": {"a": 2, "b": -2}}
     plan = {"analysis": {"hypotheses": [{"measure": "Energy", "within": 8}, contrast, {"measure": "CPU"}]}}
-    margins = margins_of(["Energy", "CPU", "Memory"], plan, ["Memory=3"])
+    margins = margins_of(dict.fromkeys(["Energy", "CPU", "Memory"], ""), plan, ["Memory=3"])
     assert {name: margin.text for name, margin in margins.items()} == {"Energy": "5", "CPU": "5%", "Memory": "3"}
     assert "plan" in margins["Energy"].source
-    assert {margin.text for margin in margins_of(["Energy", "CPU"], plan, ["2%"]).values()} == {"2%"}
+    assert {margin.text for margin in margins_of({"Energy": "J", "CPU": "%"}, plan, ["2%"]).values()} == {"2%"}
+
+
+def test_the_default_of_a_temperature_is_no_percentage_which_says_nothing_of_it():
+    units = {"Room": "\N{DEGREE SIGN}C", "Oven": "degF", "Noise": "dB(A)", "Sky": "K"}
+    margins = margins_of(units, {}, [])
+    assert [margin.text for margin in margins.values()] == ["2", "3.6", "1", "5%"]
 
 
 @pytest.mark.parametrize(("second", "conclusion"), [(101.0, Conclusion.EQUIVALENT), (150.0, Conclusion.DIFFERENT)])
@@ -218,7 +232,7 @@ def test_simulated_values_without_any_spread_need_no_statistics(second, conclusi
     difference = {**nothing, "difference": second - 100, "relative": second - 100, "bound": 5.0}
     difference |= {"verdict": "undecided", "not_computed": "All values are equal."}
     comparison = {"measures": [{"first_name": "Energy", "differences": [difference]}]}
-    margins = margins_of(["Energy"], manifest, [])
+    margins = margins_of({"Energy": "J"}, manifest, [])
     verdict = reached_verdict([_measure("Energy")], manifest, {"Energy": Sameness(3, 0)}, margins, comparison)
     assert verdict.conclusion is conclusion
     real = reached_verdict([_measure("Energy")], {"robot": "ros2"}, {"Energy": Sameness(3, 0)}, margins, comparison)
@@ -226,7 +240,7 @@ def test_simulated_values_without_any_spread_need_no_statistics(second, conclusi
 
 
 def test_no_run_in_common_is_undecided():
-    margins = margins_of(["Energy"], {}, [])
+    margins = margins_of({"Energy": "J"}, {}, [])
     for same in ({}, {"Energy": Sameness(0, 0)}):
         verdict = reached_verdict([_measure("Energy")], {}, same, margins, None)
         assert (verdict.conclusion.exit_code, "could not be compared" in verdict.sentence) == (4, True)
@@ -240,27 +254,54 @@ def test_results_are_not_identical_where_runs_of_the_original_have_failed_here(t
     same = identical_values(original, again)
     assert same == {"Energy": Sameness(1, 1, lacking=2)}
     assert identical_values(again, original) == {"Energy": Sameness(1, 1)}
-    verdict = reached_verdict([_measure("Energy")], {}, same, margins_of(["Energy"], {}, []), None)
+    verdict = reached_verdict([_measure("Energy")], {}, same, margins_of({"Energy": "J"}, {}, []), None)
     assert verdict.conclusion is Conclusion.UNDECIDED
     assert "identical in the one run that can be compared, and 2 runs of the original are not done" in (
         verdict.measures[0].sentence
     )
 
 
-def test_the_runs_that_are_said_to_be_needed_decide_in_a_simulation():
-    """The formulas' own truth: about four in five simulated replications of that size are found equivalent."""
+@pytest.mark.parametrize(
+    ("spreads", "bound", "shift"),
+    [((1.0, 1.0), 1.0, 0.0), ((1.0, 1.0), 1.0, 0.01), ((1.0, 1.0), 3.0, 0.0), ((1.0, 3.0), 5.0, 1.0)],
+)
+def test_the_runs_that_are_said_to_be_needed_decide_in_a_simulation(spreads, bound, shift):
+    """The formulas' own truth: about four in five simulated replications of that size; of three runs, three in four."""
     import numpy as np
     from scipy import stats
 
-    runs = runs_for_equivalence(2.0, 0.0, 1.0, 0.05)
+    variances = (spreads[0] ** 2, spreads[1] ** 2)
     generator = np.random.default_rng(5)
-    one, other = (generator.normal(0, 1, (4000, runs)) for _ in range(2))
-    lower = stats.ttest_ind(other + 1, one, axis=1, equal_var=False, alternative="greater").pvalue
-    upper = stats.ttest_ind(other - 1, one, axis=1, equal_var=False, alternative="less").pvalue
-    assert np.mean(np.maximum(lower, upper) < 0.05) == pytest.approx(0.8, abs=0.04)
-    runs = runs_for_difference(2.0, 1.0, 0.05)
-    one, other = generator.normal(0, 1, (4000, runs)), generator.normal(1, 1, (4000, runs))
-    assert np.mean(stats.ttest_ind(other, one, axis=1, equal_var=False).pvalue < 0.05) == pytest.approx(0.8, abs=0.04)
+    runs = runs_for_equivalence(variances, shift, bound, 0.05)
+    one, other = (generator.normal(at, each, (4000, runs)) for at, each in zip((0, shift), spreads, strict=True))
+    lower = stats.ttest_ind(other + bound, one, axis=1, equal_var=False, alternative="greater").pvalue
+    upper = stats.ttest_ind(other - bound, one, axis=1, equal_var=False, alternative="less").pvalue
+    assert 0.73 < np.mean(np.maximum(lower, upper) < 0.05) < 0.93
+    runs = runs_for_difference(variances, bound, 0.05)
+    one, other = (generator.normal(at, spread, (4000, runs)) for at, spread in zip((0, bound), spreads, strict=True))
+    assert 0.73 < np.mean(stats.ttest_ind(other, one, axis=1, equal_var=False).pvalue < 0.05) < 0.93
+
+
+def test_as_many_runs_are_said_to_be_needed_as_by_r():
+    """`ceiling(power.t.test(delta = 3, sd = 1, power = 0.8)$n)`, and so on; alpha is `sig.level`."""
+    by_r = {(3.0, 0.05): 4, (2.0, 0.05): 6, (1.5, 0.05): 9, (1.0, 0.05): 17, (0.5, 0.05): 64, (2.0, 0.01): 8}
+    found = {each: runs_for_difference((1.0, 1.0), *each) for each in by_r}
+    assert found == by_r
+
+
+def test_that_p_values_are_adjusted_for_several_combinations_takes_more_runs():
+    base = {"first_n": 4, "second_n": 4, "first_sd": 1.0, "second_sd": 1.0, "difference": 1.0, "bound": None}
+    alone = needed_runs([{**base, "verdict": "undecided", "p_value": 0.2}], 0.05)
+    among = needed_runs([{**base, "verdict": "undecided", "p_value": 0.2}] * 4, 0.05)
+    assert "about 17 of each" in alone
+    assert "about 24 of each" in among  # ceiling(power.t.test(delta = 1, sd = 1, power = 0.8, sig.level = 0.0125)$n)
+
+
+def test_that_a_bound_in_percent_is_of_a_mean_that_is_not_known_takes_more_runs():
+    base = {"first_n": 4, "second_n": 4, "first_sd": 10.0, "second_sd": 10.0, "difference": 0.0, "bound": 20.0}
+    undecided = {**base, "verdict": "undecided", "first_mean": 100.0}
+    assert "about 6 of each" in needed_runs([undecided], 0.05)
+    assert "about 7 of each" in needed_runs([undecided], 0.05, is_relative=True)
 
 
 def test_what_more_runs_cannot_decide_is_said():

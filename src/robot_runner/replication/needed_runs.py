@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.design.repeated_intervals import t_probability, t_quantile
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
@@ -15,52 +17,79 @@ if TYPE_CHECKING:
 _POWER = 0.8
 #: More cannot be meant: the difference lies at the bound.
 _MOST = 100_000
+#: From so many degrees of freedom on, the normal distribution is taken for Student's t.
+_MANY = 300
+
+#: The variance of one run of the first experiment, and of the second.
+Variances = tuple[float, float]
 
 
-def runs_for_equivalence(variance: float, difference: float, bound: float, alpha: float) -> int | None:
+def runs_for_equivalence(variances: Variances, difference: float, bound: float, alpha: float) -> int | None:
     """Return how many runs of each experiment two one-sided tests need; None where the difference reaches the bound.
 
-    n = V (z(1 - alpha) + z(power))^2 / (bound - |difference|)^2, with z(1 - (1 - power) / 2) where the difference is 0,
-    and V the sum of both variances (Julious, Statistics in Medicine 23, 2004).
+    The power of n runs is the probability that Student's t stays below (bound - |difference|) / error - t(1 - alpha),
+    and that below (bound + |difference|) / error - t(1 - alpha), less 1 (Julious, Statistics in Medicine 23, 2004).
 
     Example:
-        >>> runs_for_equivalence(2.0, 0.0, 1.0, 0.05)
+        >>> runs_for_equivalence((1.0, 1.0), 0.0, 1.0, 0.05)
         18
     """
-    room = bound - abs(difference)
-    if room <= 0:
-        return None
-    normal = NormalDist()
-    power = normal.inv_cdf(_POWER if difference else 1 - (1 - _POWER) / 2)
-    return _whole(variance * (normal.inv_cdf(1 - alpha) + power) ** 2 / room**2)
+    return _fewest(variances, (bound - abs(difference), bound + abs(difference)), 1 - alpha)
 
 
-def runs_for_difference(variance: float, difference: float, alpha: float) -> int | None:
+def runs_for_difference(variances: Variances, difference: float, alpha: float) -> int | None:
     """Return how many runs of each experiment a two-sided test needs; None where there is no difference.
 
-    n = V (z(1 - alpha / 2) + z(power))^2 / difference^2 (Julious 2004).
+    The power of n runs is the probability that Student's t stays below |difference| / error - t(1 - alpha / 2).
 
     Example:
-        >>> runs_for_difference(2.0, 1.0, 0.05)
-        16
+        >>> runs_for_difference((1.0, 1.0), 1.0, 0.05)
+        17
     """
-    if not difference:
+    return _fewest(variances, (abs(difference),), 1 - alpha / 2)
+
+
+def _fewest(variances: Variances, rooms: Sequence[float], level: float) -> int | None:
+    """Return the fewest runs whose power suffices: the probability that no one-sided test misses what is so far off.
+
+    The degrees of freedom are Welch's for as many runs. By the normal distribution there are 2 runs where 4 are needed.
+    """
+    largest = max(variances)
+    if min(rooms) <= 0:
         return None
-    normal = NormalDist()
-    return _whole(variance * (normal.inv_cdf(1 - alpha / 2) + normal.inv_cdf(_POWER)) ** 2 / difference**2)
+    if not largest:
+        return 2
+    first, second = (each / largest for each in variances)
+    share = (first + second) ** 2 / (first**2 + second**2)  # from 1 to 2
+    unit = math.sqrt(largest) * math.sqrt(first + second)
+
+    def power(runs: int) -> float:
+        freedom, ratio = (runs - 1) * share, math.sqrt(runs) / unit
+        critical = _quantile(level, freedom)
+        return 1 - sum(1 - _probability(room * ratio - critical, freedom) for room in rooms)
+
+    return None if power(_MOST) < _POWER else bisect_left(range(_MOST), _POWER, lo=2, key=power)
 
 
-def _whole(runs: float) -> int | None:
-    return max(2, math.ceil(runs)) if runs < _MOST else None
+def _quantile(level: float, freedom: float) -> float:
+    """Return the quantile of Student's t."""
+    return NormalDist().inv_cdf(level) if freedom > _MANY else t_quantile(level, math.floor(freedom))
 
 
-def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
+def _probability(value: float, freedom: float) -> float:
+    """Return how probably Student's t stays below a value."""
+    return NormalDist().cdf(value) if freedom > _MANY else t_probability(value, math.floor(freedom))
+
+
+def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float, *, is_relative: bool = False) -> str:
     """Return in words what would decide the combinations of a measure that are undecided.
 
     Args:
         differences: as a comparison has them: `verdict`, `first_n`, `first_sd`, `second_sd`, `difference`, `bound`,
-            `not_computed`; where runs count together, `unit`, and `first_units` and `first_error` of both experiments.
+            `not_computed`; where runs count together, `unit`, and `first_units` and `first_error` of both experiments;
+            `first_mean` where bounds are relative.
         alpha: the level of significance.
+        is_relative: whether the bound is a percentage of the first mean, which is not known exactly either.
     """
     if not differences:
         return "there are no runs of the same combination"
@@ -72,7 +101,10 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
         return f"{there_are}, and 2 of each experiment are the fewest that can be tested"
     if why := next((str(each["not_computed"]) for each in undecided if each.get("not_computed")), ""):
         return f"{why[0].lower()}{why[1:].rstrip('.')}"  # more runs of the same kind have no test either
-    needed = [_needed(each, alpha) for each in undecided if each["first_sd"] is not None]
+    # As Holm adjusts p-values: for all combinations but those that are found to differ.
+    tested = [each for each in differences if each["verdict"] != "different" and each.get("p_value") is not None]
+    shared = alpha / max(1, len(tested))
+    needed = [_needed(each, alpha, shared, is_relative) for each in undecided if each["first_sd"] is not None]
     known = [each for each in needed if each is not None]
     if not known or len(known) < len(undecided):
         return f"{there_are}, and the difference lies so close to the bound that no number of runs would do"
@@ -90,13 +122,15 @@ def needed_runs(differences: Sequence[Mapping[str, Any]], alpha: float) -> str:
     )
 
 
-def _needed(each: Mapping[str, Any], alpha: float) -> int | None:
-    """Return how many runs would decide a combination one way or the other."""
-    variance = sum(_variance(each, side) for side in _SIDES)
+def _needed(each: Mapping[str, Any], alpha: float, shared: float, is_relative: bool) -> int | None:
+    """Return how many runs would decide a combination one way or the other; `shared` is alpha as Holm adjusts it."""
+    first, second = (_variance(each, side) for side in _SIDES)
     difference, bound = each["difference"] or 0.0, each["bound"]
-    ways = [runs_for_difference(variance, difference, alpha)]
+    ways = [runs_for_difference((first, second), difference, shared)]
     if bound:
-        ways.append(runs_for_equivalence(variance, difference, bound, alpha))
+        # The second mean is tested against the first one times 1 plus the bound.
+        times = 1 + bound / abs(each["first_mean"]) if is_relative and each["first_mean"] else 1.0
+        ways.append(runs_for_equivalence((first * times**2, second), difference, bound, alpha))
     found = [way for way in ways if way is not None]
     fewest = min(found, default=None)
     return None if fewest is None else max(fewest, min(_units(each, side) for side in _SIDES) + 1)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robot_runner.core.config.checks import runs_listed_in
-from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.experiment import grown_model
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.treatment_makers import known_treatments, treatments_known
 from robot_runner.core.design.batches import EXTENDED, REPEATED, records_of
 from robot_runner.core.errors import ConfigError, Finding, PackageError
@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 _UNPACKED = "package"
 #: Beside it, what of it may be written into.
 _WORKING = "files"
-#: Where the results go is the one setting that a replication never takes from the original.
-_PATH, _REGISTRATION = "results_output_path", "registration"
+#: Where the results go, and on whose cluster runs are executed, a replication never takes from the original.
+_PATH, _CLUSTER, _REGISTRATION = "results_output_path", "cluster", "registration"
 #: So many values that are others than the original's are named.
 _NAMED = 8
 
@@ -154,10 +154,10 @@ class Replication(NamedTuple):
 
 
 def original_settings(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Return what was set by hand when the package's experiment was executed last, but for where its results went."""
+    """Return what was set by hand when the package's experiment was executed last, but for where that was."""
     executions = manifest.get("executions") or [manifest]
     settings = executions[-1].get("deviations") or {}
-    return {str(name): str(text) for name, text in settings.items() if name != _PATH}
+    return {str(name): str(text) for name, text in settings.items() if name not in {_PATH, _CLUSTER}}
 
 
 def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str]) -> Replication:
@@ -180,7 +180,7 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     manifest = read_manifest(files.manifest)
     config = _config(files, manifest)
     _refuse_missing(root, manifest)
-    settings = {**original_settings(manifest), **deviations, _PATH: str(target)}
+    settings = {_CLUSTER: "none", **original_settings(manifest), **deviations, _PATH: str(target)}
     if files.registration.exists():
         settings[_REGISTRATION] = str(files.registration)
     _refuse_redacted(settings)
@@ -190,8 +190,9 @@ def prepare_replication(root: Path, target: Path, deviations: Mapping[str, str])
     absent = list(missing_inputs(files.config))
     if preparation.experiment is None:
         raise ConfigError.of_findings([*preparation.findings, *absent])
-    # Where its results go, and where its registration is, is no deviation from the original.
-    overrides = {name: text for name, text in settings.items() if name not in {_PATH, _REGISTRATION}}
+    # Where it is executed, where its results go, and where its registration is, is no deviation from the original.
+    own = {_CLUSTER, _PATH, _REGISTRATION} - deviations.keys()
+    overrides = {name: text for name, text in settings.items() if name not in own}
     experiment = replace(preparation.experiment, replication=facts, overrides=overrides)
     findings = [*preparation.findings, *absent, *_other_values(experiment, manifest, deviations)]
     if experiment.folder.manifest.exists():
@@ -333,11 +334,8 @@ def _with_batches(experiment: Experiment, files: ExperimentFolder) -> Experiment
 
 def _put_table(experiment: Experiment, rows: RunTableRows) -> None:
     """Write the original's runs as if by hand, all of them to be executed, those that were excluded there as well."""
-    for place in range(len(rows)):
-        rows.clear(rows.run_id(place))
-    rows = rows.without_exclusions()
     make_experiment_folder(experiment.folder.root)
-    write_run_table(experiment.folder.run_table, rows)
+    write_run_table(experiment.folder.run_table, rows.to_do_again())
 
 
 def _has_exclusions(files: ExperimentFolder) -> bool:

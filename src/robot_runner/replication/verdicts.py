@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.events.measure import QUALITY_SUFFIX, ROBOTS_OWNER
 from robot_runner.core.storage.table_columns import ColumnRole
-from robot_runner.core.words import counted, enumerated, listed, shown_value
+from robot_runner.core.words import counted, enumerated, has_true_zero, listed, shown_value
 from robot_runner.replication.needed_runs import needed_runs
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: What difference does not matter where nobody has said it: a convention, and said to be one wherever it counts.
 DEFAULT_BOUND = "5%"
+#: The same where a percentage says nothing: of temperatures (degrees Fahrenheit are smaller), and of decibels.
+_DEGREES, _DEGREES_FAHRENHEIT, _DECIBELS = "2", "3.6", "1"
 _TIMES = frozenset({"ns", "us", "\N{MICRO SIGN}s", "\N{GREEK SMALL LETTER MU}s", "ms", "s", "min", "h"})
 _MEASURED = frozenset({None, "", "measured"})
 
@@ -123,11 +125,11 @@ def why_not_primary(columns: Sequence[ColumnDescription], manifest: Mapping[str,
     return found if not all(found.values()) else dict.fromkeys(found, "")
 
 
-def margins_of(names: Sequence[str], manifest: Mapping[str, Any], given: Sequence[str]) -> dict[str, Margin]:
+def margins_of(units: Mapping[str, str], manifest: Mapping[str, Any], given: Sequence[str]) -> dict[str, Margin]:
     """Return what difference does not matter, by measure: as given, else as planned, else by our own convention.
 
     Args:
-        names: the measures.
+        units: of the measures, by their names.
         manifest: the original's; a hypothesis of equivalence in its plan has a margin for a measure.
         given: `5%` or `10` for every measure, `NAME=5%` for one, as `--bound` takes them; they can be read.
     """
@@ -135,14 +137,22 @@ def margins_of(names: Sequence[str], manifest: Mapping[str, Any], given: Sequenc
     general = next((each for each in given if "=" not in each), None)
     planned = _planned(manifest.get("analysis") or {})
     found = {}
-    for name in names:
+    for name, unit in units.items():
         if name in own or general is not None:
             found[name] = Margin(own.get(name, general or ""), "as --bound says")
         elif name in planned:
             found[name] = Margin(f"{planned[name]:g}", "the margin of equivalence in the plan of the original")
         else:
-            found[name] = Margin(DEFAULT_BOUND, "the default, as neither --bound nor the plan says what matters")
+            found[name] = Margin(_default(unit), "the default, as neither --bound nor the plan says what matters")
     return found
+
+
+def _default(unit: str) -> str:
+    """Return what difference does not matter in a unit where nobody has said it."""
+    if has_true_zero(unit):
+        return DEFAULT_BOUND
+    plain = unit.strip().lower()
+    return _DECIBELS if plain.startswith("db") else _DEGREES_FAHRENHEIT if "f" in plain else _DEGREES
 
 
 def _planned(plan: Mapping[str, Any]) -> dict[str, float]:
@@ -269,7 +279,8 @@ def _by_statistics(judged: _Judged, found: Mapping[str, Any], *, is_simulated: b
     if conclusion is Conclusion.DIFFERENT:
         return conclusion, f"is different{where}{largest}; the bound was {within}."
     alpha = _alpha(differences)
-    return conclusion, f"could not be decided{where} within {within}{largest}: {needed_runs(differences, alpha)}."
+    needed = needed_runs(differences, alpha, is_relative=judged.margin.text.strip().endswith("%"))
+    return conclusion, f"could not be decided{where} within {within}{largest}: {needed}."
 
 
 def _alpha(differences: Sequence[Mapping[str, Any]]) -> float:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
 from tests.replication.small_experiment import CONFIG
 
 
+@pytest.mark.long
 def test_a_measure_of_a_plugin_is_traced_to_its_raw_file(robot_runner, experiment):
     answer = robot_runner("explain", experiment, "r_3", "Energy")
     assert answer.code == 0, answer.err
@@ -32,6 +34,7 @@ def test_what_is_not_there_is_named_with_the_nearest(robot_runner, experiment):
     assert "'r_9'" in answer.err
 
 
+@pytest.mark.long
 def test_without_a_run_it_tells_what_acm_asks_for_from_facts(robot_runner, experiment, packed, unpacked):
     answer = robot_runner("explain", experiment)
     assert answer.code == 0, answer.err

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import shutil
 
+import pytest
 
+
+@pytest.mark.long
 def test_an_experiment_is_packed_checked_and_replicated_without_naming_it(robot_runner, experiment, tmp_path):
     shutil.copytree(experiment, tmp_path / "study" / "small")
     assert robot_runner("pack", "--no-hashes").code == 0

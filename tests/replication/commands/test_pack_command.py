@@ -24,6 +24,7 @@ def study(experiment, tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("study")
 class TestPack:
+    @pytest.mark.long
     def test_it_says_what_it_wrote_and_what_it_replaced(self, robot_runner, tmp_path, monkeypatch):
         # The lock need not have the versions that are installed here.
         monkeypatch.setattr(
@@ -41,6 +42,7 @@ class TestPack:
         assert "there is no report" in answer.err
         assert (tmp_path / "small.zip").exists()
 
+    @pytest.mark.long
     def test_what_to_do_next_can_be_pasted(self, robot_runner, tmp_path):
         (tmp_path / "small").rename(tmp_path / "my study")
         answer = robot_runner("pack", "my study", "--no-hashes", "--no-wheels")
@@ -48,6 +50,7 @@ class TestPack:
         assert f"robot-runner report '{tmp_path / 'my study'}'" in answer.err
         assert "robot-runner replicate 'my study.zip'" in robot_runner("verify", "my study.zip").out
 
+    @pytest.mark.long
     def test_json_is_all_that_is_printed(self, robot_runner):
         facts = robot_runner("pack", "small", "--to", "a.zip", "--raw", "none", "--no-wheels", "--json").json
         assert {each["name"] for each in facts["left_out"]} == {
@@ -58,6 +61,7 @@ class TestPack:
         assert facts["wheels"] == []
         assert len(facts["sha256"]) == 64
 
+    @pytest.mark.long
     def test_hashes_that_cannot_be_had_are_a_warning(self, robot_runner, monkeypatch):
         monkeypatch.setattr(index_hashes, "locked_hashes", lambda _: {})
         advice = "; without --no-hashes the package index is asked for the others"
@@ -70,12 +74,14 @@ class TestPack:
         assert "no package index answers, or it has none of them" in answer.err
         assert "127.0.0.1" not in answer.out + answer.err
 
+    @pytest.mark.long
     def test_authors_and_licence_can_be_given(self, robot_runner):
         author = "Ada Lovelace; 0000-0002-1825-0097; Analytical Society; https://ror.org/008xxew50"
         answer = robot_runner("pack", "small", "--author", author, "--licence", "MIT", "--citation", "Ask Ada.")
         assert answer.code == 0
         assert "Ada" not in answer.err
 
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("words", "problem", "fix"),
         [
@@ -92,6 +98,7 @@ class TestPack:
         assert problem in answer.err or "no ORCID" in answer.err
         assert fix in answer.err or "0000-0002-1825-0097" in answer.err
 
+    @pytest.mark.long
     def test_the_bar_is_shown_on_a_terminal(self, terminal, study):
         with (study / "runs" / "r_1" / "PsUtil" / "long.csv").open("wb") as file:
             for _ in range(20):

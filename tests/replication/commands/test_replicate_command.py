@@ -44,6 +44,7 @@ def linked(tmp_path_factory):
 
 @pytest.mark.usefixtures("package")
 class TestReplicate:
+    @pytest.mark.long
     def test_it_ends_with_a_verdict_on_each_measure(self, robot_runner, tmp_path):
         answer = robot_runner("replicate", "small.zip", "--yes", "--bound", "2%")
         assert answer.code == 0, answer.err
@@ -68,6 +69,7 @@ class TestReplicate:
         assert "add --yes" in answer.err
         assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
 
+    @pytest.mark.long
     def test_a_user_who_says_no_is_not_asked_twice(self, terminal, tmp_path):
         screen = terminal("replicate", "small.zip")
         screen.wait_for("Execute the code of this package")
@@ -89,6 +91,7 @@ class TestReplicate:
         said = answer.out + answer.err
         assert said.count("package") == said.count("and no package")
 
+    @pytest.mark.long
     def test_an_experiment_that_nobody_sealed_says_so_and_a_deviation_gets_its_verdict(
         self, robot_runner, experiment, tmp_path
     ):
@@ -146,6 +149,7 @@ def _made_to_differ(package, name):
 
 
 class TestEnvironments:
+    @pytest.mark.long
     def test_what_the_experiment_imports_comes_first_and_the_rest_is_counted(self, robot_runner, package):
         _made_to_differ(package, "rich")
         _made_to_differ(package, "numpy")
@@ -167,6 +171,7 @@ class TestEnvironments:
         assert {"Ina219", "config"} <= set(packages["robot-runner"]["imported_by"])
         assert "imported_by" not in packages["markdown-it-py"]
 
+    @pytest.mark.long
     def test_the_packages_own_environment_is_offered_where_it_makes_a_difference(self, terminal, package, tmp_path):
         _made_to_differ(package, "numpy")
         screen = terminal("replicate", "small.zip", "--plain")
@@ -179,6 +184,7 @@ class TestEnvironments:
         assert "The results are identical" in screen.raw
         assert not (tmp_path / "small_replication" / "environment").exists()
 
+    @pytest.mark.long
     def test_with_yes_it_is_made_and_that_it_cannot_be_is_said(self, robot_runner, package, monkeypatch):
         _made_to_differ(package, "numpy")
         monkeypatch.setenv("PIP_NO_INDEX", "1")  # nothing is fetched here
@@ -188,6 +194,7 @@ class TestEnvironments:
         assert "the environment cannot be made" in answer.err
         assert "--environment here" in answer.err
 
+    @pytest.mark.long
     def test_another_environment_executes_and_this_one_compares(self, package, linked, tmp_path):
         answer = subprocess.run(
             [PROGRAM, "replicate", "small.zip", "--yes", "--environment", linked, "--json"],
@@ -204,6 +211,7 @@ class TestEnvironments:
         manifest = json.loads((Path(facts["replication"]) / "manifest.json").read_text("utf-8"))
         assert "pandas" not in manifest["software"]["packages"]  # it was executed there, without what compares
 
+    @pytest.mark.long
     def test_a_stop_request_reaches_what_executes(self, package, linked, tmp_path):
         words = [PROGRAM, "replicate", "small.zip", "--yes", "--environment", linked, "--plain"]
         with subprocess.Popen(
@@ -226,6 +234,7 @@ class TestEnvironments:
         assert "Install robot-runner into it" in answer.err
 
 
+@pytest.mark.long
 def test_it_is_replicated_in_an_empty_folder_and_a_fresh_environment(packed, tmp_path):
     """The program is the one that the package brings, and it knows nothing of where it was packed."""
     folder = tmp_path / "elsewhere"

@@ -26,10 +26,9 @@ from robot_runner.cli.console import (
     shown_path,
 )
 from robot_runner.cli.findings import as_json, show_findings
-from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import UsageError, add_json, add_set
 from robot_runner.cli.screens.byte_progress import byte_progress
-from robot_runner.cli.target import folder_of_target
+from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:

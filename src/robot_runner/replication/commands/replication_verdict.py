@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.analysis.libraries import MissingLibraryError, require_libraries
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, shown_path
-from robot_runner.cli.findings import show_error
+from robot_runner.cli.findings import show_findings
 from robot_runner.core.errors import PackageError, RobotRunnerError, did_you_mean
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -81,7 +81,8 @@ class Comparing:
             if name not in self._secondary:
                 fix = did_you_mean(name, list(self._secondary))
                 raise PackageError(f"there is no measure {name!r}", where="--bound", fix=fix)
-        self._margins = margins_of(list(self._secondary), self._manifest, bounds)
+        units = {each.name: each.unit for each in self._columns if each.name in self._secondary}
+        self._margins = margins_of(units, self._manifest, bounds)
 
     def prepare(self, *, is_simulated: bool) -> None:
         """Have at hand what statistics need, before a robot moves; what is simulated will hardly need any.
@@ -106,7 +107,7 @@ class Comparing:
         try:
             comparison = self._comparison(replication, same)
         except RobotRunnerError as error:
-            show_error(error)
+            show_findings(error.findings)
             comparison = None
         verdict = reached_verdict(self._columns, self._manifest, same, self._margins, comparison)
         facts = facts | {

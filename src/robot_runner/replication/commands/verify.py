@@ -14,9 +14,9 @@ from rich.text import Text
 from robot_runner.cli.console import command_line, output, print_facts, print_json
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
-from robot_runner.cli.only_one_here import only_package
 from robot_runner.cli.parser import UsageError, add_json
 from robot_runner.cli.screens.byte_progress import byte_progress
+from robot_runner.cli.target import only_package
 from robot_runner.core.words import counted, one_line
 
 if TYPE_CHECKING:
