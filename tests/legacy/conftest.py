@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.legacy.earlier_configs import EVENTS, ROBOT_TABLE, RUNNER, RUNNER_TABLE, Executed
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment

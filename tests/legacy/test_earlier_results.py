@@ -9,7 +9,7 @@ import pytest
 from frictionless import Resource
 from tests.legacy.earlier_configs import ROBOT, RUNNER, planned
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.experiment_status import read_status
@@ -82,6 +82,7 @@ def test_readers_find_names_roles_and_types(config: Callable[..., Path], execute
     }
 
 
+@pytest.mark.long
 def test_the_schema_describes_the_file_as_it_is(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
     folder = execute(config(MEASURED)).folder
     schema = json.loads((folder / "run_table.schema.json").read_text())
@@ -113,6 +114,7 @@ def test_columns_that_would_clash_with_ours_keep_their_headings(
     assert rows.row(0)["status_"] == "fine"
 
 
+@pytest.mark.long
 def test_an_experiment_goes_on_where_it_stopped(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
     path = config(FAILING)
     first = execute(path, Resumption(only=("run_0_repetition_0", "run_1_repetition_0")))
@@ -208,6 +210,7 @@ def test_a_table_of_the_earlier_tool_that_is_full_leaves_nothing_to_do(
     assert execute(path).finished.done_count == 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("process", ["spawn", "in_process"])
 def test_runs_may_be_executed_in_other_ways(
     config: Callable[..., Path], execute: Callable[..., Executed], process: str
@@ -227,6 +230,7 @@ def test_runs_may_be_executed_in_other_ways(
     assert executed.log("run_2_repetition_1") == "in its own process\n"
 
 
+@pytest.mark.long
 def test_what_no_column_is_for_is_kept_aside_and_the_row_does_not_shift(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -269,6 +273,7 @@ CELLS = {
 }
 
 
+@pytest.mark.long
 def test_a_cell_holds_what_can_be_held(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
     values = ", ".join(f"lambda: {value}" for value in CELLS)
     table = f"""\

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.legacy.earlier_configs import RUNNER, planned
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 from robot_runner.legacy.stand_ins import modules as stand_in_modules
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def test_arguments_may_stand_in_the_order_of_any_version(config: Callable[..., P
         assert preparation.experiment.model.data_columns == ("x",)
 
 
+@pytest.mark.long
 def test_a_shuffled_order_comes_from_a_recorded_seed(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -112,6 +113,7 @@ def test_a_shuffled_order_comes_from_a_recorded_seed(
     assert [run_id for run_id, _ in planned(prepare(path))] == order
 
 
+@pytest.mark.long
 def test_rows_that_a_config_shuffles_itself_come_in_the_recorded_order(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -127,6 +129,7 @@ def test_rows_that_a_config_shuffles_itself_come_in_the_recorded_order(
     assert [run_id for run_id, _ in planned(prepare(path))] == order
 
 
+@pytest.mark.long
 def test_hooks_share_what_is_kept_on_self(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
     methods = """
     def before_experiment(self):
@@ -148,6 +151,7 @@ def test_hooks_share_what_is_kept_on_self(config: Callable[..., Path], execute: 
     assert [int(row["seconds"]) - int(row["size"]) for row in executed.table] == [1110] * 8
 
 
+@pytest.mark.long
 def test_hooks_are_called_in_the_order_of_the_tool(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -170,6 +174,7 @@ def test_hooks_are_called_in_the_order_of_the_tool(
     ]
 
 
+@pytest.mark.long
 def test_the_context_has_both_names_of_the_row(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
     methods = """
     def start_run(self, context: RunnerContext):
@@ -182,6 +187,7 @@ def test_the_context_has_both_names_of_the_row(config: Callable[..., Path], exec
     assert (executed.folder / "run_3_repetition_1" / "raw.txt").read_text() == "run_3_repetition_1"
 
 
+@pytest.mark.long
 def test_a_factor_that_no_callback_looks_at_is_found(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -206,6 +212,7 @@ def test_a_factor_that_counts_the_runs_need_not_be_looked_at(
     assert not execute(config("def populate_run_data(self, context): return {'x': 1}", table=table)).warnings
 
 
+@pytest.mark.long
 def test_experiment_path_is_set_before_anything_is_called(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -214,6 +221,7 @@ def test_experiment_path_is_set_before_anything_is_called(
     assert executed.folder.parts[-2:] == ("experiments", "sorting")
 
 
+@pytest.mark.long
 def test_the_table_is_up_to_date_when_the_experiment_has_ended(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -255,6 +263,7 @@ def test_a_config_that_derives_from_the_tools_own_class_hears_what_it_overrides(
     assert [row["square"] for row in executed.table] == ["1", "4"]
 
 
+@pytest.mark.long
 def test_a_config_that_derives_from_another_config_file_replaces_its_callbacks(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -281,6 +290,7 @@ def test_a_config_that_derives_from_another_config_file_replaces_its_callbacks(
     assert len(executed.table) == 8
 
 
+@pytest.mark.long
 def test_neighbours_can_be_imported_also_later(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -304,6 +314,7 @@ def test_neighbours_can_be_imported_also_later(
     assert executed.log("run_0_repetition_0") == "later TODO\n"
 
 
+@pytest.mark.long
 def test_the_modules_of_the_tool_are_gone_afterwards(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -391,6 +402,7 @@ def test_columns_that_are_appended_to_the_model_are_columns(config: Callable[...
     assert prepare(config(table=table)).experiment.model.data_columns == ("a", "b")
 
 
+@pytest.mark.long
 def test_an_attribute_of_its_own_that_a_config_sets_on_the_context_is_no_misspelling(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER, planned, problems
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -62,6 +62,7 @@ def test_without_repetitions_a_fork_has_no_column_for_them(config: Callable[...,
     ]
 
 
+@pytest.mark.long
 def test_before_run_may_take_the_context_or_the_row(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -121,6 +122,7 @@ def test_each_of_a_list_of_callbacks_must_be_callable(config: Callable[..., Path
     assert "the callback of START_RUN is 'self.go', which cannot be called" in problems(prepare(path))[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tool", ["experiment-runner", "robot-runner", "", "experiment-runner/experiment-runner"])
 def test_a_plugin_of_a_forks_own_is_found_in_its_clone(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed], tool: str
@@ -135,6 +137,7 @@ def test_a_plugin_of_a_forks_own_is_found_in_its_clone(
     assert {row["seconds"] for row in execute(path).table} == {"4.5"}
 
 
+@pytest.mark.long
 def test_what_a_fork_added_to_a_module_of_the_tool_comes_from_its_clone(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -197,6 +200,7 @@ def test_runs_are_numbered_as_the_tool_does_whose_clone_the_config_stands_in(
     assert [run_id for run_id, _ in planned(prepare(path))] == ids
 
 
+@pytest.mark.long
 def test_a_profiler_derived_from_the_tools_own_class_measures(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -255,6 +259,7 @@ def test_a_fork_may_import_under_a_guard_what_is_not_there(config: Callable[...,
     assert prepare(config(head=head)).experiment is not None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("tool", ["experiment-runner", "robot-runner/robot-runner"])
 def test_what_stands_beside_the_main_file_of_a_clone_is_importable(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed], tool: str
@@ -269,6 +274,7 @@ def test_what_stands_beside_the_main_file_of_a_clone_is_importable(
     assert {(row["__done"], row["seconds"]) for row in executed.table} == {("DONE", "8")}, executed.finished.failures
 
 
+@pytest.mark.long
 def test_an_event_at_which_a_fork_validated_is_heard_before_the_experiment(
     config: Callable[..., Path], execute: Callable[..., Executed], tmp_path: Path
 ) -> None:

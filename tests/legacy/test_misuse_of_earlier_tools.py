@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER, problems
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.legacy.earlier_configs import ROBOT, planned, problems
 
-from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.parameters import OperationType
+from robot_runner.core.config.preparation import prepare
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -111,18 +111,27 @@ def secrets_of_environment(environment: Mapping[str, str] | None = None) -> tupl
     wherever they stand would damage what is no secret.
     """
     if environment is None:
-        return _secrets_of_process(len(os.environ), int(time.monotonic()))
-    found: set[str] = set()
-    for name, text in environment.items():
-        if name not in _FOLDERS and is_secret_name(name) and _is_worth_hiding(text):
-            found |= {text, *(line for line in text.splitlines() if len(line) >= _SHORTEST_LINE)}
-    return tuple(sorted(found, key=lambda text: (-len(text), text)))
+        names = _names_in_process(len(os.environ), int(time.monotonic()))
+        return _secrets_among(tuple(os.environ.get(name, "") for name in names))
+    return _secrets_among(tuple(environment[name] for name in environment if _may_hold_secret(name)))
 
 
 @lru_cache(maxsize=1)
-def _secrets_of_process(_count: int, _second: int) -> tuple[str, ...]:
-    # Looked at again once a variable came or went, and every second: a line of a log must not cost a look at all.
-    return secrets_of_environment(dict(os.environ))
+def _names_in_process(_count: int, _second: int) -> tuple[str, ...]:
+    # Looked for again once a variable came or went, and every second: a line of a log must not cost that.
+    return tuple(filter(_may_hold_secret, os.environ))
+
+
+def _may_hold_secret(name: str) -> bool:
+    return name not in _FOLDERS and is_secret_name(name)
+
+
+@lru_cache(maxsize=8)
+def _secrets_among(texts: tuple[str, ...]) -> tuple[str, ...]:
+    found: set[str] = set()
+    for text in filter(_is_worth_hiding, texts):
+        found |= {text, *(line for line in text.splitlines() if len(line) >= _SHORTEST_LINE)}
+    return tuple(sorted(found, key=lambda text: (-len(text), text)))
 
 
 @lru_cache(maxsize=1024)

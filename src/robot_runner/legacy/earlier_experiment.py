@@ -6,6 +6,7 @@ import inspect
 import io
 import sys
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.errors import ConfigError
@@ -58,7 +59,9 @@ def check_callback(callback: Callable[..., Any], event: RobotRunnerEvents) -> No
         ConfigError: it can be called neither without arguments nor with a context.
     """
     most = 2 if event is RobotRunnerEvents.LAUNCH_MISSION else 1
-    if not any(_takes(callback, count) for count in range(most + 1)):
+    # Each count is asked for: a run, which is a fresh process, finds what was looked up here.
+    fits = [_takes(callback, count) for count in range(most + 1)]
+    if not any(fits):
         raise _unfit(callback, event)
 
 
@@ -82,6 +85,7 @@ class _Signal:
         return False
 
 
+@lru_cache(maxsize=256)
 def _wants_row(callback: Callable[..., Any], event: RobotRunnerEvents) -> bool:
     if event is not RobotRunnerEvents.BEFORE_RUN:
         return False
@@ -92,6 +96,7 @@ def _wants_row(callback: Callable[..., Any], event: RobotRunnerEvents) -> bool:
     return bool(names) and names[0] in ROW_NAMES
 
 
+@lru_cache(maxsize=256)
 def _takes(callback: Callable[..., Any], count: int) -> bool:
     try:
         inspect.signature(callback).bind(*(object(),) * count)

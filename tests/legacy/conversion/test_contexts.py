@@ -55,6 +55,7 @@ def stop_run(self, context):
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("methods", REACHED.values(), ids=REACHED)
 def test_a_context_is_converted_however_it_is_reached(
     methods: str, config: Callable[..., Path], execute: Callable[..., Executed], tmp_path: Path

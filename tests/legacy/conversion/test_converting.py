@@ -10,8 +10,7 @@ import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER
 
 from robot_runner.cli.main import main
-from robot_runner.core.config.dialects import prepare
-from robot_runner.core.config.preparation import prepare as prepare_own
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -43,7 +42,7 @@ def converted() -> Callable[[Path], Path]:
 
 
 def measures_of(path: Path, columns: list[str]) -> list[list[str]]:
-    experiment = prepare_own(path, {"results_output_path": str(path.parent / "own")}).experiment
+    experiment = prepare(path, {"results_output_path": str(path.parent / "own")}).experiment
     finished = execute_experiment(experiment, SilentObserver())
     assert finished.failures == ()
     with finished.run_table.open(newline="") as file:
@@ -70,6 +69,7 @@ def populate_run_data(self, context: RunnerContext):
 """
 
 
+@pytest.mark.long
 def test_a_config_of_experiment_runner_becomes_one_of_ours(
     config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
 ) -> None:
@@ -118,6 +118,7 @@ def test_what_no_cell_holds_becomes_the_text_that_the_tool_wrote(
     assert before[1][1:] == ["[0, 2]", "(2, 'a, b')", "{'trace': [2]}", "[0, 1]", "2"]
 
 
+@pytest.mark.long
 def test_a_config_of_robot_runner_becomes_one_of_ours(
     config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
 ) -> None:
@@ -338,7 +339,7 @@ def test_a_parameter_that_is_made_of_the_name_still_is(
 ) -> None:
     head = RUNNER.replace('ROOT_DIR / "experiments"', 'ROOT_DIR / f"{name}_results" / name')
     new = converted(config(head=head))
-    assert prepare_own(new).experiment.folder.root == new.parent / "sorting_results" / "sorting" / "sorting"
+    assert prepare(new).experiment.folder.root == new.parent / "sorting_results" / "sorting" / "sorting"
 
 
 def test_the_folder_is_known_where_the_class_ends_with_its_declaration(
@@ -354,7 +355,7 @@ def test_a_name_that_the_class_goes_on_to_change_is_the_experiments(
 ) -> None:
     late = '    if len(name) > 3:\n        name = name + "_2"\n'
     new = converted(config(head=RUNNER + late))
-    assert prepare_own(new).experiment.parameters.experiment_name == "sorting_2"
+    assert prepare(new).experiment.parameters.experiment_name == "sorting_2"
 
 
 def test_a_method_that_only_subscribed_does_nothing(
@@ -443,7 +444,7 @@ def test_a_path_that_began_in_the_current_folder_still_does(
     monkeypatch.chdir(elsewhere)
     head = ROBOT.replace('Path(__file__).parent / "results"', 'Path("out")')
     new = converted(config(head=head))
-    assert prepare_own(new).experiment.folder.root == elsewhere / "out" / "patrol"
+    assert prepare(new).experiment.folder.root == elsewhere / "out" / "patrol"
 
 
 def test_a_config_that_derives_from_the_tools_class_derives_from_ours(
@@ -482,6 +483,7 @@ def test_a_profiler_that_needs_no_tool_around_it_is_kept(
     assert "from robot_runner.plugins.earlier import Ps as Meter" in text
 
 
+@pytest.mark.long
 def test_a_plugin_of_a_clones_own_is_written_beside_with_public_imports(
     config: Callable[..., Path], converted: Callable[[Path], Path], write: Callable[..., Path]
 ) -> None:

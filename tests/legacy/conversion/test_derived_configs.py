@@ -81,6 +81,7 @@ def same_rows(old: Path, new: Path, execute: Callable[..., Executed], columns: l
     return rows
 
 
+@pytest.mark.long
 def test_a_config_and_the_one_that_it_derives_from_are_converted_together(
     study: Path, execute: Callable[..., Executed], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -122,6 +123,7 @@ def test_what_a_base_cannot_keep_is_found_in_the_file_of_the_base(
     assert "'other'" in base.read_text().splitlines()[int(line) - 1]
 
 
+@pytest.mark.long
 def test_a_chain_of_three_files_is_written_to_one_folder(
     study: Path, write: Callable[..., Path], execute: Callable[..., Executed], tmp_path: Path
 ) -> None:
@@ -155,6 +157,7 @@ def test_a_chain_of_three_files_is_written_to_one_folder(
     assert [row[0] for row in same_rows(last, new, execute, ["seconds", "size"])] == ["1106", "1106", "1107"]
 
 
+@pytest.mark.long
 def test_bases_in_a_package_may_import_each_other_relative_to_it(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -184,6 +187,7 @@ def test_bases_in_a_package_may_import_each_other_relative_to_it(
     assert rows[0] == ["10", "45"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("imported", "parent", "before"),
     [
@@ -245,6 +249,7 @@ class RobotRunnerConfig(abstract_of_patrol.Common):
 """
 
 
+@pytest.mark.long
 def test_all_configs_of_a_folder_share_the_class_that_they_derive_from(
     write: Callable[..., Path], execute: Callable[..., Executed], tmp_path: Path
 ) -> None:
@@ -308,6 +313,7 @@ def test_what_a_base_has_that_has_no_counterpart_is_named_with_its_line(
 HEAR_OTHER = "EventSubscriptionController.subscribe_to_single_event(RunnerEvents.POPULATE_RUN_DATA, self.other)"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("init", "text"),
     [
@@ -358,6 +364,7 @@ def test_what_is_reached_through_a_module_has_to_be_imported_by_its_name(study: 
         convert(study)
 
 
+@pytest.mark.long
 def test_a_derived_config_that_asks_the_user_starts_its_first_run_by_itself(
     config: Callable[..., Path], write: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import pytest
 from tests.legacy.earlier_configs import ROBOT, RUNNER, problems
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.execution.recovery import Resumption
 from robot_runner.core.links.kinds import FoundRobot
@@ -560,6 +560,7 @@ def populate_run_data(self, context):
 """
 
 
+@pytest.mark.long
 def test_the_mini_mission_is_executed_on_the_embedded_robot(
     config: Callable[..., Path], execute: Callable[..., Executed], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import CONFIG_OWNER

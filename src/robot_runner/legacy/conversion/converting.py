@@ -7,7 +7,7 @@ import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from robot_runner.core.config.dialects import prepare
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.source import CONFIG_CLASS, read_source, read_tree
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.legacy.config_checks import check_waiting

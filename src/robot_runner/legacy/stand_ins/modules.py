@@ -249,6 +249,6 @@ class StandIns(MetaPathFinder, Loader):
 
 def _foreign_modules() -> dict[str, ModuleType]:
     """Take away and return what has a name of the earlier tools' modules and is not ours."""
-    if not any(name in sys.modules for name in EARLIER_PACKAGES):
+    if sys.modules.keys().isdisjoint(EARLIER_PACKAGES):
         return {}
     return {name: sys.modules.pop(name) for name in list(sys.modules) if is_earlier_import(name)}
