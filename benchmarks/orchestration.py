@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.table import Row, print_table
-from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.execution.notices import AttemptFinished, Notice, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 

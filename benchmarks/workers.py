@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from benchmarks.table import Row, print_table
-from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.execution.notices import SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 

@@ -51,6 +51,7 @@ def completed(shell: pexpect.spawn, typed: str, whole: str) -> None:
     shell.sendcontrol("u")
 
 
+@pytest.mark.long
 def test_commands_options_plugins_and_configs_are_completed(shell: pexpect.spawn) -> None:
     completed(shell, "robot-runner extend stu", "robot-runner extend study.py")
     completed(shell, "robot-runner smo", "robot-runner smoke")
@@ -61,6 +62,7 @@ def test_commands_options_plugins_and_configs_are_completed(shell: pexpect.spawn
     completed(shell, "robot-runner run --set robot=sim", "robot-runner run --set robot=simulated")
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
 def test_fish_completes_it_by_the_line_that_the_command_names(tmp_path: Path) -> None:
     (tmp_path / "study.py").touch()
@@ -87,6 +89,7 @@ def offered(line: str, tmp_path: Path) -> list[str]:
     return [each.strip() for each in target.read_text().split("\013")]
 
 
+@pytest.mark.long
 def test_all_commands_are_offered_and_a_tab_costs_hardly_more_than_the_help(tmp_path: Path) -> None:
     assert {"demo", "doctor", "replicate", "--help"} <= set(offered("robot-runner ", tmp_path))
 

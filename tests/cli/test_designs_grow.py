@@ -28,6 +28,7 @@ def populate_run_data(self, context):
 """
 
 
+@pytest.mark.long
 def test_one_factor_at_a_time_takes_further_treatments(execute: Callable[..., Any]) -> None:
     table = TABLE.replace("DESIGN", 'OneFactorAtATime(base={"Speed": 1})')
     first = execute(BODY, head=DESIGNS, table=table)

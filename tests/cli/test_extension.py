@@ -85,6 +85,7 @@ def problems(raised: pytest.ExceptionInfo[RobotRunnerError]) -> list[str]:
     return [str(finding) for finding in raised.value.findings]
 
 
+@pytest.mark.long
 def test_a_finished_experiment_goes_on_with_the_new_runs_alone(execute: Execute) -> None:
     executed = execute(COUNTING, table=SHUFFLED)
     before = executed.table
@@ -138,6 +139,7 @@ lost = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.long
 @lost
 def test_whatever_is_deleted_the_grown_experiment_is_made_whole(execute: Execute, names: tuple[str, ...]) -> None:
     executed = execute(COUNTING, table=SHUFFLED)
@@ -154,6 +156,7 @@ def test_whatever_is_deleted_the_grown_experiment_is_made_whole(execute: Execute
     assert len(executed.journal("attempt_started")) == 6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_older", [True, False], ids=["restored from yesterday", "not written any more"])
 def test_a_table_that_is_older_than_a_batch_gets_its_runs(execute: Execute, *, is_older: bool) -> None:
     executed = execute(COUNTING)
@@ -255,6 +258,7 @@ def test_an_edited_batch_is_a_difference_like_any_other(execute: Execute) -> Non
     assert "column 'batch': the table has 1, the plan 2" in problems(refused)[0]
 
 
+@pytest.mark.long
 @settings(max_examples=4)
 @given(
     st.lists(st.tuples(st.integers(0, 2), st.booleans(), st.booleans()), min_size=1, max_size=3),
@@ -321,6 +325,7 @@ def test_more_repetitions_in_the_config_are_refused_with_the_command_that_adds_t
     assert resume(executed).done_count == 10
 
 
+@pytest.mark.long
 def test_treatments_and_factors_of_the_config_are_named_too(execute: Execute) -> None:
     executed = execute(COUNTING)
     more = {'"Network"])': '"Network", "Audio"]), Factor("Floor", ["carpet", "wood"])'}
@@ -507,6 +512,7 @@ def test_warm_up_runs_are_executed_once_kept_and_marked(execute: Execute) -> Non
     assert text_of(executed) == table
 
 
+@pytest.mark.long
 def test_a_session_warms_up_again_where_the_config_says_so(tmp_path: Path) -> None:
     table = changed(TABLE, **{"repetitions=2": "repetitions=2, warm_up=WarmUp(1, each_session=True)"})
     config = written_config(tmp_path, COUNTING, table=table)

@@ -75,7 +75,7 @@ def test_output_for_which_a_disk_has_no_room_is_no_fault_of_ours(
         monkeypatch.setattr(sys, "stdout", full)
         assert guarded(lambda: 0 * sys.stdout.write("a line\n")) == 2
     said = capsys.readouterr().err
-    assert said.startswith("error: what was asked for cannot be written: No space left on device\n")
+    assert said.startswith("error: the output cannot be written: No space left on device\n")
 
 
 def test_a_fault_is_said_even_where_nothing_can_be_kept(
@@ -83,7 +83,7 @@ def test_a_fault_is_said_even_where_nothing_can_be_kept(
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
     assert guarded(raising(ZeroDivisionError("by nought"))) == 70
-    assert "could not be written" in capsys.readouterr().err
+    assert "fix: Repeat the command with --debug, and report it" in capsys.readouterr().err
 
 
 def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
@@ -93,6 +93,7 @@ def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Traceback (most recent call last)" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_reader_that_has_read_enough_is_no_error(program: str) -> None:
     with subprocess.Popen([program, "plugins", "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
         assert running.stdout is not None
@@ -102,6 +103,7 @@ def test_a_reader_that_has_read_enough_is_no_error(program: str) -> None:
         assert running.wait(timeout=60) == 141
 
 
+@pytest.mark.long
 def test_colour_is_for_terminals_alone(program: str, tmp_path: Path) -> None:
     answer = subprocess.run([program, "check", "x.py"], cwd=tmp_path, capture_output=True, check=False)
     assert answer.returncode == 2
@@ -118,6 +120,7 @@ def test_a_terminal_without_unicode_is_no_fault(program: str, tmp_path: Path) ->
     assert "?.py is refused: 1 error." in answer.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
 def test_streams_that_are_closed_hold_nothing_up_and_get_no_file_of_the_experiment(
     write_config: Callable[..., Path], closed: str

@@ -34,7 +34,7 @@ def test_a_disk_without_room_for_what_is_printed_ends_nothing_and_is_told_once(
         monkeypatch.setattr(sys, "stdout", full)
         assert execute() == 0
     said = capsys.readouterr().err
-    dropped = "what is printed is dropped from here on: No space left on device; the experiment goes on\n"
+    dropped = "output is dropped from here on (No space left on device); the experiment goes on\n"
     assert said.count(dropped) == 1
     assert "Traceback" not in said
 

@@ -157,6 +157,7 @@ def _without(libraries: list[str], *words: str) -> subprocess.CompletedProcess[s
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=100, check=False)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("libraries", "words", "extra"),
     [
@@ -179,6 +180,7 @@ def test_without_its_extra_a_command_has_help_and_names_the_extra(
     assert f"pip install 'robot-runner[{extra}]'" in executed.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", ["pack", "verify", "replicate", "explain", "fit-power-model", "convert"])
 def test_without_any_extra_every_command_has_help(command: str) -> None:
     helped = _without(sorted({name for names in LIBRARIES.values() for name in names}), command, "--help")

@@ -20,7 +20,7 @@ raise SystemExit({code})
     ("left", "named"),
     [
         ("threading.Thread(target=time.sleep, args=(60,), name='uploader').start()", "thread 'uploader'"),
-        ("atexit.register(time.sleep, 60)", "what a callback has registered with atexit"),
+        ("atexit.register(time.sleep, 60)", "a function that a callback registered with atexit"),
         ("multiprocessing.get_context('fork').Process(target=time.sleep, args=(60,)).start()", "(ForkProcess-1)"),
     ],
 )

@@ -48,6 +48,7 @@ def test_help_imports_nothing_that_takes_time() -> None:
     assert answer.stderr.strip() == "[]"
 
 
+@pytest.mark.long
 def test_an_experiment_without_a_robot_starts_without_what_only_robots_and_meters_need(
     write_config: Callable[..., Path],
 ) -> None:
@@ -55,7 +56,7 @@ def test_an_experiment_without_a_robot_starts_without_what_only_robots_and_meter
     program = f"""
 import sys
 from pathlib import Path
-from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.config.preparation import prepare_or_refuse
 prepare_or_refuse(Path({str(write_config())!r}))
 print(*sorted({heavy} & set(sys.modules)))
 """
@@ -136,6 +137,7 @@ def test_the_home_of_nobody_is_refused(robot_runner: Callable) -> None:
 WITHOUT_RIGHTS = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", "--inh-caps", "-all"]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(os.geteuid() == 0 and not shutil.which("setpriv"), reason="root may look into everything")
 @pytest.mark.parametrize(
     ("words", "said"),

@@ -8,6 +8,8 @@ import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -32,6 +34,7 @@ TWO_RUNS = """\
 """
 
 
+@pytest.mark.long
 def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -69,6 +72,7 @@ def test_steps_are_shown_and_answers_typed_without_disturbing_the_live_screen(
     assert (tmp_path / "results" / "trial" / "run_table.csv").read_text().splitlines()[1].endswith(",2.5,11.8")
 
 
+@pytest.mark.long
 def test_on_plain_lines_and_from_another_terminal(
     write_config: Callable[..., Path], tmp_path: Path, program: str, robot_runner: Callable
 ) -> None:
@@ -95,7 +99,7 @@ def test_on_plain_lines_and_from_another_terminal(
     assert "swap the battery, before r_1; then tell voltage (V, 9 to 13), remark (may be left empty)" in told
     assert "robot-runner continue results/trial --answer voltage=..." in told
     assert bad.code == 2
-    for problem in ("'x' is no answer", "--answer voltag: nothing asks for this", "there is no answer to this"):
+    for problem in ("'x' is no answer", "--answer voltag: no question asks for this", "the question is not answered"):
         assert problem in bad.err
     assert "Did you mean 'voltage'?" in bad.err
     assert last.out == "trial goes on: 'place the robot' is done.\n"
@@ -107,6 +111,7 @@ def test_on_plain_lines_and_from_another_terminal(
     ]
 
 
+@pytest.mark.long
 def test_the_config_of_the_page_is_executed(terminal: Callable, tmp_path: Path) -> None:
     page = (Path(__file__).parents[2] / "docs" / "operator.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)

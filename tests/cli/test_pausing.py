@@ -33,6 +33,7 @@ def kinds(folder: Path) -> list[str]:
     return [record["kind"] for record in read_journal(folder / "results" / "trial" / "journal.jsonl", kinds=wanted)]
 
 
+@pytest.mark.long
 def test_it_pauses_after_the_present_run_and_goes_on(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:
@@ -55,9 +56,10 @@ def test_it_pauses_after_the_present_run_and_goes_on(
     assert kinds(tmp_path) == ["attempt_started", "paused", "continued", "attempt_started", "experiment_finished"]
     assert not (tmp_path / "results" / "trial" / ".pause").exists()
     refused = robot_runner("pause", "config.py")
-    assert (refused.code, "nobody executes this experiment" in refused.err) == (2, True)
+    assert (refused.code, "the experiment is not being executed" in refused.err) == (2, True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGKILL])
 def test_a_pause_ends_with_its_session(
     terminal: Callable,
@@ -89,6 +91,7 @@ def test_a_pause_ends_with_its_session(
     assert re.search(r"Started +20.*Z\n +Resumed +20.*Z", told)
 
 
+@pytest.mark.long
 def test_enter_ends_a_pause_in_its_own_terminal(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:
@@ -102,6 +105,7 @@ def test_enter_ends_a_pause_in_its_own_terminal(
     assert shown.finish() == 0
 
 
+@pytest.mark.long
 def test_the_command_that_goes_on_can_be_pasted(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, robot_runner: Callable
 ) -> None:

@@ -35,6 +35,7 @@ def study(write_config, monkeypatch):
     return write_config(CONFIG)
 
 
+@pytest.mark.long
 def test_a_secret_is_neither_shown_nor_kept_and_resuming_knows_it_again(robot_runner, study, tmp_path):
     words = ["config.py", "--plain", "--set", f"db_password={SECRETS[0]}", "--set", f"endpoint={SECRETS[1]}"]
     first = robot_runner(*words)

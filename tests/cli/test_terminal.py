@@ -41,6 +41,7 @@ def call(program: str, folder: Path, *words: str) -> subprocess.CompletedProcess
     return subprocess.run([program, *words], cwd=folder, capture_output=True, text=True, check=False, timeout=60)
 
 
+@pytest.mark.long
 def test_enter_starts_the_next_run(terminal: Callable, write_config: Callable[..., Path], tmp_path: Path) -> None:
     write_config(SEMI, table=TWO_RUNS)
     shown = terminal("run", "config.py")
@@ -64,6 +65,7 @@ def test_enter_starts_the_next_run(terminal: Callable, write_config: Callable[..
     assert (tmp_path / "results" / "trial" / "run_table.csv").exists()
 
 
+@pytest.mark.long
 def test_a_second_terminal_lets_it_go_on(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
 ) -> None:
@@ -82,10 +84,11 @@ def test_a_second_terminal_lets_it_go_on(
     assert shown.finish() == 0
     ended = call(program, tmp_path, "continue", "config.py")
     assert ended.returncode == 2
-    assert "nobody executes this experiment" in ended.stderr
+    assert "the experiment is not being executed" in ended.stderr
     assert "All its runs are done." in ended.stderr
 
 
+@pytest.mark.long
 def test_where_nobody_sits_a_second_terminal_is_the_way(
     write_config: Callable[..., Path], tmp_path: Path, program: str
 ) -> None:
@@ -103,6 +106,7 @@ def test_where_nobody_sits_a_second_terminal_is_the_way(
     assert asked == ["Waiting before run 1 of 2", "Waiting before run 2 of 2"]
 
 
+@pytest.mark.long
 def test_an_experiment_that_does_not_wait_is_not_told_to_go_on(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
 ) -> None:
@@ -119,6 +123,7 @@ def test_an_experiment_that_does_not_wait_is_not_told_to_go_on(
     assert "is being executed by process" in second.stderr
 
 
+@pytest.mark.long
 def test_the_live_screen_shows_run_event_and_phase_and_ctrl_c_ends_it_cleanly(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
 ) -> None:
@@ -134,9 +139,10 @@ def test_the_live_screen_shows_run_event_and_phase_and_ctrl_c_ends_it_cleanly(
     assert "Interrupted: 0 of 4 runs done, 0 failed, 4 to do" in shown.text
     assert "go on with the 4 runs that are left: robot-runner config.py" in shown.text
     assert "▶" not in shown.text, "the live part is taken away"
-    assert "nobody executes it" in call(program, tmp_path, "status", "config.py").stdout
+    assert "not being executed" in call(program, tmp_path, "status", "config.py").stdout
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_the_waiting_too(terminal: Callable, write_config: Callable[..., Path]) -> None:
     write_config(SEMI, table=TWO_RUNS)
     shown = terminal("run", "config.py")
@@ -148,6 +154,7 @@ def test_ctrl_c_ends_the_waiting_too(terminal: Callable, write_config: Callable[
     assert "Interrupted: 1 of 2 runs done, 0 failed, 1 to do" in shown.text
 
 
+@pytest.mark.long
 def test_an_enter_that_came_too_early_starts_nothing(terminal: Callable, write_config: Callable[..., Path]) -> None:
     write_config(f"{SEMI}\ndef launch_mission(self, context): context.clock.sleep(0.5)\n", table=TWO_RUNS)
     shown = terminal("run", "config.py")
@@ -162,6 +169,7 @@ def test_an_enter_that_came_too_early_starts_nothing(terminal: Callable, write_c
     assert shown.finish() == 0
 
 
+@pytest.mark.long
 def test_plain_lines_on_a_terminal(terminal: Callable, write_config: Callable[..., Path]) -> None:
     write_config("def populate_run_data(self, context): return {'Energy': 1.5}")
     shown = terminal("run", "config.py", "--plain")
@@ -170,6 +178,7 @@ def test_plain_lines_on_a_terminal(terminal: Callable, write_config: Callable[..
     assert shown.cursor_was_hidden is False
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("variable", "is_coloured"), [(None, True), ("NO_COLOR", False)])
 def test_colour_can_be_forbidden(terminal: Callable, variable: str | None, is_coloured: bool) -> None:
     shown = terminal("check", "nowhere.py", environment={variable: "1"} if variable else {})
@@ -178,6 +187,7 @@ def test_colour_can_be_forbidden(terminal: Callable, variable: str | None, is_co
     assert ("\x1b[31m" in shown.raw or "\x1b[1;31m" in shown.raw) is is_coloured
 
 
+@pytest.mark.long
 def test_a_terminal_that_closes_ends_the_experiment_cleanly(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
 ) -> None:
@@ -192,6 +202,7 @@ def test_a_terminal_that_closes_ends_the_experiment_cleanly(
     assert (facts["done"], facts["failed"], facts["todo"]) == (0, 0, 4)
 
 
+@pytest.mark.long
 def test_a_changed_config_is_shown_and_asked_about_at_a_terminal(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path, program: str
 ) -> None:
@@ -208,6 +219,7 @@ def test_a_changed_config_is_shown_and_asked_about_at_a_terminal(
     assert agreeing.finish() == 0
 
 
+@pytest.mark.long
 def test_a_table_that_disagrees_with_the_journal_is_asked_about_at_a_terminal(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -218,12 +230,13 @@ def test_a_table_that_disagrees_with_the_journal_is_asked_about_at_a_terminal(
     table.write_text(executed.replace(",7\n", ",8\n", 1), encoding="utf-8")
     for said, code in (("", 2), ("j", 0)):
         asked = terminal("run", "config.py")
-        asked.wait_for("What counts: what was executed")
+        asked.wait_for("Which one counts: the journal")
         asked.child.sendline(said)
         assert asked.finish() == code
     assert table.read_text(encoding="utf-8") == executed
 
 
+@pytest.mark.long
 def test_ctrl_c_says_what_it_does_and_what_another_would(
     terminal: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

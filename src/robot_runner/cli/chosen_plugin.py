@@ -63,7 +63,7 @@ def _check_names(kind: type, parameters: Mapping[str, inspect.Parameter], own: M
     missing = [name for name in needed if name not in own]
     if missing:
         settings = " ".join(f"--set {name}=..." for name in missing)
-        problem = f"it cannot be made without {enumerated(missing)}"
+        problem = f"the plugin cannot be built without {enumerated(missing)}"
         raise PluginError(
             problem, where=kind.__name__, fix=f"Add {settings}; `robot-runner plugins` describes its parameters."
         )

@@ -1,4 +1,4 @@
-"""Rows of cells beneath each other, printed as they come: the widths are known before the first row."""
+"""What is printed: consoles, plain and coloured, commands and paths to paste, facts in two columns, rows of a table."""
 
 from __future__ import annotations
 
@@ -30,15 +30,13 @@ if TYPE_CHECKING:
     from rich.console import ConsoleOptions, RenderableType
     from rich.segment import Segment
 
-# Where text goes: coloured on a terminal, plain elsewhere; what a user wrote is never taken for markup.
-
 #: Wide enough that nothing is folded where nobody looks at a screen.
 _UNLIMITED = 100_000
 _PROGRAM = "robot-runner"
 
 
 class UserConsole(Console):
-    """A rich console that shows text as it is: no markup, and no command to the terminal but rich's own.
+    """A rich console, coloured on a terminal, that shows text as it is: no markup, and no escape sequence but its own.
 
     Attributes:
         lines: takes plain lines, and makes them harmless, too.
@@ -52,7 +50,7 @@ class UserConsole(Console):
         super().__init__(file=terminal, width=width, highlight=False, markup=False, emoji=False, soft_wrap=False)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
-        """Yield what is written: everything that is printed comes by here, whatever it is made of."""
+        """Yield the segments to write: everything that is printed passes through here."""
         for segment in super().render(renderable, options):
             if segment.control:
                 yield segment
@@ -123,18 +121,16 @@ def command_line(*words: str) -> str:
     """
     program = Path(sys.argv[0])
     if program.parts[-2:] == ("robot_runner", "__main__.py"):  # as a queue executes it
-        beside = Path(sys.executable).with_name(_PROGRAM)
-        found = shutil.which(_PROGRAM)
-        is_ours = found is not None and Path(found).resolve() == beside.resolve()
+        is_ours = is_on_path(Path(sys.executable).with_name(_PROGRAM))
         return shlex.join([_PROGRAM, *words] if is_ours else [sys.executable, "-m", "robot_runner", *words])
-    is_found = program.name != _PROGRAM or is_on_path()
+    is_found = program.name != _PROGRAM or is_on_path(program)
     return shlex.join([_PROGRAM if is_found else shown_path(program.absolute()), *words])
 
 
-def is_on_path() -> bool:
-    """Whether a shell that is given the program's name finds the program that is being executed."""
+def is_on_path(program: Path) -> bool:
+    """Whether a shell that is given the program's name finds this file."""
     found = shutil.which(_PROGRAM)
-    return found is not None and Path(found).resolve() == Path(sys.argv[0]).resolve()
+    return found is not None and Path(found).resolve() == program.resolve()
 
 
 @contextmanager
@@ -144,8 +140,7 @@ def quiet_loading() -> Iterator[None]:
         yield
 
 
-# A few facts in two columns: what, and how it is.
-
+#: Of a folded text, in cells.
 _NARROWEST = 20
 
 

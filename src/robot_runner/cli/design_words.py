@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.events.measure import MeasureColumn, MeasureColumns
+    from robot_runner.core.events.measure import MeasureColumns
 
 # The columns that tell runs apart: id, treatments, repetition.
 
@@ -66,7 +66,7 @@ def print_runs(
         console.print(f"No room for: {names}. A wider terminal shows them, and so does --json.", style="dim")
 
 
-#: As many factors or measures are named in one line.
+#: As many factors or measures are named in one line; of more factors of a design only the number is told.
 _MOST_NAMES = 12
 
 
@@ -105,9 +105,11 @@ def in_words(model: RunTableModel) -> str:
     combinations = full_size(model.factors)
     runs = sum(not run.is_warm_up for run in model.plan())
     if not model.is_full_factorial and not model.is_extended:
+        size = combinations * model.repetitions
+        shown = f"{size:,}" if size < _LARGE else f"some 10^{len(str(size)) - 1}"
         has_ranges = any(factor.range is not None for factor in model.factors)
-        full = "" if has_ranges else f"; the full factorial has {_large(combinations * model.repetitions)}"
-        named = " x ".join(parts) if len(parts) <= _MOST_NAMED else f"{len(parts):,} factors"
+        full = "" if has_ranges else f"; the full factorial has {shown}"
+        named = " x ".join(parts) if len(parts) <= _MOST_NAMES else f"{len(parts):,} factors"
         return f"{counted(runs, 'run')}, {kind_in_words(model)}{full}: {named}"
     if model.repetitions > 1 and not model.design_facts.get("decides"):  # then it varies from one to another
         parts.append(f"{model.repetitions:,} repetitions")
@@ -117,10 +119,6 @@ def in_words(model: RunTableModel) -> str:
     excluded = combinations - runs // model.repetitions
     less = f", {counted(excluded, 'combination')} excluded" if excluded else ""
     return f"{counted(runs, 'run')}: {' x '.join(parts)}{less}"
-
-
-#: Of more factors only the number is told.
-_MOST_NAMED = 12
 
 
 def kind_in_words(model: RunTableModel) -> str:
@@ -141,10 +139,6 @@ def design_in_words(model: RunTableModel) -> list[tuple[str, str]]:
         ("Resolution", _RESOLUTIONS.get(min(facts.get("resolution", 0), 5), "")),
         ("Aliases", _aliases_in_words(facts)),
     ]
-
-
-def _large(number: int) -> str:
-    return f"{number:,}" if number < _LARGE else f"some 10^{len(str(number)) - 1}"
 
 
 _LARGE = 10**12
@@ -190,12 +184,22 @@ def warm_ups_in_words(model: RunTableModel, runs: Sequence[PlannedRun]) -> str:
     return f"{listed(ids)}{how}: executed and kept, not analysed{again}"
 
 
+def shown_order(*, shuffle: bool, blocks: str | None, origin: str) -> str:
+    """Return how runs are put in order; `origin` says where a randomised order comes from.
+
+    Example:
+        >>> shown_order(shuffle=True, blocks="Repetition", origin=" from seed 7")
+        'randomised within blocks of Repetition from seed 7'
+    """
+    if not shuffle:
+        return f"as written, in blocks of {blocks}" if blocks else "as written"
+    return f"randomised{f' within blocks of {blocks}' if blocks else ''}{origin}"
+
+
 def batch_order_in_words(batch: Batch) -> str:
     """Return how the runs of a batch were put in order among themselves."""
-    blocks = f" within blocks of {batch.order.blocks}" if batch.order.blocks else ""
-    if not batch.order.shuffle:
-        return f"as written{f', in blocks of {batch.order.blocks}' if batch.order.blocks else ''}"
-    return f"randomised{blocks} among themselves from seed {batch.order.seed}"
+    order = batch.order
+    return shown_order(shuffle=order.shuffle, blocks=order.blocks, origin=f" among themselves from seed {order.seed}")
 
 
 def batch_as_json(batch: Batch) -> dict[str, Any]:
@@ -207,9 +211,8 @@ def order_in_words(model: RunTableModel) -> str:
     """Return in which order the runs are executed."""
     is_known = model.seed_is_given or model.seed_is_registered
     seed = f"from seed {model.seed}" if is_known else "from a seed that is drawn at the start and recorded"
-    randomised = f"randomised{f' within blocks of {model.blocks}' if model.blocks else ''}, {seed}"
-    written = f"as written, in blocks of {model.blocks}" if model.blocks else "as written"
-    return "; ".join([randomised if model.shuffle else written, *later_orders_in_words(model)])
+    first = shown_order(shuffle=model.shuffle, blocks=model.blocks, origin=f", {seed}")
+    return "; ".join([first, *later_orders_in_words(model)])
 
 
 def later_orders_in_words(model: RunTableModel) -> list[str]:
@@ -219,11 +222,17 @@ def later_orders_in_words(model: RunTableModel) -> list[str]:
 
 def measures_in_words(columns: MeasureColumns) -> str:
     """Return the measure columns of the run table with their units."""
-    return listed(map(_with_unit, columns.in_table), _MOST_NAMES) or "none"
+    return listed((heading_of(each.name, each.measure.unit) for each in columns.in_table), _MOST_NAMES) or "none"
 
 
-def _with_unit(column: MeasureColumn) -> str:
-    return f"{column.name} ({column.measure.unit})" if column.measure.unit not in {"", "1"} else column.name
+def heading_of(measure: str, unit: str) -> str:
+    """Return the heading of a measure's column.
+
+    Example:
+        >>> heading_of("Energy", "J"), heading_of("Errors", "1")
+        ('Energy (J)', 'Errors')
+    """
+    return f"{measure} ({unit})" if unit not in {"", "1"} else measure
 
 
 def design_as_json(model: RunTableModel) -> dict[str, Any]:

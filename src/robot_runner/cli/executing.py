@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import is_live_terminal, output
-from robot_runner.cli.findings import show_error
-from robot_runner.cli.guard import INTERRUPTED, SOME_FAILED, let_go_of_stdout
-from robot_runner.cli.harmless_stream import DroppedOutput
+from robot_runner.cli.findings import show_findings
+from robot_runner.cli.guard import INTERRUPTED, SOME_FAILED
+from robot_runner.cli.harmless_stream import DroppedOutput, let_go_of
 from robot_runner.cli.screens.live import LiveScreen
 from robot_runner.cli.screens.plain import PlainScreen
 from robot_runner.core.errors import RobotRunnerError
@@ -43,7 +43,7 @@ class Execution:
 
     @property
     def exit_code(self) -> int:
-        """0 where everything that was asked for is done, 1 where some run failed, 130 where the user ended it."""
+        """0: all that was asked for is done; 1: a run failed; 130: the user ended it."""
         if self.finished is None:
             return SOME_FAILED
         if self.finished.interrupted:
@@ -59,43 +59,25 @@ def execute_on_screen(
     resumption: Resumption | None = None,
     waits_for_claims: bool = False,
 ) -> Execution:
-    """Execute an experiment and show it while it is executed.
-
-    Args:
-        experiment: what to execute.
-        findings: what validation had to say.
-        plain: whether plain lines are asked for.
-        resumption: what to execute again, and whether to go on though something changed.
-        waits_for_claims: whether to wait where another experiment has claimed the same.
+    """Execute an experiment and show it meanwhile; where another one has claimed the same, it may wait.
 
     Raises:
         RobotRunnerError: it cannot start.
     """
     with DroppedOutput():
-        return _executed(experiment, findings, plain=plain, resumption=resumption, waits_for_claims=waits_for_claims)
-
-
-def _executed(
-    experiment: Experiment,
-    findings: Sequence[Finding],
-    *,
-    plain: bool,
-    resumption: Resumption | None,
-    waits_for_claims: bool,
-) -> Execution:
-    kind = LiveScreen if is_live_terminal(sys.stdout) and not plain else PlainScreen
-    screen = kind(output(), experiment, time.monotonic)
-    finished = None
-    try:
-        with screen:
-            finished = execute_experiment(
-                experiment, screen, findings=findings, resumption=resumption, waits_for_claims=waits_for_claims
-            )
-    except RobotRunnerError as error:
-        if not screen.progress.has_begun:
-            raise
-        show_error(error)  # it was not refused: it could not go on
-    return Execution(finished, screen.progress, was_shown_live=isinstance(screen, LiveScreen))
+        kind = LiveScreen if is_live_terminal(sys.stdout) and not plain else PlainScreen
+        screen = kind(output(), experiment, time.monotonic)
+        finished = None
+        try:
+            with screen:
+                finished = execute_experiment(
+                    experiment, screen, findings=findings, resumption=resumption, waits_for_claims=waits_for_claims
+                )
+        except RobotRunnerError as error:
+            if not screen.progress.has_begun:
+                raise
+            show_findings(error.findings)  # it was not refused: it could not go on
+        return Execution(finished, screen.progress, was_shown_live=isinstance(screen, LiveScreen))
 
 
 @contextmanager
@@ -105,4 +87,4 @@ def read_or_not() -> Iterator[None]:
         yield
         sys.stdout.flush()
     except OSError:  # a closed pipe, or a terminal that is gone
-        let_go_of_stdout()
+        let_go_of(sys.stdout)

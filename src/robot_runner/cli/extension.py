@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
-from itertools import islice
 from secrets import randbits
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -19,13 +18,13 @@ from robot_runner.core.design.batches import (
     EXTENDED,
     GrownRunTableModel,
     as_configured,
+    described_design,
     first_batch,
     next_batch,
     records_of,
 )
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.design.design import Design
-from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.growing import Additions, Begun, grown_design
 from robot_runner.core.design.planned_runs import RunOrder
@@ -105,7 +104,7 @@ def extend_experiment(experiment: Experiment, request: ExtensionRequest) -> Exte
         DesignError: something cannot be added; `findings` lists everything that was found.
         StorageError: something cannot be read or written.
     """
-    if not _has_begun(experiment):
+    if not any(read_journal(experiment.folder.journal, kinds={"experiment_started"})):
         problem = "the experiment has not begun: there is nothing to add to"
         fix = f"Change the config, and execute it: robot-runner {shown_config(experiment.config_path)}"
         raise ExecutionError(problem, where=str(experiment.folder.root), fix=fix)
@@ -132,7 +131,8 @@ class _Extending:
         self._config = as_configured(experiment.model)
 
     def extension(self) -> Extension:
-        self._refuse_other_changes()
+        if not self._request.accept_changes:
+            ExecutionError.refuse(config_changes(self._experiment, of_design=False, of_settings=False))
         recovered = self._recovered()
         begun = self._begun(recovered.rows)
         design = grown_design(begun, self._config, self._request.added)
@@ -157,11 +157,6 @@ class _Extending:
             recovered.rows = recovered.rows.with_plan(model.plan(), layout)
             self._write(recovered, model)
         return Extension(batch, model, runs, (*self._findings, *recovered.findings))
-
-    def _refuse_other_changes(self) -> None:
-        changes = config_changes(self._experiment, of_design=False, of_settings=False)
-        if changes and not self._request.accept_changes:
-            raise ExecutionError.of_findings(changes)
 
     def _recovered(self) -> RecoveredTable:
         """Return the run table as it stands, compared with the journal, before anything is added."""
@@ -250,8 +245,7 @@ class _Extending:
         combinations = [run.combination for run in runs]
         found = check_treatments(experiment.plugins, self._config, experiment.parameters.robot, combinations)
         self._findings += [finding for finding in found if not finding.is_error]
-        if refused := [finding for finding in found if finding.is_error]:
-            raise ExecutionError.of_findings(refused)
+        ExecutionError.refuse(finding for finding in found if finding.is_error)
 
     def _write(self, recovered: RecoveredTable, model: GrownRunTableModel) -> None:
         """Write everything down; the journal's record is what counts, should this break off."""
@@ -267,21 +261,10 @@ class _Extending:
         write_manifest(self._folder.manifest, self._manifest)
 
 
-def _has_begun(experiment: Experiment) -> bool:
-    started = read_journal(experiment.folder.journal, kinds={"experiment_started"})
-    return any(True for _ in islice(started, 1))
-
-
 def runs_of_grown_design(
     begun: Begun, config: RunTableModel, design: GrownDesign, order: RunOrder
 ) -> list[tuple[Combination, int]]:
-    """Return the runs that the design plans beyond those that there are, in its order.
-
-    Args:
-        begun: as the run table has it.
-        config: the design as the config has it.
-        design: the factors and repetitions that there are to be.
-        order: the seed of the first plan, and whether it was randomised: the same, so that what there is stays.
+    """Return the runs that the design plans beyond those that there are, in its order, which has the first seed.
 
     Raises:
         DesignError: it cannot be made for so many, or it would have planned other runs than there are.
@@ -301,7 +284,7 @@ def runs_of_grown_design(
     in_place = planned.facts.get("repetitions_in_place") and design.repetitions > begun.repetitions
     if in_place or not fits:
         grows = planned.facts.get("grows_by", "repetitions")
-        problem = "the runs that there are would not be part of the design with what is to be added"
+        problem = "with the additions, the existing runs would not be part of the design"
         raise DesignError(problem, where="design", fix=f"Add {grows}, or begin another experiment.")
     return [
         (run.combination, run.repetition)

@@ -1,4 +1,4 @@
-"""What looked odd in the runs of an experiment: what many runs say alike is said once."""
+"""Findings as a user reads them: severity, place, problem and fix; what many runs say alike is said once."""
 
 from __future__ import annotations
 
@@ -18,16 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from robot_runner.cli.console import UserConsole
-    from robot_runner.core.errors import Finding, RobotRunnerError
-
-# Findings and errors as a user reads them: severity, place, problem, and beneath it how to mend it.
+    from robot_runner.core.errors import Finding
 
 _STYLES = {"error": "bold red", "warning": "bold yellow"}
-
-
-def show_error(error: RobotRunnerError) -> None:
-    """Print everything that an error found, to stderr."""
-    show_findings(error.findings)
 
 
 def show_findings(findings: Sequence[Finding]) -> None:
@@ -68,10 +61,7 @@ def _pip_install() -> str:
 
 
 def quality_in_words(bad: Mapping[str, Mapping[str, Sequence[str]]]) -> str:
-    """Return which values are not good.
-
-    Args:
-        bad: the runs, by measure and quality.
+    """Return which values are not good, by measure and quality.
 
     Example:
         >>> quality_in_words({"Energy": {"doubtful": ["r_1", "r_2"], "missing": ["r_3"]}})
@@ -121,14 +111,7 @@ def print_odd(
     findings: Sequence[Finding],
     run_ids: Collection[str] | None,
 ) -> None:
-    """Print why runs failed, and what looked odd.
-
-    Args:
-        console: where to.
-        failures: one line for each run that failed.
-        findings: what looked odd.
-        run_ids: the runs that findings may be about; None takes what looks like the id of a planned run.
-    """
+    """Print why runs failed, a line each, and what looked odd; without `run_ids`, ids are known by their looks."""
     reasons = _reasons(failures)
     for reason in reasons[:_MOST]:
         print_folded(console, "  ✗ ", one_line(reason), style="bold red")

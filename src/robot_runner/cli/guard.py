@@ -1,4 +1,4 @@
-"""Between a command and the shell: every ending has its exit code, and no user sees a traceback of ours."""
+"""Between a command and the shell: each outcome has its exit code, and no user sees a traceback of ours."""
 
 from __future__ import annotations
 
@@ -39,16 +39,11 @@ def _executed(command: Callable[[], int], *, show_traceback: bool) -> int:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # `| head` has read enough
-        let_go_of_stdout()
+        let_go_of(sys.stdout)
         return BROKEN_PIPE
     except Exception as error:  # noqa: BLE001 - whatever it is, the user gets a line instead of a traceback
         return _explained(error, show_traceback=show_traceback)
     return code
-
-
-def let_go_of_stdout() -> None:
-    """Point stdout at nothing, so that the interpreter has nowhere to fail when it flushes at its end."""
-    let_go_of(sys.stdout)
 
 
 def show_fault(error: Exception, *, show_traceback: bool) -> None:
@@ -62,14 +57,16 @@ def show_fault(error: Exception, *, show_traceback: bool) -> None:
     if show_traceback:
         sys.stderr.write(text)
         fix = "Report it with this traceback."
+    elif kept := _kept(text):
+        fix = f"Report it with the file {kept}, or repeat the command with --debug."
     else:
-        fix = f"Report it with the file {_kept(text)}, or repeat the command with --debug."
+        fix = "Repeat the command with --debug, and report it with the traceback that is shown then."
     problem = f"this is a fault of Robot Runner, not yours: {type(error).__name__}: {error}"
     show_findings([Finding.error("", problem, fix)])
 
 
 def _kept(text: str) -> str:
-    """Write a traceback to a file beside which nothing else is lost; returns its name, or why there is none."""
+    """Write a traceback to a temporary file; return its name, or nothing if it cannot be written."""
     import platform  # noqa: PLC0415 - as above
     import tempfile  # noqa: PLC0415 - as above
     from importlib.metadata import version  # noqa: PLC0415 - as above
@@ -81,8 +78,8 @@ def _kept(text: str) -> str:
             "w", prefix="robot-runner-fault-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"
         ) as file:
             file.write(f"{head}{command}\n\n{text}")
-    except OSError as error:
-        return f"that could not be written ({error.strerror})"
+    except OSError:
+        return ""
     return file.name
 
 
@@ -90,15 +87,15 @@ def _explained(error: Exception, *, show_traceback: bool) -> int:
     from robot_runner.core.errors import RobotRunnerError, StorageError  # noqa: PLC0415 - as above
 
     if isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT}:  # mostly of `> file`
-        let_go_of_stdout()
-        problem = f"what was asked for cannot be written: {error.strerror}"
+        let_go_of(sys.stdout)
+        problem = f"the output cannot be written: {error.strerror}"
         error = StorageError(problem, fix="Make room on the disk, or send the output elsewhere.")
     if not isinstance(error, RobotRunnerError):
         show_fault(error, show_traceback=show_traceback)
         return FAULT
-    from robot_runner.cli.findings import show_error  # noqa: PLC0415 - as above
+    from robot_runner.cli.findings import show_findings  # noqa: PLC0415 - as above
 
-    show_error(error)
+    show_findings(error.findings)
     if show_traceback:
         import traceback  # noqa: PLC0415 - as above
 

@@ -1,4 +1,4 @@
-"""The one place by which text comes to a terminal: what is in a file, a config or a robot's message commands none."""
+"""The one way of text to a terminal: no file, config or message of a robot can send it escape sequences."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class HarmlessStream:
 
 
 def let_go_of(stream: TextIO) -> None:
-    """Point a stream at nothing, so that what is kept for it fails no more, where it is one of the system's."""
+    """Point a standard stream at the null device, so that flushing its buffer cannot fail."""
     import os  # noqa: PLC0415 - for a quick --help
 
     try:
@@ -85,7 +85,7 @@ class _LastingStream:
         let_go_of(self._stream)  # what is kept for it would fail each time, and at the end as well
         say, self._say = self._say, lambda _said: None
         if not isinstance(error, BrokenPipeError):  # `| head` has read enough
-            say(f"what is printed is dropped from here on: {error.strerror}; the experiment goes on\n")
+            say(f"output is dropped from here on ({error.strerror}); the experiment goes on\n")
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)

@@ -53,13 +53,13 @@ def _watch(code: int, tell_after: float, end_after: float) -> None:
 
 
 def _awaited() -> list[str]:
-    """Return what keeps the process: where nothing else does, the line of what `atexit` was given."""
+    """Return what keeps the process alive: threads and children, or else the line of a function given to `atexit`."""
     main = threading.main_thread()
     threads = [f"thread {each.name!r}" for each in threading.enumerate() if not each.daemon and each is not main]
     children = [f"child process {each.pid} ({each.name})" for each in _children()]
     frame = sys._current_frames().get(main.ident or 0)  # noqa: SLF001 - the documented way to another thread's stack
     line = "" if frame is None else f" at {frame.f_code.co_filename}:{frame.f_lineno}"
-    return [*threads, *children] or [f"what a callback has registered with atexit{line}"]
+    return [*threads, *children] or [f"a function that a callback registered with atexit{line}"]
 
 
 def _children() -> Iterator[Any]:

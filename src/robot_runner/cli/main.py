@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _execute(words: list[str]) -> int:
     if "_ARGCOMPLETE" in os.environ:  # a shell asks what fits the line that is being typed
-        from robot_runner.cli.completing import complete  # noqa: PLC0415 - an extra
+        from robot_runner.cli.commands.completion import complete  # noqa: PLC0415 - an extra
 
         complete()
     if words and words[0] == "help":
@@ -84,7 +84,7 @@ def overview() -> str:
 
 
 def _row(name: str, summary: str) -> str:
-    """Return a command with what it does, which goes on beneath itself where the terminal is too narrow."""
+    """Return a command and its summary, which wraps beneath itself if the terminal is too narrow."""
     head = f"  {name}  "
     return head + f"\n{' ' * len(head)}".join(_lines(summary, _width() - len(head)))
 
@@ -122,13 +122,9 @@ def _command(words: list[str]) -> tuple[str, list[str]]:
 
     if first.startswith("-"):
         raise unknown_option(first, ["--help", "--version"], where="robot-runner")
-    if _looks_like_a_file(first):
+    if first.endswith(".py") or "/" in first or os.path.exists(first):  # noqa: PTH110 - false of a name too long, too
         return "run", words
     raise unknown_command(first, commands)
-
-
-def _looks_like_a_file(word: str) -> bool:
-    return word.endswith(".py") or "/" in word or os.path.exists(word)  # noqa: PTH110 - false of a name too long, too
 
 
 def _version() -> str:

@@ -22,11 +22,7 @@ _DEADLINE, _ENDING = 60.0, 3.0
 
 @contextmanager
 def page_beside(folder: Path, address: str | None) -> Iterator[str]:
-    """Serve the page of an experiment while the block lasts; gives what `robot-runner watch` printed.
-
-    Args:
-        folder: the experiment's, which need not be there yet.
-        address: where to listen, as `host:port` or as a host alone; None for this machine alone.
+    """Serve the page of an experiment while the block lasts (`HOST:PORT`, HOST, or None for this machine alone).
 
     Raises:
         ExecutionError: the page cannot be served; says why.
@@ -55,7 +51,9 @@ def _told(page: subprocess.Popen[bytes]) -> str:
     while page.stdout is not None:
         ready, _, _ = select.select([page.stdout], [], [], max(0.0, end - time.monotonic()))
         if not ready:
-            raise ExecutionError(f"it does not listen after {_DEADLINE:g} s", where="--page", fix="Leave --page out.")
+            raise ExecutionError(
+                f"the live page does not listen after {_DEADLINE:g} s", where="--page", fix="Leave --page out."
+            )
         piece = os.read(page.stdout.fileno(), 65536)
         if not piece:
             break

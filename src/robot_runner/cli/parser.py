@@ -1,4 +1,4 @@
-"""Arguments that several commands take."""
+"""The parser of a command, what it says of an unknown word, and the arguments that several commands take."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Sequence
-
-# What each command takes, and what is said when it gets something else.
 
 
 class UsageError(RobotRunnerError):
@@ -108,7 +106,6 @@ class CommandModule(Protocol):
 
     def execute(self, arguments: argparse.Namespace) -> int:
         """Do what the arguments say, and return the exit code."""
-        ...
 
 
 def parser_of(command: str, module: CommandModule) -> Parser:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.cli.console import quiet_loading, shown_path
-from robot_runner.cli.design_words import later_orders_in_words
+from robot_runner.cli.design_words import later_orders_in_words, shown_order
 from robot_runner.core.config.checks import create_model, read_parameters
 from robot_runner.core.config.dialects import load_config
 from robot_runner.core.config.experiment import event_manager_for, experiment_folder, grown_model
@@ -63,11 +63,11 @@ class Plan:
 
     model: RunTableModel
     columns: MeasureColumns
-    runs: Sequence[PlannedRun]
-    source: Path | None
-    seed: int | None
-    is_recorded: bool
     findings: tuple[Finding, ...]
+    runs: Sequence[PlannedRun] = ()
+    source: Path | None = None
+    seed: int | None = None
+    is_recorded: bool = False
     durations: Durations | None = None
     duration: Estimate = field(default_factory=lambda: Estimate(None))
     executed: Sequence[str] = ()
@@ -84,14 +84,9 @@ class Plan:
     def _order_of_table(self) -> str:
         if self.source is not None:
             return f"as in {shown_path(self.source)}"
-        return "; ".join([self._order_of_first, *later_orders_in_words(self.model)])
-
-    @property
-    def _order_of_first(self) -> str:
-        blocks = self.model.blocks
-        if not self.model.shuffle:
-            return f"as written, in blocks of {blocks}" if blocks else "as written"
-        return f"randomised{f' within blocks of {blocks}' if blocks else ''} from seed {self.seed}"
+        model = self.model
+        first = shown_order(shuffle=model.shuffle, blocks=model.blocks, origin=f" from seed {self.seed}")
+        return "; ".join([first, *later_orders_in_words(model)])
 
     @property
     def how_to_repeat(self) -> str:
@@ -125,18 +120,17 @@ def plan_of(config: Path, overrides: Mapping[str, str]) -> Plan:
         raise ConfigError.of_findings(findings)
     plugins, _ = gather_plugins(loaded, model)
     parameters, _ = read_parameters(loaded)
-    folder = folder_of(loaded)
-    if folder is not None:
-        model = grown_model(model, folder)
+    folder = None
     if parameters is not None:
+        folder = experiment_folder(parameters, loaded)
+        model = grown_model(model, folder)
         plugins = (*companions(parameters, plugins)[0], *plugins)
     column_findings: list[Finding] = []
     columns = measure_columns(loaded, model, plugins, parameters, column_findings)
-    refused = [finding for finding in column_findings if finding.is_error]
-    if refused:
-        raise ConfigError.of_findings(refused)
+    ConfigError.refuse(finding for finding in column_findings if finding.is_error)
     warnings = (*loaded.findings, *findings, *column_findings)
-    plan, settled = _planned(config, folder, model, columns, warnings, loaded.spelling)
+    plan = Plan(model, columns, warnings)
+    plan, settled = _with_runs(plan, config, folder, loaded.spelling)
     if parameters is None or folder is None:
         return plan
     return _with_duration(plan, settled, loaded, plugins, parameters, folder)
@@ -170,62 +164,42 @@ def _with_duration(
     return replace(plan, duration=estimate, durations=durations, findings=findings)
 
 
-def _planned(
-    config: Path,
-    folder: ExperimentFolder | None,
-    model: RunTableModel,
-    columns: MeasureColumns,
-    warnings: tuple[Finding, ...],
-    spelling: TableSpelling,
+def _with_runs(
+    plan: Plan, config: Path, folder: ExperimentFolder | None, spelling: TableSpelling
 ) -> tuple[Plan, Collection[str]]:
-    """Return the plan, and the runs that are not executed any more: they are done, or excluded."""
+    """Return the plan with its runs, and those that are not executed any more: they are done, or excluded."""
     try:
         manifest = {} if folder is None else read_manifest(folder.manifest)
     except StorageError:  # nothing was executed: there is no table, or one that was made by hand
         manifest = {}
     if folder is not None and (folder.run_table.exists() or _is_of_config(manifest)):
-        return _plan_of_begun(config, folder, manifest, model, columns, warnings, spelling)
-    table = model.plan()
-    return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=warnings), ()
+        return _with_begun_runs(plan, config, folder, manifest, spelling)
+    table = plan.model.plan()
+    return replace(plan, runs=table, seed=table.seed), ()
 
 
 def _is_of_config(manifest: Mapping[str, Any]) -> bool:
     return "seed" in manifest and bool(manifest.get("design", {}).get("source") == "config")
 
 
-def folder_of(loaded: LoadedConfig) -> ExperimentFolder | None:
-    """Return the folder of the experiment, or None where the static parameters do not say."""
-    parameters, _ = read_parameters(loaded)
-    if parameters is None:
-        return None
-    return experiment_folder(parameters, loaded)
-
-
-def _plan_of_begun(
-    config: Path,
-    folder: ExperimentFolder,
-    manifest: Mapping[str, Any],
-    model: RunTableModel,
-    columns: MeasureColumns,
-    warnings: tuple[Finding, ...],
-    spelling: TableSpelling,
+def _with_begun_runs(
+    plan: Plan, config: Path, folder: ExperimentFolder, manifest: Mapping[str, Any], spelling: TableSpelling
 ) -> tuple[Plan, Collection[str]]:
+    model, warnings = plan.model, plan.findings
     if unplanned := unplanned_additions(config, model, manifest):
         found = (Finding.warning(each.where, each.problem, each.fix) for each in unplanned)
         table = model.plan(manifest["seed"])
-        return Plan(model, columns, table, None, table.seed, is_recorded=False, findings=(*warnings, *found)), ()
+        return replace(plan, runs=table, seed=table.seed, findings=(*warnings, *found)), ()
     history = ExperimentHistory()
     for record in read_journal(folder.journal):
         history.take(record)
     known = history.exclusions
-    layout = replace(TableLayout.of_model(model, columns.names, spelling=spelling), has_exclusions=known.were_any)
-    told: dict[str, Any] = {
-        "executed": history.executed,
-        "excluded": {run_id: each.reason for run_id, each in known.present.items()},
-    }
+    layout = replace(TableLayout.of_model(model, plan.columns.names, spelling=spelling), has_exclusions=known.were_any)
+    excluded = {run_id: each.reason for run_id, each in known.present.items()}
+    plan = replace(plan, executed=history.executed, excluded=excluded)
     if _is_of_config(manifest):
         table = model.plan(manifest["seed"])
-        planned = Plan(model, columns, table, None, table.seed, is_recorded=True, findings=warnings, **told)
+        planned = replace(plan, runs=table, seed=table.seed, is_recorded=True)
         if not folder.run_table.exists():
             history.read_table(folder)
             problem = "the run table is missing: it is made anew from the journal when the experiment is executed next"
@@ -239,24 +213,19 @@ def _plan_of_begun(
         warnings = (*warnings, Finding.warning(str(folder.run_table), problem))
     rows = read_run_table(folder.run_table, layout)
     history.take_rows(rows)
-    runs, findings = list(rows.planned), (*warnings, *rows.warnings)
-    plan = Plan(model, columns, runs, folder.run_table, None, is_recorded=False, findings=findings, **told)
-    return plan, history.settled
+    findings = (*warnings, *rows.warnings)
+    return replace(plan, runs=list(rows.planned), source=folder.run_table, findings=findings), history.settled
 
 
 def configured_folder(path: Path, assignments: Sequence[str]) -> ExperimentFolder:
-    """Return the folder where a config file has its results.
-
-    Args:
-        path: the config file.
-        assignments: static parameters to set, as `name=value`.
+    """Return the folder where a config file has its results, with parameters set by `name=value`.
 
     Raises:
         ConfigError: the config file cannot be loaded, or does not say where its results are.
     """
     with quiet_loading():
         loaded = load_config(path, parse_assignments(assignments))
-        folder = folder_of(loaded)
-    if folder is None:
-        raise ConfigError.of_findings(read_parameters(loaded)[1])
-    return folder
+        parameters, findings = read_parameters(loaded)
+        if parameters is None:
+            raise ConfigError.of_findings(findings)
+        return experiment_folder(parameters, loaded)

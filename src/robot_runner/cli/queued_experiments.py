@@ -91,7 +91,9 @@ class ExperimentQueue:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
             found = self.folder.stat()
         except OSError as error:
-            raise StorageError(f"it cannot be made: {error.strerror}", where=str(self.folder), fix=_OWN) from error
+            raise StorageError(
+                f"the folder of the queue cannot be made: {error.strerror}", where=str(self.folder), fix=_OWN
+            ) from error
         if found.st_uid != os.geteuid() or found.st_mode & 0o022:
             problem = "others may write in the folder of the queue, and what stands in it is executed"
             raise StorageError(problem, where=str(self.folder), fix=f"Look at it, then: chmod 700 {self.folder}")
@@ -224,7 +226,9 @@ class ExperimentQueue:
         try:
             names = [path.name for path in self.folder.iterdir()]
         except OSError as error:
-            raise StorageError(f"it cannot be read: {error.strerror}", where=str(self.folder), fix=_OWN) from error
+            raise StorageError(
+                f"the folder of the queue cannot be read: {error.strerror}", where=str(self.folder), fix=_OWN
+            ) from error
         return {int(found[1]) for name in names if (found := _FILE.fullmatch(name))}
 
     def _read(self, number: int, findings: list[Finding]) -> QueuedExperiment | None:

@@ -31,11 +31,10 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import holder_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from types import FrameType
 
     from robot_runner.cli.queued_experiments import ExperimentQueue, QueuedExperiment
-    from robot_runner.core.storage.claim_locks import ClaimHolder
 
 #: Variables that say which robot a config means; an experiment has them as they were when it was added.
 NAMES_A_ROBOT = ("ROS_DOMAIN_ID", "ROS_MASTER_URI", "ROS_NAMESPACE")
@@ -67,16 +66,10 @@ def digest_of(config: str) -> str:
 
 
 def awaited_by(queue: ExperimentQueue, queued: QueuedExperiment, left: Sequence[QueuedExperiment]) -> str:
-    """Return what an experiment waits for, and since when; empty where it could begin now.
-
-    Args:
-        queue: it is in there.
-        queued: it waits.
-        left: all of the queue that have not ended, in order.
-    """
-    holders = _others(queued)
-    if holders:
-        return "; ".join(f"{claim}, in use by {holder.in_words()}" for claim, holder in holders.items())
+    """Return what an experiment waits for, and since when; empty where it could begin now. `left` have not ended."""
+    others = [each for each in claim_holders(queued.claims).items() if each[1].folder != queued.results]
+    if others:
+        return "; ".join(f"{claim}, in use by {holder.in_words()}" for claim, holder in others)
     if not queue.is_taken(queued.number) and (holder := holder_of(ExperimentFolder(Path(queued.results)).lock)):
         return f"process {holder.pid}, which executes the same experiment since {holder.since}"
     for each in left:
@@ -86,12 +79,6 @@ def awaited_by(queue: ExperimentQueue, queued: QueuedExperiment, left: Sequence[
         if shared:
             return f"{named(each)}, which wants {', '.join(shared)} and is in the queue since {each.added_at}"
     return ""
-
-
-def _others(queued: QueuedExperiment) -> Mapping[str, ClaimHolder]:
-    """Return who holds what an experiment claims, but for itself."""
-    found = claim_holders(queued.claims)
-    return {claim: holder for claim, holder in found.items() if holder.folder != queued.results}
 
 
 # One experiment, in a process of its own.
@@ -122,7 +109,7 @@ def execute_queued(queue: ExperimentQueue, number: int) -> int:
 
 
 def _end_of_earlier(queued: QueuedExperiment) -> tuple[int | None, str]:
-    """Return how it ended where a process was killed after that, and before it was noted; None where it goes on."""
+    """Return how an experiment ended whose process was killed before noting it; None if it has not ended."""
     try:
         status = read_status(Path(queued.results)) if queued.began_at else None
     except RobotRunnerError:
@@ -267,7 +254,7 @@ class QueueRunner:
         self._pass_on()
 
     def _pass_on(self) -> None:
-        """Send each signal that came to the experiment, once; one that came before it had a process waits for that."""
+        """Send each signal to the experiment once; one that came before it has a process waits for the process."""
         while self._process is not None and self._asked:
             self._process.send_signal(self._asked.pop(0))
 

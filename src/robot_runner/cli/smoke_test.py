@@ -1,4 +1,4 @@
-"""A smoke test of an experiment: one run of each treatment, shortened where it can be, and what that has proved."""
+"""A smoke test of an experiment: one run of each treatment, as short as possible, and what it proves."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.events.measure import MeasureColumn
     from robot_runner.core.execution.durations import Durations, Estimate
     from robot_runner.core.plugin import Plugin
 
@@ -68,13 +67,7 @@ class Shortening:
 def shortened_loader(
     load: Callable[[Path, Mapping[str, str]], LoadedConfig], folder: Path, told: Shortening
 ) -> Callable[[Path, Mapping[str, str]], LoadedConfig]:
-    """Return what loads a config as `load` does, and shortens it.
-
-    Args:
-        load: loads the config of the study.
-        folder: where the experiment's folder is made; nothing is written elsewhere.
-        told: takes down what was set.
-    """
+    """Return what loads a config as `load` does, shortens it (`told` takes that down), and has results in `folder`."""
 
     def shortened(path: Path, overrides: Mapping[str, str]) -> LoadedConfig:
         loaded = load(path, overrides)
@@ -87,8 +80,9 @@ def shortened_loader(
         robot = getattr(config, "robot", None)
         is_slow = not (isinstance(robot, str) and is_simulated(robot))
         for plugin in plugins:
-            changed = {**(dict(_own_wishes(plugin)) if is_slow else {}), **_wishes_for(plugin, wishes)}
-            _shorten_plugin(plugin, changed, told, findings)
+            prefix = f"{_name_of(plugin)}."
+            asked = {name.removeprefix(prefix): value for name, value in wishes.items() if name.startswith(prefix)}
+            _shorten_plugin(plugin, {**(dict(_own_wishes(plugin)) if is_slow else {}), **asked}, told, findings)
         findings += _set_attributes(config, wishes, plugins, told)
         config.results_output_path = folder
         named = loaded.folder.root.name if loaded.folder is not None else None
@@ -130,11 +124,6 @@ def _name_of(plugin: Any) -> str:
     return str(given_to(plugin).get("name") or type(plugin).__name__)  # one that waits for treatments has no attributes
 
 
-def _wishes_for(plugin: Any, wishes: Mapping[str, Any]) -> dict[str, Any]:
-    prefix = f"{_name_of(plugin)}."
-    return {name.removeprefix(prefix): value for name, value in wishes.items() if name.startswith(prefix)}
-
-
 def _shorten_plugin(plugin: Any, changed: Mapping[str, Any], told: Shortening, findings: list[Finding]) -> None:
     named = _name_of(plugin)
     if not changed:
@@ -145,7 +134,7 @@ def _shorten_plugin(plugin: Any, changed: Mapping[str, Any], told: Shortening, f
         findings.append(Finding.error(f"smoke, plugin {named}", error.problem, error.fix))
         return
     except Exception as error:  # noqa: BLE001 - a stranger's code
-        problem = f"it cannot be made with {dict(changed)}: {type(error).__name__}: {error}"
+        problem = f"the plugin cannot be built with {dict(changed)}: {type(error).__name__}: {error}"
         findings.append(Finding.error(f"smoke, plugin {named}", problem, "Give it other values."))
         return
     told.parameters += [f"{named}.{name} = {value!r}" for name, value in changed.items()]
@@ -153,7 +142,7 @@ def _shorten_plugin(plugin: Any, changed: Mapping[str, Any], told: Shortening, f
 
 
 def _own_wishes(plugin: Any) -> Iterator[tuple[str, float]]:
-    """Yield what a plugin says that it may be made with, where that is less than what it has."""
+    """Yield the parameters that a plugin proposes for smoke tests, where they are less than its own."""
     signature = inspect.signature(type(plugin)).parameters
     given = given_to(plugin)
     for name, value in plugin.smoke_parameters.items():
@@ -212,23 +201,25 @@ class SmokeResult:
 def result_of(
     experiment: Experiment, plan: Sequence[PlannedRun], chosen: Sequence[PlannedRun], told: Shortening
 ) -> SmokeResult:
-    """Read what a smoke test has left in its folder.
-
-    Args:
-        experiment: as it was executed.
-        plan: all runs of the study.
-        chosen: those that were executed.
-        told: what was shortened.
-    """
+    """Read what the chosen runs of a smoke test have left in its folder; `plan` are all runs of the study."""
     ends = {record["run"]: record for record in read_journal(experiment.folder.journal, kinds={"attempt_finished"})}
     done = [run for run in chosen if ends.get(run.run_id, {}).get("status") == "done"]
-    columns = [column for column in experiment.columns.in_table if not column.tells_of]
-    missing = {column.name: _missing(column, done, ends) for column in columns}
-    doubtful = {column.name: reason for column in columns if (reason := _doubt(column, done, ends))}
+    missing: dict[str, int] = {}
+    doubtful: dict[str, str] = {}
+    for name in (column.name for column in experiment.columns.in_table if not column.tells_of):
+        values = [(run.run_id, ends[run.run_id]["measures"].get(name, {})) for run in done]
+        missing[name] = sum(each.get("value") is None for _, each in values)
+        for run_id, each in values:
+            if each.get("value") is not None and each.get("doubts"):
+                doubtful.setdefault(name, f"{run_id}: {'; '.join(each['doubts'])}")
     executed, wanted = _by_factor(done), _by_factor(plan)
     return SmokeResult(
         treatments=executed,
-        without={name: left for name, each in wanted.items() if (left := _lacking(each, executed.get(name, ())))},
+        without={
+            name: left
+            for name, each in wanted.items()
+            if (left := [treatment for treatment in each if treatment not in executed.get(name, ())])
+        },
         with_values=[name for name, count in missing.items() if not count and name not in doubtful and done],
         without_values={name: count for name, count in missing.items() if count},
         doubtful=doubtful,
@@ -244,23 +235,6 @@ def _by_factor(runs: Sequence[PlannedRun]) -> dict[str, list[str]]:
         for name, treatment in run.combination.items():
             found.setdefault(name, {})[shown_treatment(treatment)] = None
     return {name: list(each) for name, each in found.items()}
-
-
-def _lacking(wanted: Sequence[str], executed: Sequence[str]) -> list[str]:
-    return [treatment for treatment in wanted if treatment not in executed]
-
-
-def _missing(column: MeasureColumn, done: Sequence[PlannedRun], ends: Mapping[str, Any]) -> int:
-    return sum(ends[run.run_id]["measures"].get(column.name, {}).get("value") is None for run in done)
-
-
-def _doubt(column: MeasureColumn, done: Sequence[PlannedRun], ends: Mapping[str, Any]) -> str:
-    """Return why a value of a measure may not be true; nothing where none is doubted."""
-    for run in done:
-        measure = ends[run.run_id]["measures"].get(column.name, {})
-        if measure.get("value") is not None and measure.get("doubts"):
-            return f"{run.run_id}: {'; '.join(measure['doubts'])}"
-    return ""
 
 
 def _not_proved(
@@ -281,17 +255,10 @@ def _not_proved(
 def study_estimate(
     study: Durations, experiment: Experiment, chosen: Sequence[PlannedRun], result: SmokeResult, told: Shortening
 ) -> Estimate:
-    """Return how long the study takes, by what the smoke test has shown.
+    """Return how long the study takes; what is known of that (`study`) is taught what the smoke test has shown.
 
     Where missions were shortened, what the runs took beyond what plugins say of the shortened ones is added to what
     they say of the whole ones; where nobody says anything, nothing is learnt.
-
-    Args:
-        study: what was known before, with the runs that the study has left; it is taught.
-        experiment: as it was executed.
-        chosen: the runs that were executed.
-        result: how it went.
-        told: what was shortened.
     """
     parts = (experiment.config, experiment.plugins, experiment.events, experiment.parameters)
     combinations = [run.combination for run in chosen]

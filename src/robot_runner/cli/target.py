@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,19 +18,16 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 #: Of more names in a folder, none is proposed.
 _MOST_NAMES = 20
 
 
 def folder_of_target(target: str, assignments: Sequence[str], *, takes_older: bool = False) -> ExperimentFolder:
-    """Return the folder of the experiment that is meant.
+    """Return the folder of the experiment that is meant, or of the config that is, with parameters set by `name=value`.
 
-    Args:
-        target: a folder or a config file.
-        assignments: static parameters to set, as `name=value`.
-        takes_older: whether a folder will do that another tool has filled, with a run table and no manifest.
+    With `takes_older`, a folder will do that another tool has filled, with a run table and no manifest.
 
     Raises:
         UsageError: parameters are set for a folder, which takes none.
@@ -109,3 +107,80 @@ def _of_config(path: Path, assignments: Sequence[str], *, takes_older: bool) -> 
         return folder
     problem = f"this experiment was never executed: there is nothing in {shown_path(folder.root)}"
     raise StorageError(problem, where=str(path), fix=f"Execute it: {command_line(str(path))}")
+
+
+#: The results of a config are in a folder of its results folder, so that this many folders lie between.
+_DEEPEST = 2
+#: What lies beside a package that was unpacked to be replicated: the list of its checksums, in this folder.
+_UNPACKED = Path("package", "SHA256SUMS")
+#: How many commands are offered where several could be meant.
+_MOST_OFFERED = 3
+
+
+def only_experiment(command: str, *after: str) -> str:
+    """Return the folder of the only experiment here, at most two folders below; the words are for the remedy.
+
+    What lies in the folder of a replication is not meant.
+
+    Raises:
+        UsageError: there is none, or more than one.
+    """
+    return _only(command, "experiment", sorted(_experiments(Path.cwd(), _DEEPEST)), after)
+
+
+def target_and_runs(
+    command: str, target: str | None, runs: Sequence[str], assignments: Sequence[str]
+) -> tuple[ExperimentFolder, Sequence[str]]:
+    """Return the folder of the experiment that is meant, and the runs; the first word may be one of them.
+
+    Raises:
+        RobotRunnerError: none is named, and not exactly one is here; or there is none where one is named.
+    """
+    is_run = target is not None and not (os.path.lexists(target) or os.sep in target or target.endswith(".py"))
+    if target is None or (is_run and any(_experiments(Path.cwd(), _DEEPEST))):
+        runs = [*([target] if target is not None else ()), *runs]
+        target = only_experiment(command, *runs)
+    return folder_of_target(target, assignments), runs
+
+
+def only_package(command: str) -> str:
+    """Return the only zip file in this folder; whether it is a package shows when it is opened.
+
+    Raises:
+        UsageError: there is none, or more than one.
+    """
+    return _only(command, "package", sorted(path for path in Path.cwd().glob("*.zip") if path.is_file()))
+
+
+def _experiments(folder: Path, depth: int) -> Iterator[Path]:
+    if holds_experiment(folder):
+        yield folder
+    elif depth and not os.path.exists(folder / _UNPACKED):  # noqa: PTH110 - false of what cannot be looked at, too
+        names: list[str] = []
+        with suppress(OSError), os.scandir(folder) as below:
+            names = [
+                each.name for each in below if each.is_dir(follow_symlinks=False) and not each.name.startswith(".")
+            ]
+        for name in names:
+            yield from _experiments(folder / name, depth - 1)
+
+
+def _only(command: str, what: str, found: list[Path], after: Sequence[str] = ()) -> str:
+    if len(found) == 1:
+        return shown_path(found[0])
+    where = f"robot-runner {command}"
+    if not found:
+        name = what.upper()
+        fix = f"Go to its folder, or name it: {' '.join([where, name, *after])}."
+        raise UsageError(f"there is no {what} here, and none is named", where=where, fix=fix)
+    newest = sorted(found, key=_changed, reverse=True)[:_MOST_OFFERED]
+    offered = " or ".join(command_line(command, shown_path(each), *after) for each in newest)
+    problem = f"there are {len(found)} {what}s here, and none is named"
+    raise UsageError(problem, where=where, fix=f"Say which one is meant: {offered}.")
+
+
+def _changed(path: Path) -> float:
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import difflib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.loader import LoadedConfig
@@ -15,12 +13,11 @@ from robot_runner.core.config.source import CONFIG_CLASS, ConfigSource
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, StorageError
-from robot_runner.core.events.manager import EVENTS_BY_CALLBACK, RUN_EVENTS, RobotRunnerEvents
-from robot_runner.core.execution.notices import AttemptFinished, Notice, RunRecord
+from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.execution.notices import AttemptFinished, Notice, RunRecord, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.probe import without_values
 from robot_runner.core.execution.task import AttemptStatus
-from robot_runner.core.plugin import Plugin
 from robot_runner.core.storage.guarded_files import open_to_read, read_json, read_text
 
 if TYPE_CHECKING:
@@ -30,13 +27,12 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.execution.task import RunOutcome
+    from robot_runner.core.plugin import Plugin
 
 _NAME = "try"
 #: How long a callback may take beyond the time that is measured, s; a plugin that hangs is ended then.
 _PATIENCE = 30.0
 _GRACE = 5.0
-#: How alike a method's name is to that of an event before it looks like a slip of the pen.
-_LIKENESS = 0.8
 #: How much of a raw file is shown.
 _SHOWN_LINES = 2
 _SHOWN_BYTES = 400
@@ -95,14 +91,12 @@ class Trial:
     missing: tuple[str, ...] = ()
 
 
-@dataclass(slots=True)
-class _Witness:
-    """An observer that writes down everything and shows nothing."""
+class _Witness(SilentObserver):
+    """An observer that writes down what a run reports, and shows nothing."""
 
-    refresh_interval: float | None = None
-    user_input: int | None = None
-    records: list[RunRecord] = field(default_factory=list)
-    outcome: RunOutcome | None = None
+    def __init__(self) -> None:
+        self.records: list[RunRecord] = []
+        self.outcome: RunOutcome | None = None
 
     def notice(self, notice: Notice) -> None:
         """Take a notice."""
@@ -111,9 +105,6 @@ class _Witness:
         elif isinstance(notice, AttemptFinished):
             self.outcome = notice.outcome
 
-    def refresh(self) -> None:
-        """Do nothing: there is no screen."""
-
 
 def has_mission(plugin: Plugin) -> bool:
     """Whether a plugin has something to do between the start and the stop of the measurement."""
@@ -121,34 +112,21 @@ def has_mission(plugin: Plugin) -> bool:
 
 
 def try_plugin(
-    plugin: Plugin,
-    folder: Path,
-    *,
-    seconds: float,
-    robot: str | None = None,
-    treatments: Mapping[str, Any] = MappingProxyType({}),
+    plugin: Plugin, folder: Path, *, seconds: float, robot: str | None, treatments: Mapping[str, Any]
 ) -> Trial:
-    """Execute one run in a process of its own, in which this plugin is the only one.
+    """Execute one run in a process of its own, in which this plugin is the only one, and measures for `seconds`.
 
     The mission is the plugin's own, or else to wait.
-
-    Args:
-        plugin: the plugin that is tried.
-        folder: where the run's folder is made.
-        seconds: how long it measures, s on the run's clock; how long a mission of its own may take, s of real time.
-        robot: how a robot is reached, or None.
-        treatments: what the run has of each factor that the plugin reads.
     """
     config = folder / "trial.py"
     config.write_text(f"# One run of {type(plugin).__name__}, {seconds:g} s long, robot={robot!r}.\n", encoding="utf-8")
     preparation = prepare(config, load=lambda path, _: _loaded(path, plugin, seconds, robot, treatments))
-    own = tuple(_misspelt(plugin))
     experiment = preparation.experiment
     if experiment is None:
-        return Trial((*preparation.findings, *own))
+        return Trial(preparation.findings)
     witness = _Witness()
     finished = execute_experiment(experiment, witness)
-    return _trial(experiment, plugin, witness, (*preparation.findings, *own, *finished.findings))
+    return _trial(experiment, plugin, witness, (*preparation.findings, *finished.findings))
 
 
 def _loaded(
@@ -176,16 +154,6 @@ def _loaded(
     config.robot, config.plugins = robot, [plugin]
     source = ConfigSource(path, path.read_text(encoding="utf-8"), CONFIG_CLASS)
     return LoadedConfig(source, config, (), (), {}, ())
-
-
-def _misspelt(plugin: Plugin) -> Iterator[Finding]:
-    """Yield a warning for each method that is no callback of an event, and is named nearly like one."""
-    known = set(dir(Plugin)) | set(EVENTS_BY_CALLBACK)
-    for name in dir(type(plugin)):
-        near = difflib.get_close_matches(name, EVENTS_BY_CALLBACK, n=1, cutoff=_LIKENESS)
-        if near and name not in known and not name.startswith("_") and not hasattr(plugin, near[0]):
-            place = f"{type(plugin).__name__}.{name}"
-            yield Finding.warning(place, "no event has a callback of this name", f"Did you mean {near[0]!r}?")
 
 
 def _trial(experiment: Experiment, plugin: Plugin, witness: _Witness, findings: Sequence[Finding]) -> Trial:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from robot_runner.core.errors import ConditionError
 from robot_runner.core.events.condition import Condition, Look
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import Command, take_command
+from robot_runner.core.storage.lock import take_request
 from robot_runner.core.words import one_line
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Confirmed(Condition):
         """Ask, and listen for the answer; one that was left before does not count."""
         folder = ExperimentFolder.found_at(context.experiment_folder)
         asked = (context.run_id, self.what)
-        take_command(folder.control, asked)
+        take_request(folder.control, asked)
         command = f"robot-runner continue {shlex.quote(str(folder.root))}"
         context.broker.note(context.owner, "asked", {"step": self.what, "command": command})
         opened.callback(lambda: context.broker.note(context.owner, "answered", {"step": self.what}))
@@ -64,7 +64,7 @@ class Confirmed(Condition):
 
         def look() -> Look:
             nonlocal is_confirmed
-            is_confirmed = is_confirmed or take_command(folder.control, asked) is Command.CONTINUE
+            is_confirmed = is_confirmed or take_request(folder.control, asked) is not None
             return Look(is_confirmed, "confirmed" if is_confirmed else command, is_confirmed)
 
         return look

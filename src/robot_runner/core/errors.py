@@ -95,6 +95,12 @@ class RobotRunnerError(Exception):
         first = findings[0]
         return cls(first.problem, where=first.where, fix=first.fix, findings=findings)
 
+    @classmethod
+    def refuse(cls, findings: Iterable[Finding]) -> None:
+        """Raise one error of all these findings; where there are none, do nothing."""
+        if listed := tuple(findings):
+            raise cls.of_findings(listed)
+
     def __str__(self) -> str:
         head = f"{self.where}: {self.problem}" if self.where else self.problem
         return f"{head} → {self.fix}" if self.fix else head

@@ -1,4 +1,4 @@
-"""What a conditional factor has for a treatment in runs where it does not apply."""
+"""The treatment that a conditional factor has in runs where it does not apply."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which plugins are installed: entry points of this and of other packages, found without importing them."""
+"""What a plugin is, what validation asks it, and which are installed: found by entry points, without being imported."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 
 _log = logging.getLogger(__name__)
-
-# The two kinds of plugin and what validation asks them.
 
 #: The claim of who measures the computer that executes the run, or keeps it busy: no other run beside it.
 THIS_MACHINE = "host:localhost"
@@ -154,7 +152,7 @@ class Plugin(Bindable):
 
 
 def refused_name(plugin: Plugin) -> PluginError | None:
-    """Return why a plugin cannot have the name that it has; also of one whose `__init__` did not call that of its base.
+    """Return why a plugin's name is refused, or is missing because its `__init__` did not call that of its base.
 
     Example:
         >>> refused_name(System(name="Lamp")) is None

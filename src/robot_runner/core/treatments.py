@@ -292,13 +292,15 @@ def give_again(plugin: Bindable, changed: Mapping[str, Any]) -> None:
     for name in changed:
         if name not in parameters_of(kind):
             fix = did_you_mean(name, parameters_of(kind))
-            raise PluginError(f"it has no parameter {name!r}", where=kind.__name__, fix=fix)
+            raise PluginError(f"the plugin has no parameter {name!r}", where=kind.__name__, fix=fix)
         if name in factors:
             fix = "Leave it as it is, or vary it over other treatments."
             raise PluginError(f"{name} is bound to the factor {factors[name]!r}", where=kind.__name__, fix=fix)
     if not all(map(str.isidentifier, given)):
         fix = "Give it a parameter by name for each thing, or leave it as it is."
-        raise PluginError("it takes any number of values, and cannot be made again", where=kind.__name__, fix=fix)
+        raise PluginError(
+            "the plugin takes any number of values, and cannot be built again", where=kind.__name__, fix=fix
+        )
     made = kind(**{**given, **changed})
     vars(plugin).clear()
     vars(plugin).update(vars(made))

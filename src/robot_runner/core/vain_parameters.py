@@ -1,4 +1,4 @@
-"""A parameter that the code of a config sets on a plugin that was built: most plugins never look at it again."""
+"""Parameters that a config sets on a plugin after it was built: refused, as most plugins never read them again."""
 
 from __future__ import annotations
 
@@ -25,11 +25,7 @@ _guarded: ContextVar[Iterable[str] | None] = ContextVar("guarded", default=None)
 
 @contextmanager
 def parameters_guarded(factors: Iterable[str] = ()) -> Iterator[None]:
-    """Have parameters of plugins refused that the code of a config sets, in this thread.
-
-    Args:
-        factors: the names among which the remedy looks for the one that is meant.
-    """
+    """Refuse parameters of plugins that the code of a config sets, in this thread; `factors` are for the fix."""
     token = _guarded.set(factors)
     try:
         yield
@@ -70,7 +66,8 @@ def _is_set_from_outside(kind: type, name: str) -> bool:
     if hasattr(getattr(kind, name, None), "__set__"):  # a property: its author provides for it
         return False
     frame: FrameType | None = sys._getframe(3)  # noqa: SLF001 - who sets the attribute is told by nothing else
-    if frame is not None and _package(frame.f_globals.get("__name__", "")) in _packages(kind):
+    packages = {each.__module__.partition(".")[0] for each in kind.__mro__} - {CONFIG_MODULE}
+    if frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] in packages:
         return False
     own_names, own_code = _own_code(kind)
     while frame is not None:
@@ -78,14 +75,6 @@ def _is_set_from_outside(kind: type, name: str) -> bool:
             return False
         frame = frame.f_back
     return True
-
-
-def _package(module: str) -> str:
-    return module.partition(".")[0]
-
-
-def _packages(kind: type) -> set[str]:
-    return {_package(each.__module__) for each in kind.__mro__} - {CONFIG_MODULE}
 
 
 @lru_cache

@@ -1,4 +1,4 @@
-"""How numbers, times and values are put into words."""
+"""Numbers, times and values in words."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ _MINUTE = 60
 _HOUR = 3600
 _SHOWN = 4
 _MISSING = "\N{EN DASH}"  # not a hyphen, which is a run that is still to do
+#: Units, in small letters, of scales whose 0 is agreed upon.
+_AGREED_ZEROS = frozenset(
+    {"\N{DEGREE SIGN}c", "\N{DEGREE CELSIUS}".lower(), "degc", "celsius", "\N{DEGREE SIGN}f", "degf", "fahrenheit"}
+)
 #: What lays text out and is no command: lines, tabs, and the blanks of other scripts.
 _LAYOUT = frozenset("\n\t\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{IDEOGRAPHIC SPACE}")
 
@@ -160,6 +164,18 @@ def exact(number: float) -> str:
         ('31', '1234567.8')
     """
     return str(number).removesuffix(".0")
+
+
+def has_true_zero(unit: str) -> bool:
+    """Return whether a percentage of a value in a unit says anything: of 20 degrees Celsius or 60 decibels it does not.
+
+    Where such a scale has its 0 is agreed upon: 20 degrees Celsius are not twice 10, but 1.04 times as many kelvins.
+
+    Example:
+        >>> has_true_zero("K"), has_true_zero("degC"), has_true_zero("dB(A)")
+        (True, False, False)
+    """
+    return unit.strip().lower() not in _AGREED_ZEROS and not unit.strip().startswith("dB")
 
 
 def shown_treatment(treatment: object) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config import dialects, preparation
+from robot_runner.core.config import preparation
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import AnalysisError, ConfigError, ExecutionError, Finding, PluginError, RobotRunnerError
 from robot_runner.core.execution.notices import (
@@ -237,7 +237,7 @@ def _is_free() -> bool:
 def _executed(config: Any, texts: Mapping[str, str], resumption: Resumption, observer: Observer) -> ExperimentFinished:
     with ExitStack() as opened:
         if isinstance(config, str | Path):
-            prepared = dialects.prepare(Path(config).expanduser(), texts)
+            prepared = preparation.prepare(Path(config).expanduser(), texts)
         else:
             loaded = opened.enter_context(config_of_object(config, texts))
             prepared = preparation.prepare(loaded.source.path, texts, lambda _path, _texts: loaded)

@@ -7,7 +7,7 @@ import pytest
 from robot_runner.cli.commands import continue_
 from robot_runner.core.execution import experiment_status
 from robot_runner.core.execution.experiment_status import ExperimentStatus
-from robot_runner.core.storage.lock import Command, Holder, Request, take_request
+from robot_runner.core.storage.lock import Holder, Request, take_request
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,7 +26,7 @@ def folder(robot_runner: Callable, write_config: Callable[..., Path], tmp_path: 
 def test_an_experiment_that_nobody_executes_is_not_told(robot_runner: Callable, folder: Path) -> None:
     answer = robot_runner("continue", "config.py")
     assert answer.code == 2
-    assert "error: results/trial: nobody executes this experiment" in answer.err
+    assert "error: results/trial: the experiment is not being executed" in answer.err
     assert "fix: Start it with `robot-runner run` and its config: it resumes." in answer.err
     assert not (folder / ".control").exists()
 
@@ -55,4 +55,4 @@ def test_an_experiment_that_does_not_hear_is_said_not_to(
     answer = robot_runner("continue", "config.py")
     assert answer.code == 2
     assert "the experiment has not taken the request" in answer.err
-    assert take_request(folder / ".control") == Request(Command.CONTINUE)
+    assert take_request(folder / ".control") == Request()

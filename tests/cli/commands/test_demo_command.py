@@ -48,6 +48,7 @@ def test_the_papers_experiment_is_executed_and_shown(executed_demo: Path) -> Non
     assert json.loads((folder / "manifest.json").read_text())["deviations"] == {}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("short_demo")
 def test_a_second_demo_has_a_folder_beside_the_first_and_the_same_energies(
     robot_runner: Callable, tmp_path: Path
@@ -60,6 +61,7 @@ def test_a_second_demo_has_a_folder_beside_the_first_and_the_same_energies(
     assert tables[0] == tables[1] == tables[2]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("short_demo")
 def test_a_folder_can_be_named(robot_runner: Callable, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
@@ -72,6 +74,7 @@ def test_a_folder_can_be_named(robot_runner: Callable, tmp_path: Path) -> None:
     assert (tmp_path / "a_file-2" / "basic_experiment" / "run_table.csv").exists()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("short_demo")
 def test_what_the_demo_leaves_can_be_executed_again(robot_runner: Callable) -> None:
     robot_runner("demo")

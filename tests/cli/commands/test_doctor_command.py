@@ -9,23 +9,24 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pytest
 from tests.linked_environment import make_linked_environment
 
 import robot_runner as robot_runner_package
-from robot_runner.cli import diagnosing
-from robot_runner.cli.diagnosing import ABSENT, BROKEN, READY, Question, asked, device_questions
+from robot_runner.cli.commands import doctor
+from robot_runner.cli.commands.doctor import ABSENT, BROKEN, READY, Question, asked, device_questions
 from robot_runner.core.links.kinds import installed_links
 from robot_runner.core.plugin import installed_plugins
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    import pytest
 
 #: What the core needs, and what that needs.
 CORE = ("rich", "markdown-it-py", "mdurl", "pygments")
 
 
+@pytest.mark.long
 def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, program: str) -> None:
     environment = {**os.environ, "PATH": "/usr/bin:/bin"}
     told = subprocess.run([program, "doctor"], env=environment, capture_output=True, text=True, check=False)
@@ -44,6 +45,7 @@ def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, 
     assert all(each["name"] in told.stdout for each in found.values())
 
 
+@pytest.mark.long
 def test_where_the_core_alone_is_installed_all_is_told_and_nothing_has_to_be_mended(tmp_path: Path) -> None:
     program = make_linked_environment(tmp_path / "core", CORE, code=Path(robot_runner_package.__file__).parents[1])
     told = subprocess.run([program, "doctor", "--json"], capture_output=True, text=True, check=False)
@@ -61,7 +63,7 @@ def test_an_extra_that_is_missing_is_told_with_its_packages(
     robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("VIRTUAL_ENV", raising=False)
-    monkeypatch.setattr(diagnosing, "_is_installed", lambda package: package != "mujoco")
+    monkeypatch.setattr(doctor, "_is_installed", lambda package: package != "mujoco")
     found = {each["name"]: each for each in robot_runner("doctor", "--json").json["found"] if each["area"] == "Extras"}
     assert (found["sim"]["state"], found["sim"]["detail"]) == (ABSENT, "without mujoco")
     assert found["sim"]["fix"] == f"Install it: {sys.executable} -m pip install 'robot-runner[sim]'"
@@ -73,7 +75,7 @@ def test_a_device_of_another_group_is_broken_with_the_group_to_join(
 ) -> None:
     (tmp_path / "ttyUSB0").touch()
     (tmp_path / "i2c-1").touch()
-    monkeypatch.setattr(diagnosing, "_group_of", lambda path: "dialout")
+    monkeypatch.setattr(doctor, "_group_of", lambda path: "dialout")
     monkeypatch.setattr(os, "access", lambda path, mode: path.name != "ttyUSB0")
     serial, bus, camera = asked(device_questions(tmp_path), deadline_s=10.0)
     assert serial.state == BROKEN
@@ -98,11 +100,12 @@ def test_what_hangs_or_raises_is_broken_and_the_others_are_told_at_once() -> Non
     hanging, broken, well = asked(wanted, deadline_s=0.5)
     assert time.monotonic() - began < 10.0
     over.set()
-    assert (hanging.state, hanging.detail) == (BROKEN, "it did not answer within 0.5 s")
+    assert (hanging.state, hanging.detail) == (BROKEN, "no answer came within 0.5 s")
     assert (broken.state, broken.detail) == (BROKEN, "ZeroDivisionError: division")
     assert well.state == READY
 
 
+@pytest.mark.long
 def test_a_program_that_hangs_holds_nothing_up(tmp_path: Path, program: str) -> None:
     for name in ("perf", "docker", "nvidia-smi", "ffmpeg"):
         (tmp_path / name).write_text("#!/bin/sh\nexec sleep 300\n")

@@ -41,6 +41,7 @@ def reported(robot_runner: Callable, folder: Path) -> Any:
     return json.loads((folder / "report" / "report.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.long
 def test_excluded_runs_are_told_everywhere_and_are_in_no_statistics(robot_runner: Callable, folder: Path) -> None:
     assert robot_runner("exclude", "config.py", "r_2").code == 2  # the reason is compulsory
     answer = robot_runner("exclude", folder, "r_2", "--reason", WHY)
@@ -75,6 +76,7 @@ def test_excluded_runs_are_told_everywhere_and_are_in_no_statistics(robot_runner
     assert exported.set_index("run_id")["excluded"].dropna().to_dict() == {"r_2": WHY}
 
 
+@pytest.mark.long
 def test_a_package_keeps_them_and_a_replication_executes_them_again(
     robot_runner: Callable, folder: Path, tmp_path: Path
 ) -> None:
@@ -88,6 +90,7 @@ def test_a_package_keeps_them_and_a_replication_executes_them_again(
     assert "dentical in all 7 runs" in answer.out
 
 
+@pytest.mark.long
 def test_an_order_that_was_chosen_is_told_as_it_was_executed(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

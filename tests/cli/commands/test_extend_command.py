@@ -26,6 +26,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.long
 def test_a_study_is_extended_and_executed(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -77,6 +78,7 @@ def test_a_dry_run_tells_how_to_add_just_these_runs(
     assert added.out.splitlines()[:5] == shown.out.splitlines()[:5]
 
 
+@pytest.mark.long
 def test_a_new_factor_says_what_the_runs_so_far_count_as(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -96,6 +98,7 @@ def test_a_new_factor_says_what_the_runs_so_far_count_as(
     assert "Warm" not in robot_runner("status", "config.py").out
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -119,6 +122,7 @@ def test_what_cannot_be_added_is_refused_with_what_to_do(
     assert answer.out == ""
 
 
+@pytest.mark.long
 def test_warm_up_runs_are_shown_by_the_plan_the_screen_and_the_status(
     robot_runner: Callable, write_config: Callable[..., Path]
 ) -> None:

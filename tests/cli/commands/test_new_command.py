@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("words", "name"), [([], "experiment.py"), (["my study.py"], "my study.py")])
 def test_what_is_written_can_be_executed_as_it_is(
     robot_runner: Callable, tmp_path: Path, words: list[str], name: str
@@ -69,6 +70,7 @@ def test_the_new_config_is_clean_by_the_rules_of_the_house(robot_runner: Callabl
     assert answer.returncode == 0, answer.stdout
 
 
+@pytest.mark.long
 def test_a_command_works_as_it_is_printed_where_the_program_is_not_on_the_path(program: str, tmp_path: Path) -> None:
     anywhere = {**os.environ, "PATH": "/usr/bin:/bin"}
     told = subprocess.run([program, "new"], env=anywhere, cwd=tmp_path, capture_output=True, text=True, check=True)
@@ -81,6 +83,7 @@ def test_a_command_works_as_it_is_printed_where_the_program_is_not_on_the_path(p
     subprocess.run(["sh", "-c", command], env=anywhere, cwd=tmp_path, capture_output=True, check=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "robot"), [("profiler", []), ("system", ["--set", "robot=simulated"])])
 def test_a_plugins_package_is_installed_found_by_its_name_tried_and_passes_its_own_tests(
     program: str, tmp_path: Path, kind: str, robot: list[str]

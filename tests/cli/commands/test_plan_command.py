@@ -69,6 +69,7 @@ def test_how_to_repeat_a_drawn_order_is_told(robot_runner: Callable, write_confi
     assert "for this order write run_table.randomize_runs_order(" in robot_runner("plan", "config.py").out
 
 
+@pytest.mark.long
 def test_an_experiment_that_has_begun_keeps_its_order(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -82,6 +83,7 @@ def test_an_experiment_that_has_begun_keeps_its_order(
     assert "executing it goes on in this order" in robot_runner("plan", "config.py").out
 
 
+@pytest.mark.long
 def test_an_order_that_was_changed_by_hand_is_not_called_randomised(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -140,6 +142,7 @@ def test_what_is_wrong_with_the_run_table_refuses_the_plan(
     assert "the factor has no treatments" in answer.err
 
 
+@pytest.mark.long
 def test_of_a_long_table_head_and_tail_are_shown_and_all_of_it_by_option(
     robot_runner: Callable, write_config: Callable[..., Path], terminal: Callable
 ) -> None:
@@ -165,6 +168,7 @@ WIDE = """
 """
 
 
+@pytest.mark.long
 def test_many_runs_with_wide_treatments_are_planned_in_bounded_time_and_width(
     robot_runner: Callable, write_config: Callable[..., Path]
 ) -> None:
@@ -180,6 +184,7 @@ def test_many_runs_with_wide_treatments_are_planned_in_bounded_time_and_width(
     assert took < 10  # about 1 s
 
 
+@pytest.mark.long
 def test_columns_that_do_not_fit_are_named(write_config: Callable[..., Path], terminal: Callable) -> None:
     write_config(table=BLOCKS)
     shown = terminal("plan", "config.py", columns=27)
@@ -205,6 +210,7 @@ def test_a_plan_that_may_be_repeated_says_until_when_and_how_often(
     assert until in checked
 
 
+@pytest.mark.long
 def test_where_the_run_table_is_lost_runs_that_are_done_take_no_time(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -220,6 +226,7 @@ def test_where_the_run_table_is_lost_runs_that_are_done_take_no_time(
     assert {**answer.json, "findings": []} == before
 
 
+@pytest.mark.long
 def test_runs_that_the_journal_has_and_the_table_not_yet_take_no_time(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

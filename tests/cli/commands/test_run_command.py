@@ -63,6 +63,7 @@ def test_the_end_tells_how_it_went_and_where_the_results_are(
     assert statuses(tmp_path) == ["Done"] * 4
 
 
+@pytest.mark.long
 def test_a_failed_run_is_exit_code_1_with_its_reason_and_what_to_do(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -80,6 +81,7 @@ def test_a_failed_run_is_exit_code_1_with_its_reason_and_what_to_do(
     assert statuses(tmp_path) == ["Failed", "Done"] * 2
 
 
+@pytest.mark.long
 def test_executing_it_again_resumes(robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path) -> None:
     write_config(FAILING)
     robot_runner("run", "config.py")
@@ -110,6 +112,7 @@ def test_only_some_runs_can_be_executed(
     assert statuses(tmp_path) == ["-", "Done", "-", "Done"]
 
 
+@pytest.mark.long
 def test_a_run_can_be_executed_again(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
     write_config(MEASURING)
     robot_runner("run", "config.py")
@@ -164,6 +167,7 @@ def test_callbacks_of_the_orchestrator_are_seen(robot_runner: Callable, write_co
     assert "put the robot in place for r_4\n" in robot_runner("run", "config.py").out
 
 
+@pytest.mark.long
 def test_a_table_that_differs_from_the_plan_refuses(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
     config = write_config(MEASURING)
     robot_runner("run", "config.py")
@@ -190,6 +194,7 @@ def test_before_experiment_that_raises_is_a_refusal(robot_runner: Callable, writ
     assert "error: before_experiment of config: OSError: the lab is closed" in answer.err
 
 
+@pytest.mark.long
 def test_a_reader_that_goes_away_ends_nothing(program: str, write_config: Callable[..., Path], tmp_path: Path) -> None:
     write_config(MEASURING)
     with subprocess.Popen(
@@ -201,6 +206,7 @@ def test_a_reader_that_goes_away_ends_nothing(program: str, write_config: Callab
     assert statuses(tmp_path) == ["Done"] * 4
 
 
+@pytest.mark.long
 def test_runs_to_redo_can_be_listed_with_commas(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
     write_config("def populate_run_data(self, context): return {'Energy': context.attempt}")
     assert robot_runner("run", "config.py").code == 0
@@ -209,6 +215,7 @@ def test_runs_to_redo_can_be_listed_with_commas(robot_runner: Callable, write_co
         assert [row["Energy"] for row in csv.DictReader(file)] == ["2", "1", "2", "2"]
 
 
+@pytest.mark.long
 def test_json_tells_how_it_went_and_nothing_else_goes_to_stdout(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

@@ -113,6 +113,7 @@ def test_each_treatment_is_executed_once_and_what_it_proves_is_told(
     assert list(scratch.iterdir()) == [], "and nothing is left of the scratch folder"
 
 
+@pytest.mark.long
 def test_the_folder_of_a_study_that_has_begun_stays_as_it_is(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path, scratch: Path
 ) -> None:
@@ -145,7 +146,7 @@ def launch_mission(self, context):
 @pytest.mark.parametrize(
     ("smoke", "problem", "fix"),
     [
-        ('{"Lap.secnds": 1.0}', "it has no parameter 'secnds'", "Did you mean 'seconds'?"),
+        ('{"Lap.secnds": 1.0}', "the plugin has no parameter 'secnds'", "Did you mean 'seconds'?"),
         ('{"Lapp.seconds": 1.0}', "the config has no plugin of this name", "Did you mean 'Lap'?"),
         ('{"attemps": 1}', "the config has nothing of this name", "Did you mean 'attempts'?"),
         ('{"Lap.room": "lab"}', "room is bound to the factor 'Room'", "Leave it as it is"),

@@ -44,7 +44,7 @@ def test_it_is_named_by_its_folder_or_its_config(robot_runner: Callable, half_do
     assert answer.code == 0
     assert answer.out.startswith("trial ")
     assert "2 of 4 runs done, 2 failed, 0 to do" in answer.out
-    assert "nobody executes it" in answer.out
+    assert "not being executed" in answer.out
     assert "✗ r_1, r_3: launch_mission of config: ValueError: the camera is off" in answer.out
     assert "! config: the sun was in the camera (in r_1, r_2, r_3, r_4)" in answer.out
     assert half_done.exists()
@@ -173,6 +173,7 @@ def test_json_holds_each_run_that_is_executed_as_facts(half_done: Path) -> None:
     assert _as_json(status)["in_flight"] == [{"run": "r_2", "place": "alice", "event": "start_run"}]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", [["status"], ["stop"], ["exclude", "r_1", "--reason", "x"]])
 @pytest.mark.parametrize("target", ["results/trial", "config.py"])
 def test_an_experiment_whose_manifest_is_lost_is_not_taken_for_that_of_another_tool(
@@ -216,7 +217,7 @@ def test_what_is_not_known_is_not_called_done(robot_runner: Callable, half_done:
     lines = journal.read_text(encoding="utf-8").splitlines(keepends=True)
     journal.write_text("".join(lines[:kept_lines]), encoding="utf-8")
     told = robot_runner("status", "config.py").out
-    assert "nobody executes it; `robot-runner run` with its config goes on" in told
+    assert "not being executed; `robot-runner run` with its config resumes it" in told
     assert ("0 of 4 runs done, 4 to do" if kept_lines else "0 done; how many are planned is not known") in told
     beyond = [line for line in lines if '"kind":"experiment_started"' not in line]
     journal.write_text("".join(beyond), encoding="utf-8")

@@ -129,6 +129,7 @@ def test_nothing_is_left_behind(robot_runner: Callable, plugin: Callable, tmp_pa
     assert list(scratch.iterdir()) == []
 
 
+@pytest.mark.long
 def test_an_installed_profiler_is_named_alone_and_the_simulated_robot_can_be_set(robot_runner: Callable) -> None:
     answer = robot_runner("try", "PsUtil", "--set", "robot=simulated", "--seconds", "3", "--set", "rate_hz=20")
     assert answer.code == 0, answer.err
@@ -187,6 +188,14 @@ def test_a_strangers_broken_profiler_is_told_clearly(
     assert "fault of Robot Runner" not in answer.err
 
 
+def test_a_slip_in_the_name_of_a_callback_is_told_once(robot_runner: Callable, plugin: Callable) -> None:
+    slip = plugin(broken("def start_measurment(self, context):\n    pass"))
+    found = robot_runner("try", slip, "--seconds", "0.1", "--json").json["findings"]
+    assert [each["fix"] for each in found if "start_measurment" in each["where"]] == [
+        "Did you mean 'start_measurement'? Otherwise begin the name with '_'."
+    ]
+
+
 def test_the_traceback_of_a_strangers_callback_is_shown(robot_runner: Callable, plugin: Callable) -> None:
     answer = robot_runner("try", plugin(broken("def start_run(self):\n    1 / 0")), "--seconds", "0.05")
     assert "stranger.py" in answer.out
@@ -241,7 +250,7 @@ def test_a_profiler_that_hangs_is_ended(
 def test_a_plugin_that_needs_a_parameter_says_which_and_how_to_set_it(robot_runner: Callable) -> None:
     answer = robot_runner("try", "CodeCarbon")
     assert answer.code == 2
-    assert "CodeCarbon: it cannot be made without country" in answer.err
+    assert "CodeCarbon: the plugin cannot be built without country" in answer.err
     assert "Add --set country=..." in answer.err
     assert "author" not in answer.err
 
@@ -274,6 +283,7 @@ def test_a_system_is_tried_with_its_own_mission_and_with_treatments(robot_runner
     assert time.monotonic() - began < 60.0  # it does not wait for the longest mission
 
 
+@pytest.mark.long
 def test_an_installed_system_is_tried_on_the_embedded_robot_and_asked_for_on_a_real_one(robot_runner: Callable) -> None:
     words = ("try", "BasicTurtlebot3", "--factor", "Task=Video")
     answer = robot_runner(*words, "--set", "robot=simulated", "--json")
@@ -281,5 +291,5 @@ def test_an_installed_system_is_tried_on_the_embedded_robot_and_asked_for_on_a_r
     assert answer.json["measures"]["Duration"]["value"] == pytest.approx(95.0, abs=2.0)
     refused = robot_runner(*words, "--set", "robot=ros1")
     assert refused.code == 2
-    assert "it operates the robot 'ros1', which may move" in refused.err
+    assert "the plugin operates the robot 'ros1', which may move" in refused.err
     assert "--yes" in refused.err

@@ -47,6 +47,7 @@ def draw_on(shown: Any, seconds: float) -> None:
         shown.child.expect("no screen says this", timeout=seconds)
 
 
+@pytest.mark.long
 def test_what_is_typed_in_a_callback_stands_beneath_the_table_and_columns_without_room_are_named(
     terminal: Callable, write_config: Callable[..., Path]
 ) -> None:
@@ -72,6 +73,7 @@ def test_what_is_typed_in_a_callback_stands_beneath_the_table_and_columns_withou
     ]
 
 
+@pytest.mark.long
 def test_a_table_that_fits_announces_nothing(terminal: Callable, write_config: Callable[..., Path]) -> None:
     write_config(ASKING.replace('float(input("Battery voltage? "))', "1.0"), table=TABLE)
     shown = terminal("run", "config.py", columns=100)
@@ -79,6 +81,7 @@ def test_a_table_that_fits_announces_nothing(terminal: Callable, write_config: C
     assert "too narrow" not in shown.text
 
 
+@pytest.mark.long
 def test_each_of_several_places_has_one_line(terminal: Callable, write_config: Callable[..., Path]) -> None:
     write_config(SIDE_BY_SIDE)
     shown = terminal("run", "config.py", "--only", "r_1,r_2", columns=COLUMNS)
@@ -90,6 +93,7 @@ def test_each_of_several_places_has_one_line(terminal: Callable, write_config: C
     assert shown.finish() == 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [
@@ -116,6 +120,7 @@ def test_no_word_is_broken(
     assert shown.text.split() == (answer.out + answer.err).split()
 
 
+@pytest.mark.long
 def test_a_warning_while_runs_are_executed_is_folded_beneath_itself(
     terminal: Callable, write_config: Callable[..., Path]
 ) -> None:

@@ -127,7 +127,7 @@ def test_where_nobody_reads_on_the_experiment_goes_on_without_a_word(
     experiment: Experiment, clock: Any, notices: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     let_go: list[bool] = []
-    monkeypatch.setattr(plain, "let_go_of_stdout", lambda: let_go.append(True))
+    monkeypatch.setattr(plain, "let_go_of", lambda _stream: let_go.append(True))
     reader, writer = os.pipe()
     os.close(reader)
     closed = os.fdopen(writer, "w", encoding="utf-8")

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import pytest
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
@@ -37,6 +39,7 @@ def test_the_status_tells_of_them(robot_runner: Program, write_config: Write) ->
     assert told["bad_values"] == {"Energy": {"doubtful": ["r_1", "r_3"], "missing": ["r_4"]}}
 
 
+@pytest.mark.long
 def test_the_live_screen_marks_them(terminal: Terminals, write_config: Write) -> None:
     write_config(BODY)
     shown = terminal("run", "config.py")

@@ -107,8 +107,8 @@ def test_all_answers_are_judged_at_once() -> None:
     assert taken == {"remark": None}
     assert [(each.where, each.problem) for each in findings] == [
         ("voltage", "3 is below 9"),
-        ("plaec", "nothing asks for this"),
-        ("place", "there is no answer to this"),
+        ("plaec", "no question asks for this"),
+        ("place", "the question is not answered"),
     ]
     assert findings[1].fix == "Did you mean 'place'?"
 

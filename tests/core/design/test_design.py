@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from robot_runner.core.design.batches import described_design
 from robot_runner.core.design.design import ChosenCombinations, DesignedRuns, FullFactorial
-from robot_runner.core.design.design_facts import described_design
 from robot_runner.core.design.factor import Factor, full_factorial
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import DesignError, Finding

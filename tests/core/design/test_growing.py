@@ -78,6 +78,7 @@ growths = st.lists(
 )
 
 
+@pytest.mark.long
 @given(
     growths,
     st.integers(1, 3),

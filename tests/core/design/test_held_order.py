@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+from robot_runner.core.design.design import HeldOrder
 from robot_runner.core.design.factor import Factor
-from robot_runner.core.design.held_order import HeldOrder
 from robot_runner.core.design.run_table_model import RunTableModel
 
 HELD = HeldOrder(one_by_one="Robot", rest_between="Period", rest_in_s=60.0)

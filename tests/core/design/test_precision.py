@@ -74,6 +74,15 @@ def test_a_rule_that_does_not_fit_the_design_is_found() -> None:
     assert few == {1: ["error"], 2: ["error"], 3: ["warning"], 4: ["warning"], 5: []}
 
 
+def test_a_percentage_of_a_temperature_is_warned_of() -> None:
+    found = precision_findings(
+        "here", [Precision("Room", half_width="2 %", at_most=9)], 5, {"Room": "\N{DEGREE SIGN}C"}
+    )
+    [told] = [(each.severity.value, each.fix) for each in found]
+    assert told == ("warning", "Give it in the measure's unit, such as '1 \N{DEGREE SIGN}C'.")
+    assert not Precision("Room", half_width="1 \N{DEGREE SIGN}C", at_most=9).is_relative
+
+
 def test_each_combination_is_known_by_itself() -> None:
     values = {("Video",): [200.0, 202, 198, 201, 199], ("Idle",): [10.0, 20, 5, 12, 30]}
     found = judged(values, rule("5 %"))

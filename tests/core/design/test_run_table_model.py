@@ -152,8 +152,8 @@ def test_a_single_factor_is_no_list_of_factors() -> None:
         ({"repetitions": True}, "repetitions: True is of type bool → Give a whole number from 1."),
         ({"repetitions": 2.0}, "repetitions: 2.0 is of type float → Give a whole number from 1."),
         ({"shuffle": "yes"}, "shuffle: 'yes' is of type str → Give True or False."),
-        ({"seed": -1}, "seed: it is -1 → Give a whole number from 0, or leave it out."),
-        ({"seed": 1 << 1024}, "seed: it has 1,025 bits → Give a whole number from 0, or leave it out."),
+        ({"seed": -1}, "seed: the seed is -1 → Give a whole number from 0, or leave it out."),
+        ({"seed": 1 << 1024}, "seed: the seed has 1,025 bits → Give a whole number from 0, or leave it out."),
         ({"seed": "7"}, "seed: '7' is of type str → Give a whole number from 0, or leave it out."),
         ({"blocks": "task"}, "blocks: there is nothing called 'task' to make blocks of → Did you mean 'Task'?"),
         (

@@ -55,6 +55,7 @@ def model_of(design: tuple[list[Factor], dict[str, Any], int], **order: Any) -> 
     return RunTableModel(factors, [exclusion] if exclusion else [], repetitions, **order)
 
 
+@pytest.mark.long
 @given(designs())
 def test_as_written_the_plan_is_the_factorial_less_the_exclusions_times_the_repetitions(design: Any) -> None:
     factors, exclusion, repetitions = design
@@ -66,6 +67,7 @@ def test_as_written_the_plan_is_the_factorial_less_the_exclusions_times_the_repe
     assert [run.number for run in plan] == list(range(1, len(plan) + 1))
 
 
+@pytest.mark.long
 @given(designs(), st.integers(0, 2**64))
 def test_a_random_order_is_a_permutation_and_the_same_for_the_same_seed(design: Any, seed: int) -> None:
     as_written = model_of(design).plan()
@@ -79,6 +81,7 @@ def test_a_random_order_is_a_permutation_and_the_same_for_the_same_seed(design: 
     assert list(shuffled) == list(again)
 
 
+@pytest.mark.long
 @given(designs(), st.data())
 def test_every_block_is_complete(design: Any, data: st.DataObject) -> None:
     factors, exclusion, repetitions = design
@@ -98,6 +101,7 @@ def test_every_block_is_complete(design: Any, data: st.DataObject) -> None:
             assert found == Counter({text: once[text] * repetitions for text in found})
 
 
+@pytest.mark.long
 @given(designs(), st.booleans())
 def test_rows_hold_the_factors_own_treatments(design: Any, shuffle: bool) -> None:
     plan = model_of(design, shuffle=shuffle, seed=3).plan()
@@ -131,6 +135,7 @@ def test_a_run_can_be_sent_to_another_process() -> None:
     assert run.combination == {"Task": "Video", "Speed": 0.1}
 
 
+@pytest.mark.long
 def test_a_large_table_takes_few_bytes_a_run() -> None:
     factors = [Factor("A", range(300)), Factor("B", range(200))]
     tracemalloc.start()

@@ -46,6 +46,11 @@ def test_an_ambiguous_name_is_a_finding_that_names_the_choices() -> None:
     assert "'right.Energy'" in findings[0].problem
 
 
+def test_a_measure_that_is_named_with_its_plugin_where_no_other_has_it_is_told_by_its_name() -> None:
+    _, findings = resolve_columns(["PsUtil.CPU", "Laptop.CPU"], {"PsUtil": [CPU], "Ina219": [ENERGY]})
+    assert [(finding.is_error, finding.fix) for finding in findings] == [(True, "Write 'CPU'.")]
+
+
 def test_the_config_may_fill_a_plugins_column() -> None:
     columns, _ = resolve_columns(None, {"Ina219": [ENERGY]})
     assert columns.column_for(CONFIG_OWNER, "Energy").name == "Energy"

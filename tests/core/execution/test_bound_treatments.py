@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.notices import AttemptFinished, FindingsNoticed, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -70,6 +70,7 @@ def before_run(self, context):
 """
 
 
+@pytest.mark.long
 def test_setting_a_parameter_of_a_plugin_in_a_callback_is_refused_with_the_remedy(execute: Execute) -> None:
     executed = execute(SET, head=HEAD, table=SPEEDS)
     assert [row["status"] for row in executed.table] == ["Failed", "Failed"]
@@ -79,6 +80,7 @@ def test_setting_a_parameter_of_a_plugin_in_a_callback_is_refused_with_the_remed
     assert executed.journal("attempt_finished")[0]["stamps"].keys() == {"before_run"}  # nothing moved
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("process", ["FORK", "SPAWN", "IN_PROCESS"])
 def test_a_bound_speed_is_driven(execute: Execute, process: str) -> None:
     body = f"""
@@ -93,6 +95,7 @@ def test_a_bound_speed_is_driven(execute: Execute, process: str) -> None:
     assert not [each for each in executed.finished.findings if "looked at" in each.problem]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("process", ["FORK", "SPAWN", "IN_PROCESS"])
 def test_the_same_plugin_has_the_treatment_in_all_callbacks_of_a_run(execute: Execute, process: str) -> None:
     body = f"""
@@ -149,6 +152,7 @@ def test_each_record_says_which_value_each_parameter_had(execute: Execute) -> No
     assert manifest["design"]["factors"] == {"Rate": ["1.0", "2.0", "3.0"]}
 
 
+@pytest.mark.long
 def test_a_treatment_of_any_type_arrives_as_the_object_itself(execute: Execute) -> None:
     table = """
     def create_run_table(self):
@@ -180,6 +184,7 @@ def by_hand(config: Path, rows: str) -> None:
     (folder / "run_table.csv").write_text(rows, encoding="utf-8")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("process", ["FORK", "SPAWN"])
 def test_treatments_of_a_table_written_by_hand_arrive(write_config: Write, process: str) -> None:
     config = write_config(f"run_process = RunProcess.{process}\n{BOUND}", head=HEAD, table=RATES)
@@ -262,6 +267,7 @@ def test_a_factor_that_nobody_looks_at_is_found_after_the_first_run_and_told_aga
 READ = "def {}(self, context): self.rate = context.combination['Rate']"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("process", "callback"),
     [

@@ -4,6 +4,8 @@ import json
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 Execute = Callable[..., Any]
 
 #: In its first run, what a clock tells changes by so many seconds during the mission, and that stays so.
@@ -53,6 +55,7 @@ def test_a_clock_that_was_set_during_a_run_is_told_and_makes_no_value_doubtful(e
     assert doubts(executed) == {}
 
 
+@pytest.mark.long
 def test_a_simulated_robot_s_values_are_as_good_where_the_machine_was_suspended(execute: Execute) -> None:
     executed = execute(SUSPENDED + JUMP, robot="simulated")
     assert told(executed) == []

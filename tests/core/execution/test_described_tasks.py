@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ConfigError

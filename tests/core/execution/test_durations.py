@@ -102,10 +102,10 @@ def test_a_bound_parameter_is_asked_with_its_treatment() -> None:
 @pytest.mark.parametrize(
     ("answer", "problem"),
     [
-        (ValueError("no map"), "it raised ValueError: no map"),
-        (-1.0, "it returned -1.0"),
-        (float("nan"), "it returned nan"),
-        (True, "it returned True"),
+        (ValueError("no map"), "the method raised ValueError: no map"),
+        (-1.0, "the method returned -1.0"),
+        (float("nan"), "the method returned nan"),
+        (True, "the method returned True"),
     ],
 )
 def test_an_answer_that_is_no_duration_is_a_finding(answer: Any, problem: str) -> None:

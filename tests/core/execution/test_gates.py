@@ -109,6 +109,7 @@ def test_a_process_stands_by_for_each_run_and_for_no_gate(execute: Callable, mon
     assert asked == ["r_1", "r_2", "r_3", "r_4"]
 
 
+@pytest.mark.long
 def test_several_gates_are_passed_one_after_another(execute: Callable) -> None:
     executed = gated(execute, "Gate(SecondLook()), Gate(SecondLook().held_for(0.1))")
     opened = [each["condition"] for each in executed.journal("gate") if each["state"] == "open"]

@@ -78,6 +78,7 @@ def given(config: Path) -> dict[str, Any]:
     return given_values(prepare_or_refuse(config))
 
 
+@pytest.mark.long
 def test_a_value_of_a_plugin_from_the_environment_that_changes_is_told_like_a_changed_config(
     of_meter: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,7 +91,7 @@ def test_a_value_of_a_plugin_from_the_environment_that_changes_is_told_like_a_ch
         start(config)
     (finding,) = refused.value.findings
     assert finding.where == f"{config}, Meter.gain"
-    assert finding.problem.startswith("it was 1.0 and is 5.0, and comes from outside of the file")
+    assert finding.problem.startswith("the value was 1.0 and is 5.0, and comes from outside the file")
     assert "--accept-changes" in finding.fix
     start(config, accept_changes=True)
     first, second = manifest_of(config)["executions"]

@@ -51,6 +51,7 @@ def test_a_resume_needs_room_only_for_the_runs_that_are_left(
     assert finding.problem.startswith("1 run will keep about 0.00 MB")
 
 
+@pytest.mark.long
 def test_a_design_of_many_factors_is_planned_from_the_table_that_lists_its_runs(write_config: Write) -> None:
     config = write_config(READING, table=MANY_FACTORS)
     (refused,) = prepare(config).findings

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -70,6 +72,7 @@ def fetched(executed: Executed) -> str:
     return (run / "robot" / inner / "on board" / "nav.log").read_text()
 
 
+@pytest.mark.long
 def test_results_are_fetched_when_a_run_stops_well_or_not(server: SshServer, tmp_path: Path) -> None:
     well = execute_in(tmp_path, RESULTS, head=HEAD, table=ONE)
     assert well.finished.done_count == 1
@@ -84,6 +87,18 @@ def test_results_are_fetched_when_a_run_stops_well_or_not(server: SshServer, tmp
     assert fetched(late) == "driving\n"
 
 
+def test_results_that_an_earlier_run_has_left_are_told(server: SshServer, tmp_path: Path) -> None:
+    left = tmp_path / "on board" / "nav.log"
+    left.parent.mkdir()
+    left.write_text("of yesterday")
+    os.utime(left, (time.time() - 90_000, time.time() - 90_000))
+    body = RESULTS.replace("echo driving > '{HERE}/on board/nav.log'", "true")
+    said = [str(finding) for finding in execute_in(tmp_path, body, head=HEAD, table=ONE).finished.findings]
+    (told,) = [each for each in said if "fetched from robot" in each]
+    assert "on board/*.log was written 25 h" in told
+
+
+@pytest.mark.long
 def test_a_host_that_goes_away_fails_its_run_and_is_told_where_nothing_was_fetched(
     server: SshServer, tmp_path: Path
 ) -> None:
@@ -124,6 +139,7 @@ def test_hosts_are_checked_before_anything_is_executed(tmp_path: Path) -> None:
         )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("policy", "table", "before"),
     [("ONCE", BLOCKS, ["r_1"]), ("PER_BLOCK", BLOCKS, ["r_1", "r_3"])],
@@ -157,7 +173,7 @@ class RobotRunnerConfig("""
         assert record["away_s"] > 0.3
         assert record["is_new_kernel"] is False, "only sshd was started anew here"
     assert any(
-        "its kernel was not started anew" in str(each) for each in executed.notices if isinstance(each, FindingsNoticed)
+        "its kernel was not restarted" in str(each) for each in executed.notices if isinstance(each, FindingsNoticed)
     )
     assert [record["condition"] for record in executed.journal("waited")] == ["the host was started anew"] * len(before)
 
@@ -165,8 +181,8 @@ class RobotRunnerConfig("""
 @pytest.mark.parametrize(
     ("command", "problem"),
     [
-        ("echo not allowed >&2; exit 1", "it cannot be started anew: .* ended with exit status 1: not allowed"),
-        ("true", "it was told to start anew .* and was still there after 4 s"),
+        ("echo not allowed >&2; exit 1", "the host cannot be restarted: .* ended with exit status 1: not allowed"),
+        ("true", "the host was told to restart .* and was still there after 4 s"),
     ],
 )
 def test_a_host_that_does_not_start_anew_ends_the_experiment(

@@ -65,6 +65,15 @@ def test_a_slow_machine_is_no_earlier_execution_that_stood_by(tmp_path: Path, mo
     assert await_standby(ExperimentFolder(tmp_path)) is None
 
 
+def test_what_the_runs_of_a_slot_are_marked_with_is_found_out_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = ExperimentFolder(tmp_path)
+    RunMark(folder).close()
+    monkeypatch.setattr(Path, "resolve", None)
+    RunMark(folder).close()
+
+
 def test_a_run_cannot_be_marked_where_the_file_system_offers_no_such_locks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

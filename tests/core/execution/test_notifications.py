@@ -89,6 +89,7 @@ def hanging_server() -> Iterator[str]:
         yield f"json://user:{SECRET}@127.0.0.1:{listening.getsockname()[1]}/?rto=60&cto=60"
 
 
+@pytest.mark.long
 def test_somebody_is_told_of_failures_progress_and_the_end_and_the_address_stays_secret(
     execute: Execute, server: Server, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -115,6 +116,7 @@ def test_somebody_is_told_of_failures_progress_and_the_end_and_the_address_stays
     assert not any(SECRET.encode() in text for text in [*kept, said.out.encode(), said.err.encode()])
 
 
+@pytest.mark.long
 def test_a_gate_that_waits_for_long_is_told_once(
     server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -138,6 +140,7 @@ class Leaving(RecordingObserver):
             os.kill(os.getpid(), signal.SIGINT)
 
 
+@pytest.mark.long
 def test_who_is_waited_for_and_what_cannot_go_on_is_told(server: Server, tmp_path: Path) -> None:
     (tmp_path / "addresses").write_text(server.address, encoding="utf-8")
     config = written_config(
@@ -155,6 +158,7 @@ def test_who_is_waited_for_and_what_cannot_go_on_is_told(server: Server, tmp_pat
     assert told["trial could not go on"].startswith("after_experiment of config: ValueError: no lamp")
 
 
+@pytest.mark.long
 def test_a_server_that_hangs_holds_no_run_up_and_is_warned_of_once(
     execute: Execute, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,8 +191,12 @@ def test_a_server_that_hangs_holds_no_run_up_and_is_warned_of_once(
 @pytest.mark.parametrize(
     ("written", "problem", "is_error"),
     [
-        ("Notify()", "nobody will be told: the environment variable ROBOT_RUNNER_NOTIFY names no address", False),
-        ('Notify(url_from="/nowhere/at_all")', "nobody will be told: the file /nowhere/at_all names no address", False),
+        ("Notify()", "nobody will be notified: the environment variable ROBOT_RUNNER_NOTIFY names no address", False),
+        (
+            'Notify(url_from="/nowhere/at_all")',
+            "nobody will be notified: the file /nowhere/at_all names no address",
+            False,
+        ),
         (f'Notify(url_from="ntfy://{SECRET}")', "url_from is an address itself", True),
         ('Notify(url_from="a variable")', "'a variable' names no environment variable", True),
         ('Notify(on=["ende"])', "on holds 'ende'", True),

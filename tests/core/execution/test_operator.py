@@ -20,7 +20,7 @@ from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.notices import AnswersRefused, AttemptStarted, WaitingForUser
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
-from robot_runner.core.storage.lock import Command, send_command
+from robot_runner.core.storage.lock import send_continue
 from robot_runner.replication.explanation import explain_run
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ class Person(RecordingObserver):
 
     def refresh(self) -> None:
         if self._said is not None and self._control is not None and not self._control.exists():
-            send_command(self._control, Command.CONTINUE, self._said)
+            send_continue(self._control, self._said)
 
     def close(self) -> None:
         os.close(self._reader)
@@ -96,6 +96,7 @@ def steps(*words: str) -> str:
     return f"operator_steps = [{', '.join(words)}]"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("rule", "runs"),
     [
@@ -153,6 +154,7 @@ def test_an_answer_is_a_measure_of_its_run_and_a_note_stays_in_the_journal(execu
     assert ("From", "a person, who was asked before the run") in explained.values[0].facts
 
 
+@pytest.mark.long
 def test_nothing_is_said_of_what_nobody_was_asked(execute: Callable) -> None:
     body = f"""
     {steps(f'OperatorStep("swap the battery", every=3, ask=[{VOLTAGE}])')}
@@ -205,8 +207,8 @@ def test_answers_from_another_terminal_are_validated_here_too(execute: Callable)
     refused = next(each.findings for each in executed.notices if isinstance(each, AnswersRefused))
     assert [finding.problem for finding in refused] == [
         "99 is above 13 V",
-        "nothing asks for this",
-        "there is no answer to this",
+        "no question asks for this",
+        "the question is not answered",
     ]
     assert (executed.table[0]["voltage"], executed.table[0]["name"]) == ("12.0", "Ada")
 
@@ -218,11 +220,11 @@ def test_who_confirms_the_first_of_two_steps_twice_has_not_done_the_second(execu
         control = waiting.folder / ".control"
         if waiting.step == "swap the battery":
             return "\n"
-        send_command(control, Command.CONTINUE, asked=(waiting.run_id, "swap the battery"))
+        send_continue(control, asked=(waiting.run_id, "swap the battery"))
 
         def confirm_the_second() -> None:
             left.append(control.exists())
-            send_command(control, Command.CONTINUE, asked=(waiting.run_id, waiting.step))
+            send_continue(control, asked=(waiting.run_id, waiting.step))
 
         threading.Timer(1.0, confirm_the_second).start()
         return ""
@@ -264,6 +266,7 @@ def test_a_session_that_goes_on_asks_only_for_what_the_run_to_come_needs(execute
     assert [row["voltage"] for row in executed.table] == ["12.0", "", "", "12.0"]
 
 
+@pytest.mark.long
 def test_an_answer_about_a_run_that_did_not_come_to_its_end_is_kept(execute: Callable, tmp_path: Path) -> None:
     body = steps(f'OperatorStep("swap the battery", every=9, ask=[{VOLTAGE}])')
     body += """

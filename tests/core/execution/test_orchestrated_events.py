@@ -143,6 +143,7 @@ def test_a_callback_that_swallows_everything_is_ended_after_the_grace(execute: E
     assert "event_deadline_in_s" in executed.finished.failures[0]
 
 
+@pytest.mark.long
 def test_a_callback_that_hangs_in_c_ends_the_orchestrator_and_the_experiment_resumes(
     write_config: Callable[..., Path], program: str, tmp_path: Path
 ) -> None:

@@ -60,6 +60,7 @@ def executed(run_process: str, tmp_path_factory: pytest.TempPathFactory) -> Exec
     return execute_in(folder, body, run_process=run_process, operation_type="semi", table=THREE_RUNS)
 
 
+@pytest.mark.long
 def test_every_run_ends_up_done_with_its_measures(executed: Executed) -> None:
     assert executed.finished.done_count == 3
     assert [row["status"] for row in executed.table] == ["Done"] * 3
@@ -140,6 +141,7 @@ def test_what_programs_started_by_callbacks_print_goes_to_the_log_as_well(execut
     assert executed.log("r_1") == "from a shell\n"
 
 
+@pytest.mark.long
 def test_an_exception_fails_the_run_and_the_experiment_goes_on(execute: Execute, run_process: str) -> None:
     executed = execute(
         """
@@ -183,6 +185,7 @@ def test_the_policy_can_stop_the_experiment_at_the_first_failed_run(execute: Exe
     assert [row["status"] for row in executed.table] == ["Failed", "-", "-", "-"]
 
 
+@pytest.mark.long
 def test_a_run_is_tried_again_and_the_earlier_attempt_is_kept(execute: Execute, run_process: str) -> None:
     executed = execute(
         """
@@ -238,6 +241,7 @@ def test_a_measure_that_nobody_gave_is_missing_and_said_to_be(execute: Execute) 
     assert {finding.problem for finding in executed.finished.findings} == {"Energy has no value"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("death", "reason"),
     [
@@ -315,6 +319,7 @@ def test_a_second_execution_of_a_finished_experiment_executes_nothing(execute: E
     assert [row["Energy"] for row in again.table] == ["1"] * 4
 
 
+@pytest.mark.long
 def test_failed_runs_are_executed_again_when_the_experiment_is_resumed(execute: Execute) -> None:
     body = """
         def populate_run_data(self, context):
@@ -327,6 +332,7 @@ def test_failed_runs_are_executed_again_when_the_experiment_is_resumed(execute: 
     assert [row["Energy"] for row in again.table] == ["1", "2", "1", "1"]
 
 
+@pytest.mark.long
 def test_the_order_of_a_resumed_experiment_is_the_recorded_one(execute: Execute) -> None:
     table = """\
     def create_run_table(self):
@@ -342,6 +348,7 @@ def test_the_order_of_a_resumed_experiment_is_the_recorded_one(execute: Execute)
     assert any("all runs are executed anew" in each.problem for each in again.finished.findings)
 
 
+@pytest.mark.long
 def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) -> None:
     body = """
         def before_run(self, context):
@@ -364,6 +371,7 @@ def test_two_orchestrators_on_one_experiment_are_one_too_many(execute: Execute) 
     assert executed.finished.done_count == 4
 
 
+@pytest.mark.long
 def test_a_fresh_interpreter_that_cannot_load_the_config_says_the_cause(execute: Execute) -> None:
     head = """\
 from pathlib import Path
@@ -381,6 +389,7 @@ class RobotRunnerConfig(ExperimentConfig):
     assert "the camera is busy" in executed.finished.failures[0], "that it exited with code 1 is not the cause"
 
 
+@pytest.mark.long
 def test_a_fresh_interpreter_takes_its_library_from_python_whatever_the_folder_that_it_is_started_in_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

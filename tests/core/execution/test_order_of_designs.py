@@ -62,6 +62,7 @@ def moments(executed: Any, factor: str) -> dict[str, list[tuple[float, float, An
     return {name: list(mine) for name, mine in groupby(found, key=lambda each: each[2][factor])}
 
 
+@pytest.mark.long
 def test_units_of_a_crossover_go_on_side_by_side_each_in_its_periods_with_its_rests(
     execute: Callable[..., Any],
 ) -> None:
@@ -85,6 +86,7 @@ def test_units_of_a_crossover_go_on_side_by_side_each_in_its_periods_with_its_re
     assert not any("looked at" in str(finding) for findings in told for finding in findings), "a period is not applied"
 
 
+@pytest.mark.long
 def test_no_whole_plot_begins_before_the_one_before_it_is_over(execute: Callable[..., Any]) -> None:
     execute(BODY, head=DESIGNS, table=SPLIT_PLOT, workers=3)
     done = execute(BODY, head=DESIGNS, table=SPLIT_PLOT, workers=3)
@@ -97,6 +99,7 @@ def test_no_whole_plot_begins_before_the_one_before_it_is_over(execute: Callable
     assert sum(one != other for one, other in pairwise(floors)) <= 3
 
 
+@pytest.mark.long
 def test_units_and_squares_are_added_by_the_same_design_and_what_was_planned_stays(
     execute: Callable[..., Any], tmp_path: Path
 ) -> None:

@@ -85,7 +85,7 @@ def test_a_meter_that_does_not_speak_refuses_the_experiment_before_the_robot_mov
 def test_trying_a_meter_that_does_not_speak_does_not_go_well(robot_runner: Program, strange_port: str) -> None:
     result = robot_runner("try", "Ina219", "--set", f"port={strange_port}", "--seconds", "0.5")
     assert result.code == 1
-    assert "failed: it measured nothing: no value of Energy, EnergyPt and MeanPower" in result.out
+    assert "failed: the plugin measured nothing: no value of Energy, EnergyPt and MeanPower" in result.out
 
 
 METERS = '''\
@@ -300,6 +300,7 @@ def test_a_profiler_is_probed_with_the_treatments_of_the_first_run(
     assert probe["profilers"]["A"]["measures"]["Power_A"] == "heavy"
 
 
+@pytest.mark.long
 def test_each_execution_that_has_something_to_do_begins_with_a_probe(
     robot_runner: Program, study: Callable[..., Path], here: Path
 ) -> None:
@@ -358,6 +359,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 def test_of_several_robots_each_is_checked_and_probed_and_findings_name_it(robot_runner: Program, here: Path) -> None:
     config = here / "study.py"
     config.write_text(TWO_ROBOTS.format(unknown="8", severity="error"), encoding="utf-8")

@@ -91,6 +91,7 @@ def test_the_run_table_tells_the_quality_on_request(execute: Execute) -> None:
     ]
 
 
+@pytest.mark.long
 def test_doubts_outlast_a_resumption_and_go_with_the_attempt_that_they_were_about(execute: Execute) -> None:
     executed = execute(DOUBTING)
     experiment = prepare_or_refuse(executed.config)

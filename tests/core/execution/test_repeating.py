@@ -156,6 +156,7 @@ def test_what_no_repetition_makes_precise_is_told_and_not_repeated(execute: Exec
     assert any(told in each for each in problems(executed.finished.findings))
 
 
+@pytest.mark.long
 def test_killed_at_any_step_of_a_repetition_it_goes_on_as_if_nothing_had_happened(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
     whole.mkdir()
@@ -256,6 +257,7 @@ def test_a_part_of_the_runs_is_not_repeated_and_a_redone_run_is_judged_anew(exec
     assert any(isinstance(notice, PrecisionJudged) for notice in observer.notices)
 
 
+@pytest.mark.long
 def test_an_extended_experiment_goes_on_until_all_is_precise(execute: Execute) -> None:
     executed = execute(noisy(at_most=20), table=TABLE)
     count = len(executed.table)
@@ -297,6 +299,7 @@ def test_a_grown_table_that_was_lost_comes_back(execute: Execute) -> None:
     assert planned(rows_of(executed.config)) == rows
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("process", ["FORK", "SPAWN"])
 def test_added_runs_are_executed_in_processes_of_their_own(execute: Execute, process: str) -> None:
     body = noisy(spread=30, at_most=4).replace("IN_PROCESS", process)

@@ -40,6 +40,7 @@ def write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
+@pytest.mark.long
 def test_done_runs_can_be_executed_again_and_keep_what_they_left(execute: Execute) -> None:
     executed = execute(COUNTING + "\ndef launch_mission(self, context): print('attempt', context.attempt)")
     table = resume(executed.config, redo=("r_2", "r_4"))
@@ -71,6 +72,7 @@ def test_a_changed_config_is_refused_with_the_lines_that_changed(execute: Execut
     assert "--accept-changes" in finding.fix
 
 
+@pytest.mark.long
 def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, write_config: Write) -> None:
     executed = execute(COUNTING)
     resume(write_config(COUNTING.replace("context.attempt", "7")), accept_changes=True)
@@ -78,6 +80,7 @@ def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, wr
     assert "7" not in (executed.folder / "earlier_configs" / "1" / "config.py").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_another_config_that_names_the_same_experiment_is_compared_and_a_renamed_one_goes_on(
     execute: Execute, write_config: Write
 ) -> None:
@@ -91,6 +94,7 @@ def test_another_config_that_names_the_same_experiment_is_compared_and_a_renamed
     assert (executed.folder / "config" / manifest["config"]["file"]).read_bytes() == other.read_bytes()
 
 
+@pytest.mark.long
 def test_comments_and_blank_lines_are_no_change(execute: Execute, write_config: Write) -> None:
     execute(COUNTING)
     assert len(resume(write_config("# a remark\n\n\n" + COUNTING))) == 4
@@ -135,6 +139,7 @@ def test_another_scheduler_of_a_cluster_is_no_change_and_none_is_one(execute: Ex
     assert finding.problem.endswith("set by --set cluster=tcp://10.0.0.1:8786 and is not set")
 
 
+@pytest.mark.long
 def test_a_table_that_differs_from_the_plan_is_refused_cell_by_cell(execute: Execute) -> None:
     executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
@@ -147,6 +152,7 @@ def test_a_table_that_differs_from_the_plan_is_refused_cell_by_cell(execute: Exe
     assert path.exists()
 
 
+@pytest.mark.long
 def test_a_table_that_differs_can_be_accepted(execute: Execute) -> None:
     executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
@@ -155,6 +161,7 @@ def test_a_table_that_differs_can_be_accepted(execute: Execute) -> None:
     assert len(resume(executed.config, accept_changes=True)) == 3
 
 
+@pytest.mark.long
 def test_a_run_that_a_user_marks_as_to_do_is_executed_again(execute: Execute) -> None:
     executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
@@ -233,6 +240,7 @@ def test_a_torn_last_line_of_the_journal_is_skipped(execute: Execute) -> None:
     assert b"2026-{" not in journal.read_bytes()
 
 
+@pytest.mark.long
 def test_runs_that_the_table_had_not_yet_are_taken_from_the_journal(execute: Execute) -> None:
     executed = execute(COUNTING)
     journal = executed.folder / "journal.jsonl"
@@ -301,6 +309,7 @@ def test_what_changed_of_machine_and_software_since_the_first_execution_is_told(
     }
 
 
+@pytest.mark.long
 def test_the_same_machine_and_software_are_told_as_such(execute: Execute) -> None:
     executed = execute(COUNTING)
     finished = execute_experiment(prepare_or_refuse(executed.config), SilentObserver())
@@ -323,6 +332,7 @@ def test_a_newer_format_is_refused(write_config: Write) -> None:
         resume(config)
 
 
+@pytest.mark.long
 def test_a_table_that_is_as_the_journal_knows_it_is_not_written_again(execute: Execute) -> None:
     executed = execute(COUNTING)
     before = (executed.folder / "run_table.csv").stat()
@@ -333,6 +343,7 @@ def test_a_table_that_is_as_the_journal_knows_it_is_not_written_again(execute: E
     assert "table_written" not in added
 
 
+@pytest.mark.long
 def test_columns_in_another_order_are_put_right_when_an_experiment_goes_on(execute: Execute) -> None:
     executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
@@ -343,6 +354,7 @@ def test_columns_in_another_order_are_put_right_when_an_experiment_goes_on(execu
     assert path.read_text(encoding="utf-8") == written
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("has_schema", [True, False])
 def test_the_origins_of_measures_are_known_after_resuming(execute: Execute, has_schema: bool) -> None:
     executed = execute(COUNTING)

@@ -45,6 +45,7 @@ def shares(executed: Any) -> Counter[tuple[str, str]]:
     return Counter((row["Speed"], row["Robot"]) for row in executed.table)
 
 
+@pytest.mark.long
 def test_each_combination_is_executed_equally_often_on_each_robot_however_fast_it_is(
     execute: Callable[..., Any],
 ) -> None:
@@ -61,6 +62,7 @@ def test_each_combination_is_executed_equally_often_on_each_robot_however_fast_i
     assert origins["Robot"] == "measured"
 
 
+@pytest.mark.long
 def test_an_experiment_that_goes_on_counts_what_each_robot_has_done(execute: Callable[..., Any]) -> None:
     from robot_runner.core.config.preparation import prepare_or_refuse
     from robot_runner.core.execution.notices import SilentObserver
@@ -74,6 +76,7 @@ def test_an_experiment_that_goes_on_counts_what_each_robot_has_done(execute: Cal
     assert [row["status"] for row in executed.table] == ["Done"] * 8
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("again", ["done runs", "excluded runs", "warm-up runs"])
 def test_runs_that_are_executed_again_take_turns_again(execute: Callable[..., Any], again: str) -> None:
     from robot_runner.cli.excluding import exclude_runs
@@ -93,6 +96,7 @@ def test_runs_that_are_executed_again_take_turns_again(execute: Callable[..., An
     assert Counter(warming_up) == ({"alice": 2, "bob": 2} if again == "warm-up runs" else {})
 
 
+@pytest.mark.long
 def test_a_robot_that_fails_again_and_again_is_set_aside_and_its_runs_go_to_the_other(
     execute: Callable[..., Any],
 ) -> None:
@@ -105,12 +109,14 @@ def test_a_robot_that_fails_again_and_again_is_set_aside_and_its_runs_go_to_the_
     assert [record["place"] for record in executed.journal("set_aside")] == ["bob"]
 
 
+@pytest.mark.long
 def test_the_last_robot_is_never_set_aside(execute: Callable[..., Any]) -> None:
     executed = execute(head=HEAD.replace('or "nobody"', 'or ""'), table=TABLE)
     assert executed.finished.failed_count == 8
     assert len(executed.journal("set_aside")) == 1
 
 
+@pytest.mark.long
 def test_what_cannot_take_turns_is_refused_with_all_findings(write_config: Callable[..., Path]) -> None:
     with pytest.raises(ConfigError) as refused:
         Robots("ros2://alice", "ros2://alice")

@@ -198,6 +198,7 @@ def test_a_mission_on_the_simulated_robot_ends_from_a_topic_and_from_a_thread(ex
     assert failure_of(executed).problem == "too warm"
 
 
+@pytest.mark.long
 def test_a_run_can_be_failed_before_and_after_its_mission(execute: Execute) -> None:
     executed = ended(execute, start="context.fail('the door is open')")
     assert str(failure_of(executed)) == "start_run of config: the door is open"
@@ -246,7 +247,8 @@ def test_a_closing_event_that_hangs_is_told_with_its_owner_and_where_it_hangs(ex
     executed = execute(hang, head=HEAD, table=TABLE, event_deadline_in_s=2, grace_in_s=1)
     because = "the event took longer than event_deadline_in_s = 2 s"
     assert executed.finished.failures == (f"r_1: stop_measurement of config: {because}",)
-    _, _, stack = executed.log("r_1").partition("stop_measurement of config failed: it was still going on when")
+    failed = "stop_measurement of config failed: the callback was still being executed when"
+    _, _, stack = executed.log("r_1").partition(failed)
     assert "in stop_measurement" in stack
 
 
@@ -334,6 +336,7 @@ def test_without_a_run_around_it_a_context_ends_the_callback_in_place(tmp_path: 
         context.stop_mission("goal reached")
 
 
+@pytest.mark.long
 def test_the_example_of_the_page_drives_a_metre_and_stops(tmp_path: Path) -> None:
     page = (Path(__file__).parents[3] / "docs" / "stop-or-fail.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)

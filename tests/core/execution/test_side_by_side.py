@@ -184,6 +184,7 @@ def gathered(run_id, places):
 """
 
 
+@pytest.mark.long
 def test_each_place_rests_and_gates_are_awaited_side_by_side(execute: Callable[..., Any]) -> None:
     head = PORTS.replace(
         "class Lamp",
@@ -205,6 +206,7 @@ class Lamp""",
     assert len(waits) == 8
 
 
+@pytest.mark.long
 def test_values_of_simulated_runs_do_not_depend_on_the_number_of_workers(execute: Callable[..., Any]) -> None:
     head = (
         PORTS.replace(

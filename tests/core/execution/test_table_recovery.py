@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.conftest import TABLE
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
@@ -54,6 +55,7 @@ def edited(executed: Any, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("content", [None, "", "\n"], ids=["deleted", "emptied", "blank"])
 @pytest.mark.parametrize("table", [None, SHUFFLED], ids=["in order", "shuffled"])
 def test_a_lost_run_table_is_made_whole_and_nothing_is_executed_again(
@@ -69,6 +71,7 @@ def test_a_lost_run_table_is_made_whole_and_nothing_is_executed_again(
     assert any("made anew from the plan and the journal" in finding.problem for finding in finished.findings)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["run_table.schema.json", "manifest.json"])
 @pytest.mark.parametrize("content", [None, "", '{"fields": 3'], ids=["deleted", "emptied", "torn"])
 def test_a_lost_schema_or_manifest_is_made_whole(execute: Execute, name: str, content: str | None) -> None:
@@ -187,6 +190,21 @@ def test_a_measure_column_that_was_removed_comes_back_with_its_values(execute: E
     assert text_of(path) == before
 
 
+def test_a_column_that_is_no_measure_any_more_keeps_nothing_of_an_earlier_attempt(
+    execute: Execute, write_config: Any
+) -> None:
+    executed = execute(COUNTING)
+    path = executed.folder / "run_table.csv"
+    head, first, *rest = text_of(path).splitlines()
+    lines = [f"{head},Notes", f"{first},slippery", *(f"{each}," for each in rest)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_config(COUNTING.replace("Energy", "Power"), table=TABLE.replace("Energy", "Power"))
+    for run_id, energies in (("r_1", ["", "21", "31", "41"]), ("r_2", ["", "", "31", "41"])):
+        resume(executed, redo=(run_id,), accept_changes=True)
+        assert [row["Energy"] for row in executed.table] == energies
+    assert [(row["Power"], row["Notes"]) for row in executed.table][:2] == [("12", "slippery"), ("22", "")]
+
+
 def test_a_truncated_table_is_made_anew_where_the_journal_counts(execute: Execute) -> None:
     executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
@@ -223,6 +241,7 @@ def test_where_one_cause_changed_many_cells_it_is_told_once(execute: Execute) ->
     assert finding.problem.startswith("6 runs have another value than the journal: r_1 has '11.0001' for '11', ")
 
 
+@pytest.mark.long
 def test_rows_that_a_user_sorts_are_executed_in_that_order_and_told(execute: Execute) -> None:
     executed = execute("def populate_run_data(self): return {'Energy': 1}", table=SHUFFLED)
     path = executed.folder / "run_table.csv"

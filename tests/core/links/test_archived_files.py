@@ -6,14 +6,15 @@ import errno
 import io
 import os
 import tarfile
+import time
 from typing import TYPE_CHECKING, Any
+
+import pytest
 
 from robot_runner.core.links.archived_files import unpack
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    import pytest
 
 _PLENTY = 1_000_000
 
@@ -52,6 +53,20 @@ def test_a_file_that_cannot_be_written_here_is_told_and_the_next_ones_come(tmp_p
         f"/{long} cannot be written here: File name too long",
     ]
     assert unpacked.size == 2
+
+
+@pytest.mark.parametrize(("mtime", "kept"), [("1600000000.5", 1600000000.5), ("nan", None), ("1e300", None)])
+def test_a_file_has_the_time_at_which_it_was_written_there_if_that_is_one(
+    tmp_path: Path, mtime: str, kept: float | None
+) -> None:
+    archive = io.BytesIO()
+    with tarfile.open(fileobj=archive, mode="w", format=tarfile.PAX_FORMAT) as tar:
+        member = tarfile.TarInfo("log")
+        member.pax_headers = {"mtime": mtime}
+        tar.addfile(member)
+    archive.seek(0)
+    (file,) = unpack(archive, tmp_path, _PLENTY).files
+    assert file.stat().st_mtime == (kept or pytest.approx(time.time(), abs=60))
 
 
 def test_a_folder_does_not_take_the_place_of_a_file_that_came_before(tmp_path: Path) -> None:

@@ -391,6 +391,7 @@ def test_names_with_addresses_are_hosts() -> None:
         assert not are_hosts(odd)
 
 
+@pytest.mark.long
 def test_paths_of_a_host_may_be_paths() -> None:
     assert Host(address="pi@robot", fetch=Path("/var/nav.log")).fetch == ("/var/nav.log",)
     assert Host(address="pi@robot", fetch=[Path("/a"), "~/b"]).fetch == ("/a", "~/b")

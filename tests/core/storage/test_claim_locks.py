@@ -59,7 +59,7 @@ def test_where_claims_cannot_be_written_it_is_said_and_nothing_is_refused(
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     with HeldClaims(["device:camera 0"], "one", tmp_path) as held:
-        assert "nobody is kept out who claims device:camera 0" in held.findings[0].problem
+        assert "other experiments that claim device:camera 0 are not kept out" in held.findings[0].problem
 
 
 def test_a_link_in_the_place_of_a_claim_is_not_followed(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_where_the_file_system_has_no_locks_it_is_said_and_nothing_is_refused(
 
     monkeypatch.setattr(fcntl, "lockf", refuse)
     with HeldClaims(["serial:a"], "one", tmp_path) as held:
-        assert "nobody is kept out who claims serial:a" in held.findings[0].problem
+        assert "other experiments that claim serial:a are not kept out" in held.findings[0].problem
         assert "No locks available" in held.findings[0].problem
     assert claim_holders(["serial:a"]) == {}
 

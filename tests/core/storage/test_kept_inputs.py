@@ -106,6 +106,7 @@ def test_a_model_that_is_left_out_is_compared_with_its_meshes(study: Path, monke
     assert len(list(missing_inputs(kept))) == 1
 
 
+@pytest.mark.long
 def test_the_largest_copy_can_be_compared_when_the_experiment_goes_on(study: Path) -> None:
     with (study / "hall.mcap").open("wb") as file:
         file.truncate(input_files._LARGEST)

@@ -13,12 +13,10 @@ import pytest
 from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.storage.journal import Journal
 from robot_runner.core.storage.lock import (
-    Command,
     ExperimentLock,
-    forget_command,
     holder_of,
-    send_command,
-    take_command,
+    send_continue,
+    take_request,
 )
 
 if TYPE_CHECKING:
@@ -162,28 +160,27 @@ def test_a_lock_in_a_folder_that_is_not_there_is_an_error(tmp_path: Path) -> Non
 
 def test_a_command_is_taken_once(tmp_path: Path) -> None:
     control = tmp_path / ".control"
-    assert take_command(control) is None
-    send_command(control, Command.CONTINUE)
-    assert take_command(control) is Command.CONTINUE
-    assert take_command(control) is None
+    assert take_request(control) is None
+    send_continue(control)
+    assert take_request(control) is not None
+    assert take_request(control) is None
 
 
 def test_a_command_that_answers_one_question_is_left_alone_by_who_asks_another(tmp_path: Path) -> None:
     control = tmp_path / ".control"
-    send_command(control, Command.CONTINUE, asked=("r_3", "swap the battery"))
-    assert take_command(control, ("r_3", "close the door")) is None
-    assert take_command(control, ("r_3", "swap the battery")) is Command.CONTINUE
-    send_command(control, Command.CONTINUE)  # of an older client
-    assert take_command(control, ("r_3", "close the door")) is Command.CONTINUE
+    send_continue(control, asked=("r_3", "swap the battery"))
+    assert take_request(control, ("r_3", "close the door")) is None
+    assert take_request(control, ("r_3", "swap the battery")) is not None
+    send_continue(control)  # of an older client
+    assert take_request(control, ("r_3", "close the door")) is not None
 
 
-def test_a_command_can_be_forgotten_and_nonsense_is_none(tmp_path: Path) -> None:
+@pytest.mark.parametrize("nonsense", ["dance", '{"command": "dance"}'])
+def test_what_no_command_of_ours_has_left_is_no_request(tmp_path: Path, nonsense: str) -> None:
     control = tmp_path / ".control"
-    send_command(control, Command.CONTINUE)
-    forget_command(control)
-    assert take_command(control) is None
-    control.write_text("dance")
-    assert take_command(control) is None
+    control.write_text(nonsense)
+    assert take_request(control) is None
+    assert not control.exists()
 
 
 def test_where_the_file_system_has_no_locks_nobody_holds_one_and_nobody_can(

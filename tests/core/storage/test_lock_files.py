@@ -131,6 +131,7 @@ print(times)
 """
 
 
+@pytest.mark.long
 def test_of_many_that_replace_a_lock_at_once_one_at_a_time_holds_it(tmp_path: Path) -> None:
     path = tmp_path / ".lock"
     path.touch(0o644)

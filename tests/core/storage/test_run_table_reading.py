@@ -173,8 +173,8 @@ def test_without_its_config_a_table_goes_by_looks_and_types(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("text", "findings"),
     [
-        ("", ["run_table.csv: there are no runs in it → {empty}"]),
-        ("Task,Speed\n", ["run_table.csv: there are no runs in it → {empty}"]),
+        ("", ["run_table.csv: the run table has no runs → {empty}"]),
+        ("Task,Speed\n", ["run_table.csv: the run table has no runs → {empty}"]),
         ("Tasks,Speed\nVideo,1\n", ["run_table.csv, line 1: the column of factor 'Task' is missing → Rename 'Tasks'."]),
         (
             "Speed\n1\n",

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -79,6 +80,7 @@ def as_factor(values: list[Any]) -> list[Any]:
     return kept
 
 
+@pytest.mark.long
 @given(factors.map(as_factor), factors.map(as_factor), st.integers(1, 3), st.booleans())
 def test_treatments_come_back_as_they_are(one: list[Any], other: list[Any], repetitions: int, shuffle: bool) -> None:
     model = RunTableModel([Factor("One", one), Factor("Other", other)], repetitions=repetitions, shuffle=shuffle)
@@ -92,6 +94,7 @@ def test_treatments_come_back_as_they_are(one: list[Any], other: list[Any], repe
         assert read.run_id(place) == run.run_id
 
 
+@pytest.mark.long
 @given(st.lists(st.tuples(measures, measures, st.sampled_from(RunStatus)), min_size=1, max_size=8))
 def test_measures_and_statuses_come_back_as_they_are(records: list[tuple[Any, Any, RunStatus]]) -> None:
     model = RunTableModel([Factor("N", range(len(records)))])

@@ -129,6 +129,7 @@ def test_a_measure_called_like_a_factor_is_refused() -> None:
     )
 
 
+@pytest.mark.long
 def test_a_large_table_takes_few_bytes_a_run() -> None:
     model = RunTableModel([Factor("A", range(300)), Factor("B", range(200))], shuffle=True)
     layout = TableLayout.of_model(model, ["CPU", "Energy"])

@@ -145,7 +145,7 @@ def test_none_as_a_treatment_is_no_missing_value() -> None:
         ('{"fields": 5}', "fields is 5, not a list"),
         ('{"fields": [{"type": "number"}]}', "fields[0].name is missing"),
         ('{"fields": [{"name": "A", "unit": ["J"]}]}', "fields[0].unit is a list, not a text"),
-        ('{"fields": [{"name": "A"}, {"name": "A"}]}', "it has two fields for 'A'"),
+        ('{"fields": [{"name": "A"}, {"name": "A"}]}', "two fields are for 'A'"),
         ('{"fields": [], "fields": []}', "the file is not valid JSON: the key 'fields' is there twice"),
         ("[" * 100_000, "its JSON is nested deeper than 64 levels"),
         ('{"fields": [{"name": "A", "robot_runner:role": "odd"}]}', "fields[0] has the unknown role 'odd'"),
@@ -169,6 +169,7 @@ def test_a_schema_of_another_tool_is_read_with_all_columns_as_a_users_own(tmp_pa
     assert read_schema(tmp_path / "schema.json") == (ColumnDescription(name="A", role=ColumnRole.EXTRA, type="number"),)
 
 
+@pytest.mark.long
 def test_frictionless_finds_the_table_valid_and_its_faults(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the library's own

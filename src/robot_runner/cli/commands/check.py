@@ -20,9 +20,8 @@ from robot_runner.cli.design_words import (
 from robot_runner.cli.findings import as_json, print_findings, tally
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import add_config, add_json, add_set
-from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.config.preparation import Preparation
+from robot_runner.core.config.preparation import Preparation, prepare
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.precision import rule_in_words
 from robot_runner.core.execution.probe import probe_experiment
@@ -75,6 +74,7 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
     if experiment is None:
         console.tell(f"{config} is refused: {tally(preparation.findings)}.", style="bold")
         return
+    found = experiment.registration
     doubts = f", with {tally(preparation.findings)}" if preparation.findings else ""
     console.tell(f"{config} can be executed{doubts}.", style="bold")
     print_facts(
@@ -91,7 +91,7 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
             *_seen(probe),
             ("Robot", ", ".join(experiment.parameters.robots) or experiment.parameters.robot or "none"),
             ("Mode", experiment.parameters.operation_type.name),
-            ("Registered", _registered(experiment)),
+            ("Registered", f"{found.registered_at}, SHA-256 {found.sha256}" if found else ""),
             ("Results", shown_path(experiment.folder.root)),
             ("Set", ", ".join(f"{name}={value}" for name, value in shown_settings(experiment.overrides).items())),
         ],
@@ -100,11 +100,6 @@ def _print(console: UserConsole, config: str, preparation: Preparation, probe: P
 
 #: What is to be known before an experiment is repeated until it is precise.
 _ASSUMED = "hold at 95 % for values that are near to normal, in 88 to 95 % for skewed ones"
-
-
-def _registered(experiment: Experiment) -> str:
-    found = experiment.registration
-    return "" if found is None else f"{found.registered_at}, SHA-256 {found.sha256}"
 
 
 def _repeated(experiment: Experiment) -> str:

@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import shown_path
-from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_set, add_target
-from robot_runner.cli.target import folder_of_target
+from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.config.operator_steps import read_answers
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.experiment_status import continue_and_see, questions_of, read_status, require_waiting
@@ -72,6 +71,5 @@ def _answers(given: Sequence[str], questions: Sequence[Question], where: str) ->
             findings.append(Finding.error(where, f"{each!r} is no answer", "Write --answer NAME=VALUE."))
     _, refused = read_answers(questions, answers)
     findings += [Finding.error(f"--answer {each.where}", each.problem, each.fix) for each in refused]
-    if findings:
-        raise ExecutionError.of_findings(findings)
+    ExecutionError.refuse(findings)
     return answers

@@ -23,9 +23,9 @@ from robot_runner.cli.console import (
     shown_path,
     width_of,
 )
+from robot_runner.cli.design_words import heading_of
 from robot_runner.cli.executing import Execution, execute_on_screen, read_or_not
 from robot_runner.cli.screens.ending import print_verdict, whereabouts
-from robot_runner.cli.screens.run_rows import heading_of
 from robot_runner.cli.templating import template, write_new_file
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import LinkError, StorageError

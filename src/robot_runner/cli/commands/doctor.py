@@ -6,26 +6,44 @@ as a serial line that belongs to a group which is not yours.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import grp
+import importlib.metadata
+import inspect
+import os
+import platform
+import re
+import shutil
+import sys
+import threading
+import time
+from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.console import output, print_folded, print_json
-from robot_runner.cli.diagnosing import ABSENT, BROKEN, READY, asked, questions
+from robot_runner.cli.console import is_on_path, output, print_folded, print_json
+from robot_runner.cli.findings import installed_here
 from robot_runner.cli.guard import SOME_FAILED
 from robot_runner.cli.parser import add_json
-from robot_runner.core.words import one_line
+from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.links.connect import link_findings
+from robot_runner.core.links.kinds import installed_links
+from robot_runner.core.plugin import Circumstances, installed_plugins
+from robot_runner.core.words import enumerated, one_line
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from robot_runner.cli.console import UserConsole
-    from robot_runner.cli.diagnosing import Diagnosis
     from robot_runner.cli.parser import Parser
+    from robot_runner.core.plugin import InstalledPlugin
 
+#: It can be used; it is not here, or has to be told something; it is here and cannot be used.
+READY, ABSENT, BROKEN = "ready", "absent", "broken"
 #: All of it together, s: a driver that is well answers in a moment.
 _DEADLINE_S = 20.0
 _MARKS = {READY: ("✓", "green"), ABSENT: ("○", "dim"), BROKEN: ("✗", "bold red")}
@@ -59,3 +77,202 @@ def _print(console: UserConsole, found: Sequence[Diagnosis]) -> None:
     broken = [each.name for each in found if each.state == BROKEN]
     verdict = f"To be mended: {', '.join(broken)}." if broken else "Whatever is here can be used."
     console.tell(verdict, style="bold red" if broken else "bold green")
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What was found of one thing.
+
+    Attributes:
+        area: what kind of thing it is.
+        state: `ready`, `absent` or `broken`.
+        detail: what is, in words.
+        fix: one imperative; empty where there is nothing to do.
+    """
+
+    area: str
+    name: str
+    state: str
+    detail: str = ""
+    fix: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """One thing that is asked about: `ask` returns its state, the detail and the fix."""
+
+    area: str
+    name: str
+    ask: Callable[[], tuple[str, str, str]]
+
+
+def questions() -> list[Question]:
+    """Return everything that is asked about, in the order in which it is told."""
+    return [
+        Question("Program", "robot-runner", _program),
+        Question("Program", "Python", lambda: (READY, f"{platform.python_version()} ({sys.executable})", "")),
+        Question("Program", "system", _system),
+        *(Question("Programs it calls", name, partial(_called, name, needed)) for name, needed in _PROGRAMS.items()),
+        *(Question("Extras", extra, partial(_extra, extra, packages)) for extra, packages in _extras().items()),
+        *(Question("Links", link, partial(_link, link)) for link in installed_links() if link not in _LOOKED_FOR),
+        *(Question("Meters", each.name, partial(_meter, each)) for each in installed_plugins("profilers")),
+        *device_questions(Path("/dev")),
+    ]
+
+
+def asked(wanted: Sequence[Question], *, deadline_s: float) -> Iterator[Diagnosis]:
+    """Yield what is found, in order; all is asked at once, and what has not answered after `deadline_s` is broken.
+
+    Each is asked in a thread of its own: drivers and daemons that hang are among what is looked for.
+    """
+    answers: dict[int, Diagnosis] = {}
+
+    def ask(place: int, question: Question) -> None:
+        try:
+            state, detail, fix = question.ask()
+        except Exception as error:  # noqa: BLE001 - of a stranger's plugin; the others are told all the same
+            state, detail, fix = BROKEN, f"{type(error).__name__}: {error}", "Report it to who wrote it."
+        answers[place] = Diagnosis(question.area, question.name, state, detail, installed_here(fix))
+
+    threads = [threading.Thread(target=ask, args=each, daemon=True) for each in enumerate(wanted)]
+    for thread in threads:
+        thread.start()
+    until = time.monotonic() + deadline_s
+    for place, (thread, question) in enumerate(zip(threads, wanted, strict=True)):
+        thread.join(max(0.0, until - time.monotonic()))
+        silent = f"no answer came within {deadline_s:g} s"
+        fix = "See whether its driver or daemon hangs."
+        yield answers.get(place) or Diagnosis(question.area, question.name, BROKEN, silent, fix)
+
+
+# The program itself, and the programs that it calls.
+
+_PROGRAMS = {
+    "ssh": "hosts and robots that are measured over ssh",
+    "git": "revisions of software as treatments",
+    "docker": "software under test in containers (ComposeProject)",
+}
+
+
+def _program() -> tuple[str, str, str]:
+    version = f"{importlib.metadata.version('robot-runner')} ({Path(sys.argv[0]).absolute()})"
+    if is_on_path(Path(sys.argv[0])):
+        return READY, version, ""
+    activate = Path(sys.executable).with_name("activate")
+    fix = f"Say: . {activate}" if activate.exists() else f"Put {Path(sys.argv[0]).absolute().parent} on your PATH."
+    return ABSENT, f"{version}: your shell does not find this one by the name robot-runner", fix
+
+
+def _system() -> tuple[str, str, str]:
+    system = platform.system()
+    told = f"{platform.platform()}, {os.cpu_count()} cores"
+    if system == "Linux":
+        return READY, told, ""
+    if system == "Darwin":
+        return (
+            READY,
+            f"{told}: runs, robots over the network and serial meters work; what reads /proc or /sys does not",
+            "",
+        )
+    return BROKEN, told, "Use Linux, macOS, or Windows' WSL 2."
+
+
+def _called(name: str, needed: str) -> tuple[str, str, str]:
+    path = shutil.which(name)
+    return (READY, path, "") if path else (ABSENT, f"needed for {needed}", f"Install {name}.")
+
+
+# Extras: optional dependencies of our own distribution.
+
+_REQUIREMENT = re.compile(r"(?P<name>[\w.-]+).*;.*extra == ['\"](?P<extra>[\w-]+)['\"]")
+#: Those of who changes Robot Runner, and the one that stands for all others; so do those that name extras alone.
+_NOT_TOLD = ("dev", "all")
+
+
+def _extras() -> Mapping[str, Sequence[str]]:
+    found: dict[str, list[str]] = {}
+    for line in importlib.metadata.requires("robot-runner") or ():
+        match = _REQUIREMENT.match(line)
+        if match and match["name"] != "robot-runner" and match["extra"] not in _NOT_TOLD:
+            found.setdefault(match["extra"], []).append(match["name"])
+    return found
+
+
+def _extra(extra: str, packages: Sequence[str]) -> tuple[str, str, str]:
+    missing = [name for name in packages if not _is_installed(name)]
+    if missing:
+        return ABSENT, f"without {enumerated(missing)}", f"Install it: pip install 'robot-runner[{extra}]'"
+    return READY, "", ""
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+# Links and meters: each is asked by the check that validation asks of it, too.
+
+#: A link that looks for the others.
+_LOOKED_FOR = ("auto",)
+#: A robot that no meter takes for a simulated one: what it says then is about this machine.
+_REAL_ROBOT = "ros1"
+
+
+def _link(link: str) -> tuple[str, str, str]:
+    for finding in link_findings(link):
+        return ABSENT, finding.problem, finding.fix
+    return READY, "", ""
+
+
+def _meter(installed: InstalledPlugin) -> tuple[str, str, str]:
+    try:
+        kind = installed.load()
+    except RobotRunnerError as error:
+        return BROKEN, error.problem, error.fix
+    parameters = inspect.signature(kind).parameters
+    needed = [name for name, each in parameters.items() if each.default is each.empty]
+    if needed:
+        return READY, f"has to be told {enumerated(needed)}", ""
+    try:
+        plugin = kind(**({"host": "localhost"} if "host" in parameters else {}))
+    except RobotRunnerError as error:  # it needs one parameter of several
+        return READY, f"has to be told more: {error.problem}", error.fix
+    for finding in plugin.check(Circumstances(robot=_REAL_ROBOT)):
+        if finding.is_error:
+            return ABSENT, finding.problem, finding.fix
+    return READY, "", ""
+
+
+# Devices: whether there are any, and whether this user may open them.
+
+_DEVICES = {
+    "serial lines": ("ttyUSB*", "ttyACM*", "ttyAMA*", "serial0"),
+    "I2C buses": ("i2c-*",),
+    "cameras": ("video*",),
+}
+
+
+def device_questions(folder: Path) -> list[Question]:
+    """Return what is asked about the devices in a folder, which is `/dev`."""
+    return [Question("Devices", kind, partial(_devices, folder, patterns)) for kind, patterns in _DEVICES.items()]
+
+
+def _devices(folder: Path, patterns: Sequence[str]) -> tuple[str, str, str]:
+    found = sorted({path for pattern in patterns for path in folder.glob(pattern)})
+    closed = [path for path in found if not os.access(path, os.R_OK | os.W_OK)]
+    if closed:
+        groups = " and ".join(dict.fromkeys(map(_group_of, closed)))
+        fix = f"Join the group and log in anew: sudo usermod -aG {groups.replace(' and ', ',')} $USER"
+        return BROKEN, f"{enumerated(map(str, closed))} cannot be opened: they belong to the group {groups}", fix
+    return (READY, enumerated(map(str, found)), "") if found else (ABSENT, "none is connected", "")
+
+
+def _group_of(path: Path) -> str:
+    number = path.stat().st_gid
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)

@@ -20,8 +20,8 @@ from robot_runner.cli.extension import ExtensionRequest, extend_experiment
 from robot_runner.cli.findings import as_json, show_findings
 from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
-from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.design_findings import is_seed
 from robot_runner.core.design.growing import Additions, NewFactor
 from robot_runner.core.secret_names import shown_assignments
@@ -57,11 +57,14 @@ def add_arguments(parser: Parser) -> None:
         metavar="NAME=DEFAULT:T1,T2",
         action="append",
         default=[],
-        help="a new factor, with the treatment that the runs so far had and its others, which may be left out where "
+        help="a new factor: the treatment that the runs so far had, then the others, which may be left out where "
         "the config has them; may be given several times",
     )
     parser.add_argument(
-        "--seed", metavar="SEED", type=int, help="what the order of the new runs comes from; else a seed is drawn"
+        "--seed",
+        metavar="SEED",
+        type=int,
+        help="the seed that the order of the new runs comes from; drawn if it is left out",
     )
     parser.add_argument(
         "--as-written", action="store_true", help="keep the new runs in the order of the config, not randomised"

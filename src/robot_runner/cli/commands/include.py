@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from robot_runner.cli.excluding import include_runs
-from robot_runner.cli.only_one_here import target_and_runs
 from robot_runner.cli.parser import add_runs, add_set, add_target
+from robot_runner.cli.target import target_and_runs
 from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:

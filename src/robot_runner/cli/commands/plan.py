@@ -9,8 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from robot_runner.cli.console import output, print_facts, print_json, quiet_loading
-from robot_runner.cli.design_layouts import print_layouts
+from robot_runner.cli.console import Column, aligned, output, print_facts, print_json, quiet_loading, width_of
 from robot_runner.cli.design_words import (
     columns_as_json,
     design_as_json,
@@ -29,7 +28,10 @@ from robot_runner.core.words import counted, listed
 
 if TYPE_CHECKING:
     from argparse import Namespace
+    from collections.abc import Mapping, Sequence
+    from typing import Any
 
+    from robot_runner.cli.console import UserConsole
     from robot_runner.cli.parser import Parser
 
 
@@ -51,7 +53,7 @@ def execute(arguments: Namespace) -> int:
     show_findings(plan.findings)
     console = output()
     print_runs(console, plan.model, plan.runs, shows_all=arguments.all)
-    print_layouts(console, plan.model.design_facts, shows_all=arguments.all)
+    _print_layouts(console, plan.model.design_facts, shows_all=arguments.all)
     console.print()
     print_facts(
         console,
@@ -89,3 +91,30 @@ def _as_json(plan: Plan) -> dict[str, object]:
         "runs": list(map(run_as_json, plan.runs)),
         "findings": as_json(plan.findings),
     }
+
+
+#: More tables than this, and more rows of one, are left to `--json`, where not all are asked for.
+_MOST_TABLES = 4
+_MOST_ROWS = 40
+
+
+def _print_layouts(console: UserConsole, facts: Mapping[str, Any], *, shows_all: bool) -> None:
+    """Print the squares, sequences, whole plots or blocks of a design, which it has as tables among its facts."""
+    layouts = facts.get("layout", ())
+    shown = layouts if shows_all else layouts[:_MOST_TABLES]
+    for layout in shown:
+        console.print()
+        console.print(layout["title"], style="bold", markup=False)
+        _print_table(console, [layout["heading"], *layout["rows"]], shows_all=shows_all)
+    if len(shown) < len(layouts):
+        console.print(f"… {counted(len(layouts) - len(shown), 'table')} more: --all shows them …", style="dim")
+
+
+def _print_table(console: UserConsole, rows: Sequence[Sequence[str]], *, shows_all: bool) -> None:
+    """Print rows, the first of which is the heading."""
+    columns = [Column(str(cells[0]), width_of(list(cells))) for cells in zip(*rows, strict=True)]
+    shown = rows if shows_all else rows[: _MOST_ROWS + 1]
+    for place, row in enumerate(shown):
+        console.print(aligned(columns, row), style="dim" if not place else None, soft_wrap=True, markup=False)
+    if len(shown) < len(rows):
+        console.print(f"… {counted(len(rows) - len(shown), 'row')} more: --all shows them …", style="dim")

@@ -26,8 +26,8 @@ from robot_runner.cli.parser import Parser, UsageError, add_json
 from robot_runner.cli.queued_experiments import ExperimentQueue
 from robot_runner.cli.queueing import NAMES_A_ROBOT, QueueRunner, awaited_by, digest_of, execute_queued, named
 from robot_runner.core.config.claims import Claims, held_claims
-from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import Finding, StorageError, did_you_mean
 from robot_runner.core.secret_names import shown_assignments
 

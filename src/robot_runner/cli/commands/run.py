@@ -21,8 +21,8 @@ from robot_runner.cli.page_beside import page_beside
 from robot_runner.cli.parser import RUNS_HELP, add_config, add_json, add_set
 from robot_runner.cli.screens.ending import print_outcome
 from robot_runner.cli.screens.plain import terminal_input
-from robot_runner.core.config.dialects import prepare
 from robot_runner.core.config.loader import parse_assignments
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.execution.recovery import Resumption, TableChoice, TableDisagreementError, config_changes
 from robot_runner.core.secret_names import shown_assignments
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _CHOICES = {
     "--only": "execute these runs alone",
     "--skip": "leave these runs for another time",
-    "--first": "execute these runs before all others, which is recorded as the order that was executed",
+    "--first": "execute these runs before all others; the order of execution is recorded",
     "--redo": "execute these runs again though they are done or excluded; what they left is kept",
 }
 
@@ -55,7 +55,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--accept-changes",
         action="store_true",
-        help="go on though the config, what is set, or the run table differs from what was executed before",
+        help="go on though the config, the settings or the run table differ from what was executed before",
     )
     parser.add_argument(
         "--no-probe", action="store_true", help="do not try the profilers for a moment before the first run"
@@ -63,7 +63,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--table",
         choices=[choice.value for choice in TableChoice],
-        help="what counts where run_table.csv and the journal disagree about runs that were executed: the journal "
+        help="which one counts where run_table.csv and the journal disagree about executed runs: the journal "
         "(the file is kept beside), or the file (each change is recorded)",
     )
     parser.add_argument(
@@ -105,11 +105,11 @@ def apply_shortcuts(arguments: Namespace) -> None:
 def execute(arguments: Namespace) -> int:
     """Execute every run that is not done."""
     if not arguments.json:
-        return _executed(arguments)[0]
+        return _prepare_and_execute(arguments)[0]
     # What is told on the way is not what a program reads.
     with redirect_stdout(sys.stderr):
         try:
-            code, facts = _executed(arguments)
+            code, facts = _prepare_and_execute(arguments)
         except RobotRunnerError as error:
             show_findings(error.findings)
             code, facts = REFUSED, _refused(error.findings)
@@ -118,8 +118,8 @@ def execute(arguments: Namespace) -> int:
     return code
 
 
-def _executed(arguments: Namespace) -> tuple[int, dict[str, Any]]:
-    """Execute the experiment on a screen; returns the exit code, and how it went as plain data."""
+def _prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
+    """Prepare the experiment and execute it on a screen; return the exit code, and how it went as plain data."""
     apply_shortcuts(arguments)
     with no_byte_code():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
@@ -127,7 +127,7 @@ def _executed(arguments: Namespace) -> tuple[int, dict[str, Any]]:
         show_findings(preparation.findings)
         return REFUSED, _refused(preparation.findings)
     with _page(arguments, preparation.experiment):
-        execution = _execution(arguments, preparation.experiment, preparation.findings)
+        execution = _execute(arguments, preparation.experiment, preparation.findings)
     settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
     command = command_line(arguments.config, *settings)
     with read_or_not():
@@ -147,8 +147,8 @@ def _page(arguments: Namespace, experiment: Experiment) -> Iterator[None]:
         yield
 
 
-def _execution(arguments: Namespace, experiment: Experiment, findings: Sequence[Finding]) -> Execution:
-    """Execute the experiment, and once more where somebody says what counts of two tables that disagree."""
+def _execute(arguments: Namespace, experiment: Experiment, findings: Sequence[Finding]) -> Execution:
+    """Execute the experiment; if table and journal disagree, ask which one counts, and execute it again."""
     resumption = Resumption(
         accept_changes=arguments.accept_changes or _changes_are_accepted(experiment),
         **{option[2:]: tuple(getattr(arguments, option[2:])) for option in _CHOICES},
@@ -200,7 +200,7 @@ def _facts(experiment: Experiment, execution: Execution) -> dict[str, Any]:
 
 
 def _changes_are_accepted(experiment: Experiment) -> bool:
-    """Ask, where somebody sits at a terminal, whether to go on though the config has changed since it was executed."""
+    """Ask at a terminal whether to go on though the config has changed since it was executed."""
     if terminal_input() is None or not (changes := config_changes(experiment)):
         return False
     show_findings(changes)
@@ -210,11 +210,13 @@ def _changes_are_accepted(experiment: Experiment) -> bool:
 
 
 def _chosen_table(disagreement: TableDisagreementError) -> TableChoice | None:
-    """Ask, where somebody sits at a terminal, what counts; None where nobody says."""
+    """Ask at a terminal which one counts; None if there is no answer."""
     if terminal_input() is None:
         return None
     show_findings(disagreement.findings)
-    sys.stderr.write("What counts: what was executed (journal), or the run table on disk (file)? [journal/file/N] ")
+    sys.stderr.write(
+        "Which one counts: the journal of what was executed, or the run table on disk (file)? [journal/file/N] "
+    )
     sys.stderr.flush()
     said = sys.stdin.readline().strip().casefold()
     return next((choice for choice in TableChoice if said and choice.value.startswith(said)), None)

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Iterator, Mapping
 
-    from robot_runner.cli.console import UserConsole
     from robot_runner.cli.executing import Execution
     from robot_runner.cli.parser import Parser
     from robot_runner.cli.smoke_test import SmokeResult
@@ -84,26 +83,19 @@ def _tested(config: Path, settings: Mapping[str, str], folder: Path, *, plain: b
     result = result_of(experiment, plan, chosen, told)
     estimate = study_estimate(study.durations, experiment, chosen, result, told) if study.durations else study.duration
     with read_or_not():
-        _print(output(), execution, result, told, estimate, len(chosen))
+        _print(execution, result, told, estimate, len(chosen))
     return execution.exit_code
 
 
-def _print(
-    console: UserConsole,
-    execution: Execution,
-    result: SmokeResult,
-    told: Shortening,
-    estimate: Estimate,
-    wanted: int,
-) -> None:
-    done = len(result.seconds)
+def _print(execution: Execution, result: SmokeResult, told: Shortening, estimate: Estimate, wanted: int) -> None:
+    console, done = output(), len(result.seconds)
     console.print()
     each = "has" if wanted == 1 else "have"
     style = f"bold {'green' if done == wanted else 'red'}"
     console.print(f"{done} of {counted(wanted, 'run')} done, which {each} each treatment.", style=style)
     if execution.finished is not None:
         print_odd(console, failures=(), findings=execution.finished.findings, run_ids=execution.progress.run_ids)
-    print_facts(console, [*_proved(result), *_found(result)])
+    print_facts(console, _shown(result))
     facts = [("Not proved", each) for each in result.not_proved[:1]]
     facts += [("", each) for each in result.not_proved[1:]]
     took = f"{shown_duration(sum(result.seconds.values()) / done)} a run" if done else ""
@@ -111,14 +103,11 @@ def _print(
     print_facts(console, [*facts, ("Shortened", shortened), ("Took", took), ("The study", str(estimate))])
 
 
-def _proved(result: SmokeResult) -> Iterator[tuple[str, str]]:
+def _shown(result: SmokeResult) -> Iterator[tuple[str, str]]:
     for name, treatments in result.treatments.items():
         yield "Executed", f"{name}: {', '.join(treatments)}"
     if result.with_values:
         yield "Measured", ", ".join(result.with_values)
-
-
-def _found(result: SmokeResult) -> Iterator[tuple[str, str]]:
     for name, treatments in result.without.items():
         yield "Not executed", f"{name}: {', '.join(treatments)}"
     for name, count in result.without_values.items():

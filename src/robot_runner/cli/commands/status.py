@@ -13,10 +13,9 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_json, shown_path
 from robot_runner.cli.findings import as_json, print_odd, quality_in_words
-from robot_runner.cli.only_one_here import only_experiment
 from robot_runner.cli.parser import add_json, add_set, add_target
 from robot_runner.cli.screens.plain import continue_command
-from robot_runner.cli.target import folder_of_target
+from robot_runner.cli.target import folder_of_target, only_experiment
 from robot_runner.core.execution.experiment_status import ExperimentStatus, questions_of, read_status
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
@@ -159,7 +158,7 @@ def _state(status: ExperimentStatus) -> str:
         return "another tool began it; `robot-runner run` with its config goes on, `robot-runner import` adopts it"
     if status.holder is None:
         if status.todo or status.failed or status.lacks_plan:
-            return "nobody executes it; `robot-runner run` with its config goes on"
+            return "not being executed; `robot-runner run` with its config resumes it"
         return "all runs are done"
     who = f"process {status.holder.pid} on {status.holder.host}"
     if status.is_waiting_for_user:

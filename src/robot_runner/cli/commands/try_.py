@@ -84,7 +84,7 @@ def execute(arguments: Namespace) -> int:
         plugin, robot = make_plugin(arguments.plugin, values)
     if isinstance(plugin, System) and robot is not None and not is_simulated(robot) and not arguments.yes:
         fix = "See that nothing is in its way, and add --yes. Or: --set robot=simulated."
-        raise RobotRunnerError(f"it operates the robot {robot!r}, which may move", where=plugin.name, fix=fix)
+        raise RobotRunnerError(f"the plugin operates the robot {robot!r}, which may move", where=plugin.name, fix=fix)
     seconds = arguments.seconds or (_LONGEST_MISSION_S if has_mission(plugin) else _SECONDS)
     with tempfile.TemporaryDirectory(prefix="robot-runner-try-") as folder, quiet_loading():
         trial = try_plugin(plugin, Path(folder), seconds=seconds, robot=robot, treatments=treatments)
@@ -201,10 +201,10 @@ def _print_verdict(console: UserConsole, trial: Trial) -> None:
     print_findings(console, trial.findings)
     failure = trial.outcome.failure if trial.outcome else None
     if trial.missing:
-        missing = f"it measured nothing: no value of {enumerated(trial.missing)}"
+        missing = f"the plugin measured nothing: no value of {enumerated(trial.missing)}"
         print_folded(console, "failed: ", missing, style="bold red")
     elif failure is None:
-        console.print("It went well." if not trial.findings else "It went through; look at the warnings.", style="bold")
+        console.print("It went well." if not trial.findings else "It went through, with warnings.", style="bold")
     else:
         said = one_line(str(failure))
         print_folded(console, "failed: ", said, style="bold red")

@@ -18,11 +18,7 @@ _MEBIBYTE = 1 << 20
 
 @contextmanager
 def byte_progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield what is told how many bytes are done, of how many; shown on stderr.
-
-    Args:
-        what: what is being done, as in `packing`.
-    """
+    """Yield what is told how many bytes are done, of how many; shown on stderr as `what`, such as `packing`."""
     if is_live_terminal(sys.stderr):
         with _bar(what) as report:
             yield report

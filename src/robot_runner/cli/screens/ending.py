@@ -1,4 +1,4 @@
-"""The end of an experiment, told: what is done, where it is, what looked odd, what to do next."""
+"""What is printed at the end of an experiment: what is done, where the results are, what looked odd, what is next."""
 
 from __future__ import annotations
 
@@ -23,14 +23,7 @@ _UNMEASURED = {
 
 
 def print_outcome(console: UserConsole, finished: ExperimentFinished, progress: Progress, *, command: str) -> None:
-    """Print how an experiment ended.
-
-    Args:
-        console: where to.
-        finished: how it ended.
-        progress: what the screen saw of it.
-        command: what executes it again.
-    """
+    """Print how an experiment ended; `command` executes it again."""
     print_verdict(console, finished, progress)
     following = _next(finished, progress, command)
     print_facts(console, [*whereabouts(finished, progress), ("Next", following)])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, suppress
-from typing import TYPE_CHECKING
+import sys
+from contextlib import ExitStack, contextmanager, suppress
+from typing import TYPE_CHECKING, Any
 
 from rich.cells import cell_len
 from rich.console import Group
@@ -13,7 +14,6 @@ from rich.table import Table
 from rich.text import Text
 
 from robot_runner.cli.findings import print_findings
-from robot_runner.cli.screens.giving_way import input_gives_way
 from robot_runner.cli.screens.plain import (
     announced,
     closing,
@@ -54,8 +54,8 @@ from robot_runner.core.storage.lock import is_requested
 from robot_runner.core.words import counted, one_line, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from typing import Self
+    from collections.abc import Callable, Iterator, Sequence
+    from typing import Self, TextIO
 
     from rich.console import RenderableType
 
@@ -69,6 +69,43 @@ _BAR = 40
 _LEAST_OF_RUN = 12
 #: Where more runs end between two refreshes than this, only those that failed get a row.
 _MOST_ROWS = 4
+
+
+class _Keyboard:
+    """Standard input that calls `give_way` before anybody waits for a line; everything else is as it was.
+
+    `input()` comes by here as well: while rich redirects stdout, Python reads the line from `sys.stdin`.
+    """
+
+    def __init__(self, stream: TextIO, give_way: Callable[[], None]) -> None:
+        self._stream = stream
+        self._give_way = give_way
+
+    def readline(self, *size: int) -> str:
+        self._give_way()
+        return self._stream.readline(*size)
+
+    def read(self, *size: int) -> str:
+        self._give_way()
+        return self._stream.read(*size)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.readline, "")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextmanager
+def input_gives_way(give_way: Callable[[], None]) -> Iterator[None]:
+    """While this lasts, `give_way` is called before a callback of this process reads what somebody types."""
+    earlier = sys.stdin
+    keyboard: Any = _Keyboard(earlier, give_way)
+    sys.stdin = keyboard
+    try:
+        yield
+    finally:
+        sys.stdin = earlier
 
 
 class LiveScreen:
@@ -188,7 +225,7 @@ class LiveScreen:
             self._show_live_part()
 
     def _print_header(self, rows: RunRows) -> None:
-        """Print the headings that fit, and say which do not: again where the terminal has another width since then."""
+        """Print the headings that fit, and name the others; repeated when the width of the terminal changes."""
         self._headed = self._console.width
         self._console.print(rows.header(self._headed), no_wrap=True, overflow="ellipsis")
         if left_out := rows.left_out(self._headed):

@@ -1,4 +1,4 @@
-"""Plain lines: for a log, a pipe, and those who prefer them."""
+"""What both screens say beside their rows; and the screen of plain lines, for a log, a pipe and who prefers them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from robot_runner.cli.console import command_line, folded, shown_path
 from robot_runner.cli.findings import print_findings
-from robot_runner.cli.guard import let_go_of_stdout
+from robot_runner.cli.harmless_stream import let_go_of
 from robot_runner.cli.screens.progress import Progress
 from robot_runner.cli.screens.run_rows import shown_measure, treatments_in_words
 from robot_runner.core.execution.notices import (
@@ -47,8 +47,6 @@ if TYPE_CHECKING:
     from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.execution.task import RunOutcome, RunTask
-
-# What a screen says beside its rows: how an experiment begins, and what is asked of the user.
 
 #: A shorter experiment is over before its duration is read, s.
 _WORTH_TELLING = 60.0
@@ -206,7 +204,7 @@ class PlainScreen:
         try:
             self._show(notice)
         except BrokenPipeError:
-            let_go_of_stdout()
+            let_go_of(sys.stdout)
 
     def _show(self, notice: Notice) -> None:
         match notice:

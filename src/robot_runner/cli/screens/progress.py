@@ -95,7 +95,7 @@ class Progress:
 
     @property
     def current(self) -> CurrentRun | None:
-        """The run that is being executed, or the one of them that began last; None where none is."""
+        """The run that is being executed, or that began last of several; None if there is none."""
         return next(reversed(self.in_flight.values()), None)
 
     def elapsed_in(self, run: CurrentRun) -> float:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from robot_runner.cli.console import Column, aligned, fitting, shortened, width_of
-from robot_runner.cli.design_words import run_cells, run_columns
+from robot_runner.cli.design_words import heading_of, run_cells, run_columns
 from robot_runner.core.design.columns import REPETITION, numbered_run_id
 from robot_runner.core.events.measure import Quality
 from robot_runner.core.execution.task import AttemptStatus
@@ -26,16 +26,6 @@ if TYPE_CHECKING:
 _MEASURE = 10
 _TOOK = 11
 _INDENT = "  "
-
-
-def heading_of(measure: str, unit: str) -> str:
-    """Return the heading of a measure's column.
-
-    Example:
-        >>> heading_of("Energy", "J"), heading_of("Errors", "1")
-        ('Energy (J)', 'Errors')
-    """
-    return f"{measure} ({unit})" if unit not in {"", "1"} else measure
 
 
 def shown_measure(published: PublishedMeasure | None) -> str:

@@ -48,9 +48,7 @@ class Author:
         affiliation: str | None = None,
         affiliation_url: str | None = None,
     ) -> None:
-        findings = list(_findings(name, orcid, affiliation, affiliation_url))
-        if findings:
-            raise ConfigError.of_findings(findings)
+        ConfigError.refuse(_findings(name, orcid, affiliation, affiliation_url))
         object.__setattr__(self, "name", name)
         object.__setattr__(self, "orcid", orcid[-19:] if orcid else None)
         object.__setattr__(self, "affiliation", affiliation)

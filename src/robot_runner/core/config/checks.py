@@ -21,14 +21,13 @@ from robot_runner.core.config.parameters import (
     Parameters,
     RunProcess,
 )
-from robot_runner.core.config.plugin_checks import failed_check, instances_of
+from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.config.registered_config import take_registered_seed
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import as_configured
 from robot_runner.core.design.design_findings import listed_elsewhere
 from robot_runner.core.design.precision import precision_findings
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
-from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError, did_you_mean
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import ROBOT
@@ -115,6 +114,8 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
     """Return a finding for each public name of the config that nearly is a parameter or a callback."""
     names = {name for parent in type(loaded.config).__mro__[:-1] for name in _names_of(parent)}
     names |= set(vars(loaded.config)) if hasattr(loaded.config, "__dict__") else set()
+    inherited = {name for parent in type(loaded.config).__mro__[1:] for name in _names_of(parent)}
+    inherited -= _names_of(type(loaded.config))
     parameters = [*PARAMETERS, "plugins"]
     callbacks = [*EVENTS_BY_CALLBACK, "create_run_table"]
     findings = []
@@ -123,8 +124,9 @@ def check_names(loaded: LoadedConfig) -> list[Finding]:
             continue
         found = inspect.getattr_static(loaded.config, name, None)  # a property may need what only a run has
         is_method = callable(found) or isinstance(found, classmethod)
-        meant = _nearly(name, callbacks if is_method else parameters)
-        if meant is not None and meant not in names - _inherited(loaded.config):
+        ours = callbacks if is_method else parameters
+        meant = next(iter(difflib.get_close_matches(name.casefold(), ours, n=1, cutoff=_ALIKE)), None)
+        if meant is not None and meant not in names - inherited:
             findings.append(_misspelt(loaded, name, meant, is_method=is_method))
     return findings
 
@@ -140,7 +142,7 @@ def check_neighbours(loaded: LoadedConfig) -> list[Finding]:
     return [
         Finding.warning(
             str(place),
-            f"it is called like Python's own module {place.stem!r}, and is imported in its place",
+            f"the file is called like Python's own module {place.stem!r}, and is imported in its place",
             f"Give it another name: my_{place.name}.",
         )
         for place in sorted(places)
@@ -151,16 +153,6 @@ def check_neighbours(loaded: LoadedConfig) -> list[Finding]:
 def _names_of(parent: type) -> set[str]:
     # A name that is annotated and never given a value is misspelt as easily as one that is.
     return set(vars(parent)) | set(vars(parent).get("__annotations__", {}))
-
-
-def _inherited(config: object) -> set[str]:
-    own = _names_of(type(config))
-    return {name for parent in type(config).__mro__[1:] for name in _names_of(parent)} - own
-
-
-def _nearly(name: str, known: list[str]) -> str | None:
-    match = difflib.get_close_matches(name.casefold(), known, n=1, cutoff=_ALIKE)
-    return match[0] if match else None
 
 
 def _misspelt(loaded: LoadedConfig, name: str, meant: str, *, is_method: bool) -> Finding:
@@ -231,13 +223,7 @@ def announced_checks(where: str, parameters: Parameters, plugins: Sequence[Plugi
 
     Each is a function that takes these arguments and returns findings.
     """
-    findings: list[Finding] = []
-    for point in entry_points("checks"):
-        try:
-            findings += instances_of(Finding, point.load()(where, parameters, plugins))
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code, as above
-            findings.append(failed_check(point.where, error))
-    return findings
+    return announced_findings("checks", lambda point: point.load()(where, parameters, plugins))
 
 
 # The results folder: that it can be made or written, found out without touching it.
@@ -264,7 +250,7 @@ def check_results_path(loaded: LoadedConfig, parameters: Parameters) -> list[Fin
 def check_disk_space(
     loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[Plugin], runs: int
 ) -> list[Finding]:
-    """Return a finding where the disk is too small for what the plugins say that they will keep."""
+    """Return a finding if the disk has too little room for what the plugins will keep."""
     each = _BYTES_PER_RUN + sum(plugin.bytes_per_run for plugin in plugins)
     try:
         files = experiment_folder(parameters, loaded)
@@ -374,7 +360,7 @@ def check_threads(loaded: LoadedConfig, parameters: Parameters) -> list[Finding]
     return [
         Finding.warning(
             loaded.where,
-            f"loading it started threads that go on ({names}); a run that is forked meanwhile may hang",
+            f"the config starts threads while it is loaded ({names}); a forked run may hang",
             "Start them in start_run, or choose run_process = RunProcess.SPAWN.",
         )
     ]

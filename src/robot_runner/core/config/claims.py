@@ -75,7 +75,8 @@ class Claims:
     def common(self, combinations: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:
         """Return what all of these runs claim: where there is anything, only one of them goes on at a time."""
         common: dict[str, list[str]] | None = None
-        for combination in combinations if self._vary else islice(combinations, 1):
+        do_vary = any(map(factors_of, self._plugins))
+        for combination in combinations if do_vary else islice(combinations, 1):
             claims = self.of(combination)
             common = claims if common is None else {name: who for name, who in common.items() if name in claims}
         return common or {}
@@ -105,12 +106,8 @@ class Claims:
             if not is_simulated(link):
                 yield from (f"robot:{link}{f'/{name}' if name else ''}{graph}" for name in namespaces or [""])
 
-    @property
-    def _vary(self) -> bool:
-        return any(map(_is_bound, self._plugins))
-
     def _of_plugin(self, plugin: Plugin, combination: Mapping[str, Any]) -> tuple[str, ...]:
-        treatments = values_of(plugin, combination) if _is_bound(plugin) else {}
+        treatments = values_of(plugin, combination) if factors_of(plugin) else {}
         key = (plugin.name, *(f"{name}={value}" for name, value in treatments.items()))
         if key not in self._known:
             claimed = built_with(plugin, combination).claims(self._robot)
@@ -118,12 +115,8 @@ class Claims:
         return self._known[key]
 
 
-def _is_bound(plugin: Plugin) -> bool:
-    return bool(factors_of(plugin))
-
-
 def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
-    """Yield what the config claims: its robot, its hosts, and what it says, or this machine where it does not say.
+    """Yield the claims of the config: its robot, its hosts, and its `claims`, or this machine if it has none.
 
     The values that a config returns of a run with the simulated robot are labelled as simulated, and need no machine.
     """
@@ -134,12 +127,10 @@ def _of_config(parameters: Parameters, events: EventManager) -> Iterator[str]:
         yield THIS_MACHINE if host.is_local else f"host:{host.address}"
     if parameters.claims is not None:
         yield from parameters.claims
-    elif not is_simulated(robot) and _has_callbacks(events):
+    elif not is_simulated(robot) and any(
+        each.owner == CONFIG_OWNER for event in RUN_EVENTS for each in events.subscribers(event)
+    ):
         yield THIS_MACHINE
-
-
-def _has_callbacks(events: EventManager) -> bool:
-    return any(each.owner == CONFIG_OWNER for event in RUN_EVENTS for each in events.subscribers(event))
 
 
 def held_claims(claims: Claims, model: RunTableModel) -> frozenset[str]:

@@ -1,4 +1,4 @@
-"""From a config file of any dialect to an experiment: the one way in which config files are loaded.
+"""From a config file of any dialect to a config object: the one way in which config files are loaded.
 
 Our own dialect is the core's; others are announced in the group `robot_runner.dialects`, each by an object that keeps
 to the protocol `Dialect`.
@@ -10,7 +10,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
-from robot_runner.core.config import loader, preparation
+from robot_runner.core.config import loader
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import Finding, PluginError
 
@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.loader import LoadedConfig
-    from robot_runner.core.config.preparation import Preparation
 
 
 class Dialect(Protocol):
@@ -34,11 +32,9 @@ class Dialect(Protocol):
         Raises:
             ConfigError: it cannot be read or parsed, or is neither of this dialect nor of another.
         """
-        ...
 
     def stand_in_modules(self) -> frozenset[str]:
         """Return the top-level modules that files of this dialect import and that are there while one is loaded."""
-        ...
 
 
 def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({})) -> LoadedConfig:
@@ -55,35 +51,6 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
             return load(overrides)
     loaded = loader.load_config(path, overrides)
     return replace(loaded, findings=(*loaded.findings, *unusable)) if unusable else loaded
-
-
-def prepare(
-    path: Path,
-    overrides: Mapping[str, str] = MappingProxyType({}),
-    *,
-    is_for_here: bool = True,
-    looks_at_graph: bool = True,
-) -> Preparation:
-    """Load and validate a config file of any dialect; all findings at once, and nothing on disk is touched.
-
-    Args:
-        path: the config file.
-        overrides: static parameters to set, by name.
-        is_for_here: whether it is to be executed on this machine; if not, nobody asks what the machine has.
-        looks_at_graph: whether it is to be executed now, so that the robot's graph has what its plugins need.
-    """
-    return preparation.prepare(path, overrides, load_config, is_for_here=is_for_here, looks_at_graph=looks_at_graph)
-
-
-def prepare_or_refuse(
-    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), *, looks_at_graph: bool = True
-) -> Experiment:
-    """Load and validate a config file of any dialect; as `prepare` in all else.
-
-    Raises:
-        ConfigError: it is refused; carries every finding.
-    """
-    return preparation.prepare_or_refuse(path, overrides, load_config, looks_at_graph=looks_at_graph)
 
 
 def stand_in_modules() -> frozenset[str]:

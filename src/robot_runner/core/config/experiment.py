@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.plugin_checks import instances_of, with_each_treatment
 from robot_runner.core.design.asking import DECIDED
 from robot_runner.core.design.batches import EXTENDED, REPEATED, GrownRunTableModel, batches_of
 from robot_runner.core.design.columns import WARM_UP
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.events.manager import EventManager, OwnerKind, methods_of, no_context, takes_a_context
 from robot_runner.core.events.measure import CONFIG_OWNER, MeasureColumns
+from robot_runner.core.links.connect import robot_input_files
 from robot_runner.core.plugin import Plugin, System
+from robot_runner.core.storage.input_files import InputFile
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableLayout, TableSpelling
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.design.run_table_model import RunTableModel
     from robot_runner.core.errors import Finding
-    from robot_runner.core.storage.input_files import InputFile
     from robot_runner.core.storage.registration import Registration
 
 
@@ -151,8 +155,7 @@ def event_manager_for(loaded: LoadedConfig, plugins: tuple[Plugin, ...]) -> Even
     own = ((request.event, request.callback) for request in loaded.subscriptions)
     for event, callback in (*own, *methods_of(loaded.config)):
         gather(manager.subscribe, event, callback, owner=CONFIG_OWNER, kind=OwnerKind.CONFIG)
-    if findings:
-        raise ConfigError.of_findings(findings)
+    ConfigError.refuse(findings)
     return manager
 
 
@@ -163,3 +166,34 @@ def _check_called_with_context(name: str, method: Any, owner: str) -> None:
         raise ConfigError(f"{name} is {method!r}, which cannot be called", where=owner, fix=fix)
     if not takes_a_context(name, method, owner):
         raise no_context(name, method, owner)
+
+
+_log = logging.getLogger(__name__)
+
+
+def named_inputs(
+    parameters: Parameters, plugins: Sequence[Plugin], model: RunTableModel | None, config: object = None
+) -> tuple[InputFile, ...]:
+    """Return the files that are named, each once; who cannot tell them is logged and left out.
+
+    A config may have a method `input_files`, too, for what its callbacks read.
+    """
+    found: dict[InputFile, None] = {}
+    robots = parameters.robots.values() if parameters.robots else filter(None, [parameters.robot])
+    asked: list[tuple[str, Callable[[], Iterable[InputFile]]]] = [
+        *((robot, partial(robot_input_files, robot)) for robot in robots),
+        *((f"plugin {plugin.name}", partial(_of_plugin, plugin, model)) for plugin in plugins),
+    ]
+    if callable(own := getattr(config, "input_files", None)):
+        asked.append(("the config", own))
+    for where, ask in asked:
+        try:
+            found |= dict.fromkeys(instances_of(InputFile, ask()))
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; an experiment is worth more than a copy
+            _log.warning("%s: which files it reads is not known: %s", where, error)
+    return tuple(found)
+
+
+def _of_plugin(plugin: Plugin, model: RunTableModel | None) -> Iterator[InputFile]:
+    for built in with_each_treatment(plugin, model):
+        yield from built.input_files()

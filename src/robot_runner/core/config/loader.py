@@ -73,8 +73,7 @@ def apply_overrides(config_class: type, overrides: Mapping[str, str]) -> dict[st
             values[name] = _read(config_class, name, text)
         except ConfigError as error:
             findings += error.findings
-    if findings:
-        raise ConfigError.of_findings(findings)
+    ConfigError.refuse(findings)
     for name, value in values.items():
         setattr(config_class, name, value)
     return values
@@ -211,7 +210,7 @@ def raised_in(path: Path, when: str) -> Iterator[None]:
 
 
 def _before(error: BaseException) -> str:
-    """Return what was raised first, where an error was raised while another was dealt with: that one is the cause."""
+    """Return the first error, in words, if this one was raised while another was handled: the first is the cause."""
     first = error
     while (earlier := first.__cause__ or (None if first.__suppress_context__ else first.__context__)) is not None:
         first = earlier
@@ -225,17 +224,14 @@ def place_in(path: Path, error: BaseException) -> str:
 
 
 def _placed(path: Path, error: RobotRunnerError) -> tuple[Finding, ...]:
+    """Return what an error found, each with the line of the config that it came from, unless it says where it is."""
     place = place_in(path, error)
     return tuple(
-        replace(
-            finding, where=finding.where if _says_where(path, finding) else f"{place}, {finding.where}".rstrip(", ")
-        )
-        for finding in error.findings
+        each
+        if each.where.startswith(("--set", str(path)))
+        else replace(each, where=f"{place}, {each.where}".rstrip(", "))
+        for each in error.findings
     )
-
-
-def _says_where(path: Path, finding: Finding) -> bool:
-    return finding.where.startswith(("--set", str(path)))
 
 
 #: Where `os.environ` looks a variable up: that module is frozen into newer Pythons.

@@ -86,7 +86,7 @@ def check_notify(where: str, notify: Notify | None) -> Iterator[Finding]:
         return
     if not addresses_from(notify):
         fix = "Write the address there, such as ntfy://TOPIC (https://appriseit.com lists them)."
-        yield Finding.warning(where, f"nobody will be told: {notify.source} names no address", fix)
+        yield Finding.warning(where, f"nobody will be notified: {notify.source} names no address", fix)
     elif importlib.util.find_spec("apprise") is None:
         yield Finding.error(where, "notifications need apprise, which is not installed", _INSTALL)
 

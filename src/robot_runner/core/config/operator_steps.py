@@ -69,17 +69,18 @@ class Question:
         if self.choices:
             *most, last = map(_shown, self.choices)
             return f"{', '.join(most)} or {last}" if most else last
-        limits = {
-            (True, True): f"{self.low} to {self.high}",
-            (True, False): f"{self.low} or more",
-            (False, True): f"{self.high} or less",
-        }.get((self.low is not None, self.high is not None), "")
         kind = "yes or no" if self.kind is bool else ""
         optional = "may be left empty" if self.optional else ""
-        return ", ".join(filter(None, (self.unit, limits, kind, optional)))
+        return ", ".join(filter(None, (self.unit, self._limits, kind, optional)))
+
+    @property
+    def _limits(self) -> str:
+        if self.low is not None:
+            return f"{self.low} or more" if self.high is None else f"{self.low} to {self.high}"
+        return "" if self.high is None else f"{self.high} or less"
 
     def read(self, text: str) -> MeasureValue:
-        """Return the answer that a text gives; None for an empty one where that is taken.
+        """Return the answer that a text gives; None for an empty text, if the question is optional.
 
         Raises:
             MeasureError: it is not taken.
@@ -130,11 +131,8 @@ class Question:
         """Return what is to be entered, as a sentence has it."""
         if self.kind in {bool, str} or self.choices:
             return self.hint or "an answer"
-        limits = {
-            (True, True): f" from {self.low} to {self.high}",
-            (True, False): f", {self.low} or more",
-            (False, True): f", {self.high} or less",
-        }.get((self.low is not None, self.high is not None), "")
+        has_both = self.low is not None and self.high is not None
+        limits = f"{' from' if has_both else ','} {self._limits}" if self._limits else ""
         unit = f" (in {self.unit})" if self.unit else ""
         return f"a {_TYPE_NAMES[self.kind]}{limits}{unit}"
 
@@ -256,7 +254,7 @@ def read_answers(
             taken[name] = None
         else:
             fix = f"Add --answer {name}=..., with {question.hint or 'any text'}."
-            findings.append(Finding.error(name, "there is no answer to this", fix))
+            findings.append(Finding.error(name, "the question is not answered", fix))
     return taken, findings
 
 
@@ -264,4 +262,4 @@ def _asked_for(name: str, questions: Mapping[str, Question]) -> Question:
     if name in questions:
         return questions[name]
     fix = did_you_mean(name, questions) if questions else "Leave it out: there are no questions."
-    raise MeasureError("nothing asks for this", where=name, fix=fix)
+    raise MeasureError("no question asks for this", where=name, fix=fix)

@@ -75,10 +75,6 @@ def _is_text(value: Any) -> bool:
     return isinstance(value, str) and value.strip() != ""
 
 
-def _are_authors(value: Any) -> bool:
-    return isinstance(value, list | tuple) and all(isinstance(each, Author) or _is_text(each) for each in value)
-
-
 def _not_from_text(text: str) -> NoReturn:
     raise ValueError(f"{text!r} cannot be set from outside")
 
@@ -153,7 +149,7 @@ REPEAT_UNTIL = Kind(
 )
 AUTHORS = Kind(
     "a list of names or Author(...)",
-    _are_authors,
+    lambda value: isinstance(value, list | tuple) and all(isinstance(each, Author) or _is_text(each) for each in value),
     authors_from_text,
     lambda value: tuple(each if isinstance(each, Author) else Author(each.strip()) for each in value),
 )

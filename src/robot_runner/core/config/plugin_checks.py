@@ -6,6 +6,7 @@ import difflib
 import inspect
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from itertools import islice
 from math import prod
 from types import CodeType
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from robot_runner.core.config.loader import place_in
 from robot_runner.core.design.factor import treatment_text
 from robot_runner.core.design.numeric_range import is_number
-from robot_runner.core.entry_points import entry_points
+from robot_runner.core.entry_points import EntryPoint, entry_points
 from robot_runner.core.errors import Finding, RobotRunnerError, did_you_mean
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
 from robot_runner.core.events.measure import Measure
@@ -74,7 +75,7 @@ def check_plugins(plugins: Sequence[Plugin], model: RunTableModel | None, robot:
             planned = (run.combination for run in _some_of(model, factors_of(plugin)))
             findings += _checked_with_each(plugin, plugins, planned, Circumstances(reached, factors))
         else:
-            findings += _asked(plugin, Circumstances(reached, factors, tuple(plugins)))
+            findings += asked(plugin.name, partial(plugin.check, Circumstances(reached, factors, tuple(plugins))))
     return findings
 
 
@@ -114,8 +115,21 @@ def instances_of(kind: type[T], returned: Iterable[T]) -> list[T]:
     return found
 
 
+def asked(where: str, check: Callable[[], Iterable[Finding]]) -> list[Finding]:
+    """Return what a stranger's check finds; what it raises is a finding like others."""
+    try:
+        return instances_of(Finding, check())
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code
+        return [failed_check(where, error)]
+
+
+def announced_findings(group: str, find: Callable[[EntryPoint], Iterable[Finding]]) -> list[Finding]:
+    """Return what installed packages find by what they announce in a group."""
+    return [finding for point in entry_points(group) for finding in asked(point.where, partial(find, point))]
+
+
 def failed_check(where: str, error: BaseException, what: str = "the check") -> Finding:
-    """Return the finding that takes the place of what a check, or whatever else it was, would have returned."""
+    """Return the finding for a check, or another function of a package, that raised."""
     if isinstance(error, RobotRunnerError):
         return Finding.error(error.where or where, error.problem, error.fix)
     problem = f"{what} raised {type(error).__name__}: {error}"
@@ -162,13 +176,6 @@ def _names_in(code: CodeType | None) -> Iterator[str]:
         yield from code.co_names
         for each in code.co_consts:
             yield from _names_in(each if isinstance(each, CodeType) else None)
-
-
-def _asked(plugin: Plugin, circumstances: Circumstances) -> list[Finding]:
-    try:
-        return instances_of(Finding, plugin.check(circumstances))
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
-        return [failed_check(plugin.name, error)]
 
 
 def _listed(loaded: LoadedConfig, findings: list[Finding]) -> Iterable[Plugin]:
@@ -377,12 +384,13 @@ def _checked_with_each(
 ) -> list[Finding]:
     def look(combination: Mapping[str, Any]) -> list[Finding]:
         try:
-            asked: Plugin = built_with(plugin, combination)
+            built: Plugin = built_with(plugin, combination)
             # It stands last: of two that clash the later one says so, and the others are not asked with each treatment.
             others = tuple(built_with(each, combination) for each in plugins if each is not plugin)
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code, which could be built a moment ago
             return [failed_check(plugin.name, error)]
         listed = [each.name for each in plugins]
-        return _asked(asked, Circumstances(circumstances.robot, circumstances.factors, (*others, asked), listed))
+        own = Circumstances(circumstances.robot, circumstances.factors, (*others, built), listed)
+        return asked(built.name, partial(built.check, own))
 
     return _with_each(plugin, combinations, look)

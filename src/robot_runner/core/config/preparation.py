@@ -22,10 +22,16 @@ from robot_runner.core.config.checks import (
 )
 from robot_runner.core.config.claims import check_workers
 from robot_runner.core.config.dead_names import check_dead_names
-from robot_runner.core.config.experiment import Experiment, event_manager_for, experiment_folder, grown_model
+from robot_runner.core.config.dialects import load_config
+from robot_runner.core.config.experiment import (
+    Experiment,
+    event_manager_for,
+    experiment_folder,
+    grown_model,
+    named_inputs,
+)
 from robot_runner.core.config.graph_checks import GraphCheck
-from robot_runner.core.config.loader import LoadedConfig, load_config
-from robot_runner.core.config.named_inputs import named_inputs
+from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
@@ -89,7 +95,7 @@ def check_robot(loaded: LoadedConfig, parameters: Parameters, plugins: Sequence[
 
 
 def _link_findings(parameters: Parameters) -> Iterator[Finding]:
-    """Yield what stands in the way of each robot, and that robots which take turns are not of one kind."""
+    """Yield what keeps a robot from being reached, and whether robots that take turns differ in kind."""
     if not parameters.robots:
         yield from link_findings(parameters.robot)
     for link in dict.fromkeys(parameters.robots.values()):
@@ -130,7 +136,7 @@ def prepare(
     is_for_here: bool = True,
     looks_at_graph: bool = True,
 ) -> Preparation:
-    """Load and validate a config file; all findings at once, and nothing on disk is touched.
+    """Load and validate a config file of any dialect; all findings at once, and nothing on disk is touched.
 
     Args:
         path: the config file.
@@ -166,7 +172,24 @@ def prepare(
     ordered = tuple(sorted(dict.fromkeys(findings), key=lambda finding: not finding.is_error))
     if any(finding.is_error for finding in ordered) or parameters is None or model is None:
         return Preparation(None, ordered)
-    return Preparation(_experiment(loaded, parameters, plugins, events, model, columns), ordered)
+    experiment = Experiment(
+        config_path=loaded.source.path,
+        class_name=loaded.source.class_name,
+        config=loaded.config,
+        parameters=parameters,
+        plugins=plugins,
+        events=events,
+        model=model,
+        columns=columns,
+        overrides=loaded.overrides,
+        local_modules=loaded.local_modules,
+        folder=experiment_folder(parameters, loaded),
+        spelling=loaded.spelling,
+        kept=loaded.kept,
+        registration=registered(loaded),
+        inputs=named_inputs(parameters, plugins, model, loaded.config),
+    )
+    return Preparation(experiment, ordered)
 
 
 def _grown(
@@ -192,7 +215,7 @@ def _with_all_factors(model: RunTableModel | None) -> RunTableModel | None:
 
 
 def _name_findings(loaded: LoadedConfig) -> list[Finding]:
-    """Return what is wrong with the names of a config: those that are nearly ours, and those that nothing uses."""
+    """Return the names of a config that are misspelt, or that nothing uses."""
     refused = check_names(loaded)
     places = {finding.where for finding in refused}
     dead = [finding for finding in check_dead_names(loaded) if finding.where not in places]
@@ -212,9 +235,11 @@ def _check_machine(
         graph = GraphCheck(parameters, plugins, model, events)
     robot = parameters.robot if parameters is not None else getattr(loaded.config, "robot", None)
     yield from _robot_first(loaded, parameters, plugins, model, robot)
-    if graph is not None and parameters is not None:
-        yield from _of_graphs(graph, parameters)
     if parameters is not None:
+        if graph is not None and parameters.robots:
+            yield from _of_each(parameters.robots, lambda link: list(graph.findings(link)))
+        elif graph is not None:
+            yield from graph.findings(parameters.robot)
         runs = _most_runs(model, parameters) if model is not None else 0
         if model is not None:
             yield from maker_findings(model.factors, experiment_folder(parameters, loaded))
@@ -230,7 +255,7 @@ def _robot_first(
     model: RunTableModel | None,
     robot: Any,
 ) -> Iterator[Finding]:
-    """Yield what stands in the way of the robot, then of the plugins, which are asked about the robot that was meant.
+    """Yield the findings on the robot, then those of the plugins, which are asked about the robot that was meant.
 
     Otherwise each of them would say in its own words that it does not know a robot whose name has a slip.
     """
@@ -262,13 +287,6 @@ def _of_each(robots: Mapping[str, str], look: Callable[[str], list[Finding]]) ->
         yield from (replace(each, where=f"{each.where}, robot {name}") for each in findings if each not in alike)
 
 
-def _of_graphs(graph: GraphCheck, parameters: Parameters) -> Iterator[Finding]:
-    if parameters.robots:
-        yield from _of_each(parameters.robots, lambda link: list(graph.findings(link)))
-    else:
-        yield from graph.findings(parameters.robot)
-
-
 def _left_to_workers(finding: Finding) -> Finding:
     """Return what was found on this machine as a warning: a cluster's workers look at their own as they join."""
     if not finding.is_error:
@@ -284,18 +302,14 @@ def _most_runs(model: RunTableModel, parameters: Parameters) -> int:
 
 
 def prepare_or_refuse(
-    path: Path,
-    overrides: Mapping[str, str] = MappingProxyType({}),
-    load: Loader = load_config,
-    *,
-    looks_at_graph: bool = True,
+    path: Path, overrides: Mapping[str, str] = MappingProxyType({}), *, looks_at_graph: bool = True
 ) -> Experiment:
     """Load and validate a config file, as `prepare` does.
 
     Raises:
         ConfigError: it is refused; carries every finding.
     """
-    preparation = prepare(path, overrides, load, looks_at_graph=looks_at_graph)
+    preparation = prepare(path, overrides, looks_at_graph=looks_at_graph)
     if preparation.experiment is None:
         raise ConfigError.of_findings(preparation.findings)
     return preparation.experiment
@@ -316,7 +330,7 @@ def measure_columns(
     parameters: Parameters | None,
     findings: list[Finding],
 ) -> MeasureColumns:
-    """Return the measures that runs may yield, and which of them the run table has; what is wrong joins `findings`."""
+    """Return the measures that runs may yield, with the columns of the run table; adds what is wrong to `findings`."""
     phases = parameters.phases if parameters is not None else ()
     measures = {plugin.name: with_phases(plugin.measures, phases) for plugin in plugins}
     steps = parameters.operator_steps if parameters is not None else ()
@@ -335,30 +349,3 @@ def measure_columns(
     except DesignError as error:
         findings += error.findings
     return columns
-
-
-def _experiment(
-    loaded: LoadedConfig,
-    parameters: Parameters,
-    plugins: tuple[Plugin, ...],
-    events: EventManager,
-    model: RunTableModel,
-    columns: MeasureColumns,
-) -> Experiment:
-    return Experiment(
-        config_path=loaded.source.path,
-        class_name=loaded.source.class_name,
-        config=loaded.config,
-        parameters=parameters,
-        plugins=plugins,
-        events=events,
-        model=model,
-        columns=columns,
-        overrides=loaded.overrides,
-        local_modules=loaded.local_modules,
-        folder=experiment_folder(parameters, loaded),
-        spelling=loaded.spelling,
-        kept=loaded.kept,
-        registration=registered(loaded),
-        inputs=named_inputs(parameters, plugins, model, loaded.config),
-    )

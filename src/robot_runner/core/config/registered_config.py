@@ -1,4 +1,4 @@
-"""The registration that belongs to a config: where it is, what it holds, and how the config differs from it."""
+"""The registration of a config: its place, its content, and the differences of the config from it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from itertools import filterfalse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.batches import as_configured
-from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.factor import full_factorial
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import Finding, StorageError

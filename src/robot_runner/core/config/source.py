@@ -1,6 +1,7 @@
-"""The import lines of the paper's Listing 1: `import plugins.profilers.Ina219` activates the plugin.
+"""A config file as text: read, parsed, searched for its config class, and for what it imports.
 
-The modules exist only while a config file is loaded; a package named `plugins` beside the config file comes first.
+The paper's `import plugins.profilers.Ina219` activates a plugin: such modules exist only while a config file is loaded,
+and a package named `plugins` beside the config file comes first.
 """
 
 from __future__ import annotations
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from types import ModuleType
 
     from robot_runner.core.plugin import Plugin
-
-
-# A config file as text: read, parsed, and searched for the class that describes the experiment.
 
 CONFIG_CLASS = "RobotRunnerConfig"
 _CONFIG_BASE = "ExperimentConfig"
@@ -211,13 +209,9 @@ def activating_imports() -> Iterator[list[type[Plugin]]]:
         yield activated
     finally:
         sys.meta_path.remove(finder)
-        for name in [name for name, module in sys.modules.items() if _is_stand_in(module)]:
+        specs = {name: getattr(module, "__spec__", None) for name, module in sys.modules.items()}
+        for name in [name for name, spec in specs.items() if isinstance(getattr(spec, "loader", None), _StandInLoader)]:
             del sys.modules[name]
-
-
-def _is_stand_in(module: ModuleType | None) -> bool:
-    spec = getattr(module, "__spec__", None)
-    return isinstance(getattr(spec, "loader", None), _StandInLoader)
 
 
 class _PluginFinder(MetaPathFinder):

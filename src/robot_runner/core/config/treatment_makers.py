@@ -1,4 +1,4 @@
-"""Treatments that are made before the first run, such as revisions that are built: who makes them, and what is known.
+"""The makers of treatments that have to be made before the first run, such as revisions that are built.
 
 Packages announce what makes treatments in the group `robot_runner.preparations`.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Protocol
 
-from robot_runner.core.config.plugin_checks import failed_check, instances_of
+from robot_runner.core.config.plugin_checks import announced_findings
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.storage.journal import read_journal
@@ -49,7 +49,6 @@ class TreatmentMaker(Protocol):
 
     def findings(self, factors: Sequence[Factor], known: Mapping[str, Any]) -> Iterable[Finding]:
         """Yield what stands in the way, and what has changed since; nothing is touched."""
-        ...
 
     def prepare(self, factors: Sequence[Factor], known: Mapping[str, Any], workshop: Workshop) -> Mapping[str, Any]:
         """Make the treatments, and return plain facts to be kept; nothing where there are no such treatments.
@@ -58,7 +57,6 @@ class TreatmentMaker(Protocol):
             RobotRunnerError: one cannot be made.
             KeyboardInterrupt: the user has interrupted it.
         """
-        ...
 
 
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -67,7 +65,7 @@ _OF_ORIGINAL: ContextVar[Mapping[str, Any]] = ContextVar("_OF_ORIGINAL", default
 
 @contextmanager
 def treatments_known(facts: Mapping[str, Any]) -> Iterator[None]:
-    """While this lasts, an experiment that has not begun is checked with what was made for the one that it repeats."""
+    """While this lasts, check an experiment that has not begun with the treatments made for its original."""
     token = _OF_ORIGINAL.set(facts)
     try:
         yield
@@ -78,13 +76,7 @@ def treatments_known(facts: Mapping[str, Any]) -> Iterator[None]:
 def maker_findings(factors: Sequence[Factor], folder: ExperimentFolder) -> list[Finding]:
     """Return what stands in the way of making the treatments of these factors."""
     known = known_treatments(folder) or _OF_ORIGINAL.get()
-    findings: list[Finding] = []
-    for point in entry_points("preparations"):
-        try:
-            findings += instances_of(Finding, point.load().findings(factors, known.get(point.name, {})))
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a stranger's code; what it raises is a finding like others
-            findings.append(failed_check(point.where, error))
-    return findings
+    return announced_findings("preparations", lambda each: each.load().findings(factors, known.get(each.name, {})))
 
 
 def made_treatments(factors: Sequence[Factor], known: Mapping[str, Any], workshop: Workshop) -> dict[str, Any]:

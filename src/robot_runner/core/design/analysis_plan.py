@@ -157,12 +157,9 @@ class AnalysisPlan:
         if not findings and family is Family.HYPOTHESES and not hypotheses:
             fix = "Give hypotheses=[...], or another family."
             findings.append(Finding.error("analysis", "the family is that of the hypotheses, and there are none", fix))
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(findings)
         primary = tuple(dict.fromkeys((*names_of(measures), *(hypothesis.measure for hypothesis in hypotheses))))
-        findings += _covariate_findings(names_of(covariates), primary, estimand)
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(_covariate_findings(names_of(covariates), primary, estimand))
         object.__setattr__(self, "measures", primary)
         object.__setattr__(self, "secondary", tuple(name for name in names_of(secondary) if name not in primary))
         object.__setattr__(self, "alpha", float(alpha))

@@ -27,7 +27,7 @@ DECIDED = "decided"
 
 
 class Told(NamedTuple):
-    """A run that was planned, as it is told to what decides on the next ones; runs that only warm up are not.
+    """A planned run, as the decision on the next runs is told of it; warm-up runs are left out.
 
     Attributes:
         run: its combination, repetition and batch.
@@ -85,11 +85,7 @@ class Asking(Protocol):
         """Return whether more runs may follow when these are planned."""
 
     def ask(self, told: Sequence[Told]) -> Decision:
-        """Return what is executed next.
-
-        Args:
-            told: all runs of the run table, in its order.
-        """
+        """Return what is executed next, by all runs of the run table so far."""
 
 
 @runtime_checkable

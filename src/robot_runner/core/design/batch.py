@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import isfinite
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
@@ -91,25 +91,6 @@ class Batch:
     def run_ids(self) -> list[str]:
         """The ids of the runs that count: warm-up runs are left out."""
         return [run.run_id for run in self.runs if not run.is_warm_up]
-
-    def with_runs(
-        self,
-        name: str,
-        runs: Sequence[BatchRun],
-        repetitions: int,
-        factors: Mapping[str, Sequence[Any]] | None = None,
-    ) -> Self:
-        """Return the batch with runs that were added while the experiment was executed.
-
-        Args:
-            name: what they are, such as `repetition 4`.
-            runs: none where the plan was only written down.
-            repetitions: how often each combination is executed from now on.
-            factors: all factors with the treatments from now on; None where none came up.
-        """
-        added = (*self.added, (name, tuple(run.run_id for run in runs))) if runs else self.added
-        factors = self.factors if factors is None else factors
-        return replace(self, repetitions=repetitions, runs=[*self.runs, *runs], added=added, factors=factors)
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the batch as plain data, for a record of the journal."""

@@ -1,4 +1,4 @@
-"""The plan of an experiment that was extended: what was planned first, and each batch of runs that was added since.
+"""The plan of an extended experiment: the first plan, and each batch of runs that was added to it.
 
 Once an experiment has grown, its plan is what the journal lists, batch by batch, and the config no longer makes it:
 the runs that were executed keep their ids, whatever becomes of the config. It grows by batches, which somebody adds,
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import count
 from re import fullmatch
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.asking import Decision
     from robot_runner.core.design.growing import Begun, GrownDesign
     from robot_runner.core.design.warm_up import WarmUp
-
 
 #: The kind of the journal's record of an extension: the batch that it added; the first one has the plan before it, too.
 EXTENDED = "extended"
@@ -63,7 +62,14 @@ def _grown_by(batch: Batch, record: Mapping[str, Any]) -> Batch:
     is_repetition = "repetition" in record
     repetitions = int(record["repetition"]) if is_repetition else batch.repetitions
     name = f"repetition {repetitions}" if is_repetition else str(record["name"])
-    return batch.with_runs(name, runs, repetitions, record.get("factors"))
+    return replace(
+        batch,
+        repetitions=repetitions,
+        runs=[*batch.runs, *runs],
+        # Without runs, the plan was only written down.
+        added=(*batch.added, (name, tuple(run.run_id for run in runs))) if runs else batch.added,
+        factors=record.get("factors") or batch.factors,
+    )
 
 
 def records_of(batches: Sequence[Batch]) -> Iterator[dict[str, Any]]:
@@ -120,9 +126,7 @@ class GrownRunTableModel(RunTableModel):
         Raises:
             DesignError: the config lacks a treatment that cannot be made from its text, or no run can have an id.
         """
-        findings = list(run_findings([run.run_id for batch in batches for run in batch.runs]))
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(run_findings([run.run_id for batch in batches for run in batch.runs]))
         last = batches[-1]
         own = {factor.name: factor for factor in model.factors}
         factors = tuple(_factor(own.get(name), name, treatments) for name, treatments in last.factors.items())
@@ -145,8 +149,9 @@ class GrownRunTableModel(RunTableModel):
             for name, texts in batch.chosen.items():
                 self.chosen[name] = (*self.chosen.get(name, ()), *texts)
         self._order = replace(batches[0].order, seed_is_given=model.seed_is_given)
+        places = factor_places(by_name)
         self._runs = [
-            self._planned_run(number, batch, run)
+            self._planned_run(places, number, batch, run)
             for number, (batch, run) in enumerate(((batch, run) for batch in batches for run in batch.runs), start=1)
         ]
 
@@ -155,8 +160,7 @@ class GrownRunTableModel(RunTableModel):
         order = self._order if seed is None else replace(self._order, seed=seed)
         return RunTable(self, self._runs, order)
 
-    def _planned_run(self, number: int, batch: Batch, run: BatchRun) -> PlannedRun:
-        places = self._places
+    def _planned_run(self, places: Mapping[str, int], number: int, batch: Batch, run: BatchRun) -> PlannedRun:
         treatments = tuple(
             _treatment(factor, run.treatments[factor.name])
             if factor.name in run.treatments
@@ -165,10 +169,6 @@ class GrownRunTableModel(RunTableModel):
         )
         combination = Combination(places, treatments)
         return PlannedRun(run.run_id, number, combination, run.repetition, run.block, batch.number)
-
-    @property
-    def _places(self) -> dict[str, int]:
-        return factor_places(factor.name for factor in self.factors)
 
 
 def as_configured(model: RunTableModel) -> RunTableModel:
@@ -242,10 +242,10 @@ def next_batch(
             wanted.
     """
     missing = list(missing_runs(begun.counted_runs, design) if wanted is None else wanted)
-    places = arranged(len(missing), _block_of(missing, order.blocks), order) if missing else ()
+    blocks = _block_of(missing, order.blocks)
+    places = arranged(len(missing), blocks, order) if missing else ()
     first = len(begun.runs) + 1
     last_block = max((run.block or 0 for run in begun.runs), default=0)
-    blocks = _block_of(missing, order.blocks)
     ids = _free_ids(begun.runs)
     runs = [
         PlannedRun(
@@ -315,3 +315,24 @@ def _free_ids(runs: Sequence[PlannedRun]) -> Iterator[str]:
 
 def _plain(factors: Sequence[Factor]) -> dict[str, list[Any]]:
     return {factor.name: list(map(plain_treatment, factor.treatments)) for factor in factors}
+
+
+def described_design(model: RunTableModel) -> dict[str, Any]:
+    """Return what the manifest says of a design: factors, repetitions, order, warm-up runs, batches.
+
+    `parameters` and `facts` are there where the design is another than the full factorial.
+    """
+    design: dict[str, Any] = {
+        "factors": {factor.name: list(factor.texts) for factor in model.factors},
+        "repetitions": model.repetitions,
+        "shuffle": model.shuffle,
+        "blocks": model.blocks,
+    }
+    if not model.is_full_factorial:
+        design["parameters"] = dict(model.design.as_mapping())
+        design["facts"] = dict(model.design_facts)
+    if model.warm_up is not None:
+        design["warm_up"] = asdict(model.warm_up)
+    if model.is_extended:
+        design["batches"] = [batch.summary() for batch in model.batches]
+    return design

@@ -94,10 +94,6 @@ def name_findings(name: object, *, kind: str, repetitions: int = 1, warms_up: bo
     elif odd := [character for character in name if not is_fit_for_heading(character)]:
         yield Finding.error(where, f"the name holds {odd[0]!r}, which no heading can hold", "Leave it out.")
     elif name.casefold() in {taken.casefold() for taken in reserved_names(repetitions, warms_up=warms_up)}:
-        yield Finding.error(where, "the run table has a column of that name already", _other_name(name))
-
-
-def _other_name(name: str) -> str:
-    if name.casefold() == REPETITION.casefold():
-        return "Choose another name, or leave out repetitions= and vary it as a factor."
-    return "Choose another name."
+        is_count = name.casefold() == REPETITION.casefold()
+        fix = f"Choose another name{', or leave out repetitions= and vary it as a factor' if is_count else ''}."
+        yield Finding.error(where, "the run table has a column of that name already", fix)

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
 
 from robot_runner.core.design.columns import numbered_run_id
-from robot_runner.core.design.factor import Combination, Factor, full_factorial
+from robot_runner.core.design.factor import Combination, Factor, factor_places, full_factorial, treatment_text
 from robot_runner.core.design.planned_runs import PlannedRun
+from robot_runner.core.errors import DesignError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.core.errors import Finding
-
 
 #: Whether the exclusions leave a combination. The one that a run-table model gives is an `exclusions.Allowed`, which
 #: also says which treatments exclude each other, for designs that build combinations factor by factor.
@@ -141,3 +141,114 @@ class FullFactorial:
     def choose(self, factors: Sequence[Factor], is_allowed: IsAllowed) -> ChosenCombinations:
         """Return every combination that is allowed; the first factor changes slowest."""
         return ChosenCombinations([each for each in full_factorial(factors) if is_allowed(each)], self.as_mapping())
+
+
+def grown_choice(
+    design: CombinationDesign | Design,
+    planned: Iterable[PlannedRun],
+    own: Sequence[Factor],
+    factors: Sequence[Factor],
+    allowed_of: Callable[[Sequence[Factor]], IsAllowed],
+) -> list[Combination]:
+    """Return the combinations of a plan, each once, with those that its design adds where `factors` have grown.
+
+    A design grows where what it chose before is among what it chooses now, as of one factor at a time.
+
+    Raises:
+        DesignError: it would choose others, so that the runs that there are would not belong to the design.
+    """
+    places = factor_places(factor.name for factor in factors)
+    runs = list(planned)
+    found = _by_texts(run.combination for run in runs)
+    texts, own_texts = ({factor.name: set(factor.texts) for factor in each} for each in (factors, own))
+    if texts != own_texts:
+        there, found = found, {}
+        has_more = texts.keys() == own_texts.keys() and all(own_texts[name] <= texts[name] for name in texts)
+        repetitions = max(run.repetition for run in runs)
+        if (
+            has_more
+            and all(factor.range is None for factor in own)
+            and isinstance(design, CombinationDesign)
+            and not any(design.findings(factors, repetitions))
+        ):
+            found = _by_texts(design.choose(factors, allowed_of(factors)).combinations)
+        if not there.keys() <= found.keys():
+            raise _does_not_grow(design)
+    return [Combination(places, tuple(each[name] for name in places)) for each in found.values()]
+
+
+def _by_texts(combinations: Iterable[Combination]) -> dict[tuple[str, ...], Combination]:
+    return {tuple(treatment_text(each[name]) for name in sorted(each)): each for each in combinations}
+
+
+def _does_not_grow(design: CombinationDesign | Design) -> DesignError:
+    kind = str(design.as_mapping()["kind"]).replace("_", " ")
+    problem = f"the {kind} chose its combinations from the factors as the config has them, and would choose others"
+    fix = (
+        "Add repetitions, or execute an experiment of its own with the other factors. (A full factorial takes "
+        "treatments and factors, one factor at a time takes treatments.)"
+    )
+    return DesignError(problem, where="design", fix=fix)
+
+
+#: The fact of a design that holds what is described here.
+HELD_ORDER = "held_order"
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOrder:
+    """Which runs never overlap and never change places, and how long a unit rests between its periods.
+
+    Attributes:
+        one_by_one: a factor; runs that share its treatment are executed one at a time, in the order of the plan.
+        one_after_another: a factor; all runs with one treatment are over before one with another begins.
+        rest_between: a factor; runs of one unit (that share the treatment of `one_by_one`) that follow each other and
+            differ in it have a rest between them.
+        rest_in_s: how long that rest lasts, s.
+
+    Example:
+        >>> held = HeldOrder(one_by_one="Robot", rest_between="Period", rest_in_s=60.0)
+        >>> held.waits_for({"Robot": "A", "Period": 2}, {"Robot": "A", "Period": 1})
+        True
+    """
+
+    one_by_one: str = ""
+    one_after_another: str = ""
+    rest_between: str = ""
+    rest_in_s: float = 0.0
+
+    @classmethod
+    def of_facts(cls, facts: Mapping[str, Any]) -> Self:
+        """Return what a design says in its facts; nothing is held where it says nothing."""
+        return cls(**facts.get(HELD_ORDER, {}))
+
+    @property
+    def is_open(self) -> bool:
+        """Whether runs may overlap and change places as they like."""
+        return not (self.one_by_one or self.one_after_another)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return it as plain data, for the facts of a design."""
+        return {name: value for name in self.__slots__ if (value := getattr(self, name))}
+
+    def waits_for(self, run: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+        """Return whether a run has to wait until another one is over, which comes before it in the plan."""
+        if self.one_by_one and _is_same(self.one_by_one, run, other):
+            return True
+        return bool(self.one_after_another) and not _is_same(self.one_after_another, run, other)
+
+    def rests(self, runs: Iterable[PlannedRun]) -> dict[str, float]:
+        """Return how long the unit of each run rests before it, s, by the run's id, where it does."""
+        found: dict[str, float] = {}
+        last: dict[str, Mapping[str, Any]] = {}
+        for run in runs if self.rest_in_s else ():
+            before = last.setdefault(str(run.combination[self.one_by_one]), run.combination)
+            if not _is_same(self.rest_between, before, run.combination):
+                found[run.run_id] = self.rest_in_s
+            last[str(run.combination[self.one_by_one])] = run.combination
+        return found
+
+
+def _is_same(factor: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    # By their texts, as in the run table: of two objects of a user's, equality may say anything.
+    return one[factor] is other[factor] or str(one[factor]) == str(other[factor])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from math import log10, prod
@@ -161,7 +161,7 @@ def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repe
     if seed is not None and not is_seed(seed):
         problem = f"{seed!r} is of type {type(seed).__name__}"
         if isinstance(seed, int) and not isinstance(seed, bool):
-            problem = f"it has {seed.bit_length():,} bits" if seed > 0 else f"it is {seed}"
+            problem = f"the seed has {seed.bit_length():,} bits" if seed > 0 else f"the seed is {seed}"
         yield Finding.error("seed", problem, "Give a whole number from 0, or leave it out.")
     if blocks is None:
         return
@@ -170,7 +170,8 @@ def order_findings(seed: object, blocks: object, factors: Sequence[Factor], repe
         known.append(REPETITION)
     name = _name_of(blocks)
     if name not in known:
-        yield Finding.error("blocks", f"there is nothing called {name!r} to make blocks of", _blocks_fix(name, known))
+        fix = "Give repetitions=2 or more, or name a factor." if name == REPETITION else did_you_mean(str(name), known)
+        yield Finding.error("blocks", f"there is nothing called {name!r} to make blocks of", fix)
 
 
 def _name_of(blocks: object) -> object:
@@ -184,9 +185,3 @@ def size_findings(factors: Sequence[Factor], repetitions: int) -> Iterator[Findi
         shown = f"{runs:,}" if runs < _READABLE else f"10^{log10(runs):.0f}"
         problem = f"the design has {shown} runs before exclusions; {MAX_RUNS:,} is the most"
         yield Finding.error("factors", problem, "Give fewer treatments or repetitions.")
-
-
-def _blocks_fix(name: object, known: Iterable[str]) -> str:
-    if name == REPETITION:
-        return "Give repetitions=2 or more, or name a factor."
-    return did_you_mean(str(name), known)

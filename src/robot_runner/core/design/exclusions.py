@@ -63,25 +63,13 @@ class Allowed:
         Raises:
             DesignError: one names what there is not; `findings` lists everything that was found.
         """
-        findings: list[Finding] = []
-        forbidden: list[Mapping[str, frozenset[int]]] = list(impossible_treatments(factors))
-        predicates: list[tuple[str, Callable[[Combination], object]]] = []
-        for place, exclusion in enumerate(_checked(exclusions, findings)):
-            where = f"{_WHERE}[{place}]"
-            if isinstance(exclusion, Mapping):
-                named, errors = _named(where, factors, exclusion)
-                findings += errors
-                forbidden.append(named)
-            elif callable(exclusion):
-                predicates.append((where, exclusion))
-            else:
-                findings.append(_no_exclusion(where, exclusion))
-        if findings:
-            raise DesignError.of_findings(findings)
-        self.forbidden = tuple(forbidden)
-        self.predicates = tuple(predicates)
-        self._matches = [_naming(factors, each) for each in forbidden]
-        self._matches += [_predicating(where, predicate) for where, predicate in predicates]
+        read, findings = _read(factors, exclusions)
+        DesignError.refuse(findings)
+        named = (each for _, each in read if isinstance(each, Mapping))
+        self.forbidden: tuple[Mapping[str, frozenset[int]], ...] = (*impossible_treatments(factors), *named)
+        self.predicates = tuple((where, each) for where, each in read if not isinstance(each, Mapping))
+        self._matches = [_naming(factors, each) for each in self.forbidden]
+        self._matches += [_predicating(where, predicate) for where, predicate in self.predicates]
 
     def __call__(self, combination: Combination) -> bool:
         """Return whether no exclusion matches.
@@ -95,13 +83,13 @@ class Allowed:
 def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combination], exclusions: object) -> Exclusions:
     """Find out which combinations are left out."""
     left_out = [False] * len(combinations)
-    errors: list[Finding] = []
     warnings: list[Finding] = []
     cause = None
-    for place, exclusion in enumerate(_checked(exclusions, errors)):
-        where = f"{_WHERE}[{place}]"
+    read, errors = _read(factors, exclusions)
+    for where, each in read:
+        matches = _naming(factors, each) if isinstance(each, Mapping) else _predicating(where, each)
         try:
-            flags = list(map(_matching(where, factors, exclusion), combinations))
+            flags = list(map(matches, combinations))
         except DesignError as error:
             errors += error.findings
             cause = cause or error.__cause__
@@ -114,28 +102,30 @@ def apply_exclusions(factors: Sequence[Factor], combinations: Sequence[Combinati
     return Exclusions(kept, tuple(errors), tuple(warnings), cause)
 
 
-def _checked(exclusions: object, findings: list[Finding]) -> Sequence[object]:
-    if isinstance(exclusions, Sequence) and not isinstance(exclusions, str | bytes):
-        return exclusions
-    problem = f"{exclusions!r} is of type {type(exclusions).__name__}"
-    findings.append(Finding.error(_WHERE, problem, "Give a list of exclusions."))
-    return ()
+#: An exclusion that was read, and where it stands: the places of the treatments that it names, or a predicate.
+_Read = tuple[str, Mapping[str, frozenset[int]] | Callable[[Combination], object]]
 
 
-def _no_exclusion(where: str, exclusion: object) -> Finding:
-    problem = f"{exclusion!r} is of type {type(exclusion).__name__}"
-    return Finding.error(where, problem, "Give a mapping from factors to treatments, or a function of a combination.")
-
-
-def _matching(where: str, factors: Sequence[Factor], exclusion: object) -> _Matches:
-    if isinstance(exclusion, Mapping):
-        named, errors = _named(where, factors, exclusion)
-        if errors:
-            raise DesignError.of_findings(errors)
-        return _naming(factors, named)
-    if callable(exclusion):
-        return _predicating(where, exclusion)
-    raise DesignError.of_findings([_no_exclusion(where, exclusion)])
+def _read(factors: Sequence[Factor], exclusions: object) -> tuple[list[_Read], list[Finding]]:
+    """Return the exclusions that can be, and what is wrong with the others."""
+    if not isinstance(exclusions, Sequence) or isinstance(exclusions, str | bytes):
+        problem = f"{exclusions!r} is of type {type(exclusions).__name__}"
+        return [], [Finding.error(_WHERE, problem, "Give a list of exclusions.")]
+    read: list[_Read] = []
+    findings: list[Finding] = []
+    for place, exclusion in enumerate(exclusions):
+        where = f"{_WHERE}[{place}]"
+        if isinstance(exclusion, Mapping):
+            named, errors = _named(where, factors, exclusion)
+            findings += errors
+            read += [] if errors else [(where, named)]
+        elif callable(exclusion):
+            read.append((where, exclusion))
+        else:
+            problem = f"{exclusion!r} is of type {type(exclusion).__name__}"
+            fix = "Give a mapping from factors to treatments, or a function of a combination."
+            findings.append(Finding.error(where, problem, fix))
+    return read, findings
 
 
 def _naming(factors: Sequence[Factor], named: Mapping[str, frozenset[int]]) -> _Matches:

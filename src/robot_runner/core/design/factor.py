@@ -168,8 +168,7 @@ class Factor:
             listed = (*listed, INACTIVE)
         findings = [*name_findings(name, kind="factor"), *unlisted, *treatment_findings(where, listed)]
         findings += [*_unit_findings(where, unit, span), *wrong]
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(findings)
         texts = tuple(map(treatment_text, listed))
         positions = {text: place for place, text in enumerate(texts)}
         given = (name, listed, texts, span, span.unit if span else unit, conditions, positions)
@@ -199,10 +198,11 @@ class Factor:
             >>> Factor.revisions("Version", "~/planner", ["v1.0", "main"], build="make").texts
             ('v1.0', 'main')
         """
-        listed, findings = _listed(f"factor {name!r}", revisions)
-        findings += [_no_revision(name, each) for each in listed if not is_revision_name(each)]
-        if findings:
-            raise DesignError.of_findings(findings)
+        where, fix = f"factor {name!r}", "Name a tag, a branch or a commit, such as 'v1.0' or 'main'."
+        listed, findings = _listed(where, revisions)
+        wrong = [each for each in listed if not is_revision_name(each)]
+        findings += [Finding.error(where, f"{each!r} names no revision", fix) for each in wrong]
+        DesignError.refuse(findings)
         return cls(name, [Revision(str(repository), each, build=build) for each in listed])
 
     def __hash__(self) -> int:
@@ -269,11 +269,6 @@ def _conditions(where: str, when: object) -> tuple[dict[str, tuple[Any, ...]], l
         if not named[name]:
             return {}, [Finding.error(where, f"when={when!r} names no treatment of {name!r}", fix)]
     return named, []
-
-
-def _no_revision(name: str, value: object) -> Finding:
-    fix = "Name a tag, a branch or a commit, such as 'v1.0' or 'main'."
-    return Finding.error(f"factor {name!r}", f"{value!r} names no revision", fix)
 
 
 def _listed(where: str, treatments: object) -> tuple[tuple[Any, ...], list[Finding]]:

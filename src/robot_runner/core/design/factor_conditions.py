@@ -1,4 +1,4 @@
-"""Conditional factors: which treatments of other factors decide that a factor applies, and what that excludes."""
+"""Conditional factors: the treatments of others under which a factor applies, and the combinations this excludes."""
 
 from __future__ import annotations
 

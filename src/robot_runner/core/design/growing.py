@@ -116,7 +116,7 @@ class GrownDesign:
 
 
 def grown_design(begun: Begun, config: RunTableModel, added: Additions) -> GrownDesign:
-    """Return what an experiment is to have: what it has, what the config has beyond that, and what is asked for.
+    """Return the design that an experiment grows to: its own, with what the config adds and what is asked for.
 
     Treatments that the config has no longer get no further runs; those that were added on the command line do.
 
@@ -124,9 +124,7 @@ def grown_design(begun: Begun, config: RunTableModel, added: Additions) -> Grown
         DesignError: something cannot be added; `findings` lists everything that was found.
     """
     growing = _Growing(begun, config, added)
-    findings = list(growing.findings())
-    if findings:
-        raise DesignError.of_findings(findings)
+    DesignError.refuse(growing.findings())
     return growing.grown()
 
 
@@ -187,7 +185,7 @@ class _Growing:
         return tuple(dict.fromkeys(treatment_text(typed(like, text)) for text in texts))
 
     def _factor(self, name: str, chosen: Sequence[str]) -> Factor:
-        """Return a factor with what it has, what the config has beyond that, and what was chosen."""
+        """Return a factor with its treatments so far, those that the config adds, and those that were chosen."""
         there, own = self._there.get(name), self._own.get(name)
         like = own or there
         if like is None:

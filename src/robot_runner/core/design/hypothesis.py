@@ -65,8 +65,7 @@ class Hypothesis:
         findings += _contrast_findings(where, self.factors, contrast, within)
         if not self.factors:
             findings.append(Finding.error(where, "the hypothesis names no factor", "Give factors=..."))
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(findings)
         weights = None if contrast is None else {str(name): float(weight) for name, weight in contrast.items()}
         object.__setattr__(self, "contrast", weights)
         object.__setattr__(self, "within", None if within is None else float(within))

@@ -59,7 +59,6 @@ class ListedRunTableModel(RunTableModel):
         runs: Sequence[ListedRun],
         *,
         data_columns: Sequence[NamedColumn] = (),
-        warnings: Sequence[Finding] = (),
         order: RunOrder | None = None,
     ) -> None:
         """Check the whole design.
@@ -68,19 +67,15 @@ class ListedRunTableModel(RunTableModel):
             factors: what is varied; there may be none, where the same thing is repeated.
             runs: the runs, in the order of execution.
             data_columns: the measures that the run table has columns for.
-            warnings: findings that do not refuse the design.
             order: how the runs were put in the order in which they are listed.
 
         Raises:
             DesignError: it cannot be; `findings` lists everything that was found.
         """
         findings = [*run_findings([run.run_id for run in runs]), *_column_findings(factors, data_columns)]
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(findings)
         # Not by the factorial's own way of making them, which lists every combination there could be.
-        vars(self).update(
-            factors=tuple(factors), repetitions=1, data_columns=tuple(data_columns), warnings=tuple(warnings)
-        )
+        vars(self).update(factors=tuple(factors), repetitions=1, data_columns=tuple(data_columns), warnings=())
         self.runs: Final = tuple(runs)
         self._order = order or RunOrder()
         self._listed = RunTable(self, _planned(self.factors, runs), self._order)

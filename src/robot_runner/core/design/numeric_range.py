@@ -48,9 +48,7 @@ class Range:
     step: float | None = None
 
     def __post_init__(self) -> None:
-        findings = list(self._findings())
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(self._findings())
         for name in ("lower", "upper", "step"):
             if isinstance(value := getattr(self, name), float):
                 object.__setattr__(self, name, float(value))  # one of numpy's is written in another way
@@ -64,11 +62,7 @@ class Range:
         return all(isinstance(each, int) for each in (self.lower, self.upper, 1 if self.step is None else self.step))
 
     def at(self, share: float) -> float:
-        """Return the value that can be set nearest to a share of the way from the lower end to the upper one.
-
-        Args:
-            share: from 0 to 1.
-        """
+        """Return the settable value nearest to a share (0 to 1) of the way from the lower end to the upper one."""
         if self.step is None and share in {0, 1}:
             return self.upper if share else self.lower
         step = self._step

@@ -68,8 +68,7 @@ class Outliers:
         if not findings and interquartile_ranges is median_deviations is None and not bounds:
             fix = "Give interquartile_ranges=3, median_deviations=3, or bounds={measure: (low, high)}."
             findings.append(Finding.error(_WHERE, "there is no rule", fix))
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(findings)
         object.__setattr__(self, "interquartile_ranges", _float(interquartile_ranges))
         object.__setattr__(self, "median_deviations", _float(median_deviations))
         pairs = {name: (_float(low), _float(high)) for name, (low, high) in (bounds or {}).items()}

@@ -68,11 +68,7 @@ def _blocks(block_of: Sequence[int]) -> list[list[int]]:
 
 
 def shuffle_in_place(places: list[Any], draw: Callable[[], float]) -> None:
-    """Shuffle a list (Fisher and Yates).
-
-    Args:
-        places: what is put into another order.
-        draw: the method `random` of a random number generator.
+    """Shuffle a list (Fisher and Yates); `draw` is the method `random` of a random number generator.
 
     Only `random()` is promised to give the same numbers in every version of Python: `shuffle()` is not.
     """

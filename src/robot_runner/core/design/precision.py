@@ -9,7 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import DesignError, Finding, did_you_mean
-from robot_runner.core.words import exact
+from robot_runner.core.words import exact, has_true_zero
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -74,9 +74,7 @@ class Precision:
         number, unit = _number_and_unit(half_width)
         kinds = {each.value: each for each in PreciseOf}
         kind = kinds.get(of, of) if isinstance(of, str) else of
-        findings = list(_findings(measure, half_width, number, at_most, kind))
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(_findings(measure, half_width, number, at_most, kind))
         given = (measure, number, unit == _PERCENT, "" if unit == _PERCENT else unit, at_most, kind)
         for name, value in zip(self.__slots__, given, strict=True):
             object.__setattr__(self, name, value)
@@ -148,14 +146,7 @@ def rules_of_mapping(plain: object) -> tuple[tuple[Precision, ...], int]:
 def precision_findings(
     where: str, rules: Sequence[Precision], repetitions: int, units: Mapping[str, str]
 ) -> Iterator[Finding]:
-    """Say where rules do not fit a design.
-
-    Args:
-        where: they are given.
-        rules: all of them.
-        repetitions: how often each combination is executed at least.
-        units: of the measures of the run table, by their names.
-    """
+    """Say where rules do not fit a design of so many repetitions, at least, and of measures in these units."""
     if rules and repetitions < LEAST_REPETITIONS:
         problem = f"{repetitions} repetitions tell no spread, and how precise a mean is comes from the spread"
         yield Finding.error(where, problem, f"Plan repetitions={_ENOUGH_REPETITIONS} or more: that many are the least.")
@@ -169,6 +160,9 @@ def precision_findings(
             unit = units[rule.measure] or "no unit"
             problem = f"half_width is {rule.wanted_in_words!r}, and {rule.measure} has {unit}"
             yield Finding.error(where, problem, f"Give it as a share ('2 %'), or in the measure's unit ({unit}).")
+        elif rule.is_relative and not has_true_zero(unit := units[rule.measure]):
+            problem = f"half_width is {rule.wanted_in_words!r}, and a percentage says nothing of values in {unit}"
+            yield Finding.warning(where, problem, f"Give it in the measure's unit, such as '1 {unit}'.")
         if rule.at_most < repetitions:
             problem = f"at_most is {rule.at_most}, and {repetitions} repetitions are planned"
             yield Finding.error(where, problem, "Plan fewer repetitions, or allow more: at_most counts all of them.")

@@ -44,9 +44,12 @@ def half_width_of(values: Sequence[float], level: float) -> float:
         >>> round(half_width_of([9.0, 10.0, 11.0], 0.95), 3)
         2.484
     """
-    mean = math.fsum(values) / len(values)
-    variance = math.fsum((value - mean) ** 2 for value in values) / (len(values) - 1)
-    return t_quantile(0.5 + level / 2, len(values) - 1) * math.sqrt(variance / len(values))
+    # Beside the largest, so that the squares of very large values, and of very small ones, are numbers as well.
+    largest = max(map(abs, values)) or 1.0
+    shares = [value / largest for value in values]
+    mean = math.fsum(shares) / len(values)
+    variance = math.fsum((share - mean) ** 2 for share in shares) / (len(values) - 1)
+    return t_quantile(0.5 + level / 2, len(values) - 1) * math.sqrt(variance / len(values)) * largest
 
 
 @cache
@@ -63,6 +66,17 @@ def t_quantile(probability: float, freedom: int) -> float:
     """
     angle = _root(lambda each: 0.5 + _within(each, freedom) / 2 - probability, 0.0, math.pi / 2)
     return math.sqrt(freedom) * math.tan(angle)
+
+
+def t_probability(value: float, freedom: int) -> float:
+    """Return how probably Student's t stays below a value.
+
+    Example:
+        >>> round(t_probability(2.7764, 4), 4)
+        0.975
+    """
+    angle = math.atan(abs(value) / math.sqrt(freedom))
+    return 0.5 + math.copysign(_within(angle, freedom) / 2, value)
 
 
 def _within(angle: float, freedom: int) -> float:

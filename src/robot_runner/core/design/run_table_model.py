@@ -15,11 +15,11 @@ from robot_runner.core.design.design import (
     Design,
     DesignedRuns,
     FullFactorial,
+    grown_choice,
 )
 from robot_runner.core.design.design_findings import design_findings, order_findings, size_findings
 from robot_runner.core.design.exclusions import Allowed, apply_exclusions
 from robot_runner.core.design.factor import Combination, Factor, full_factorial
-from robot_runner.core.design.grown_choice import Choice, grown_choice
 from robot_runner.core.design.planned_runs import PlannedRun, RunOrder, garbage_collection_paused, planned_runs
 from robot_runner.core.design.warm_up import WarmUp, warm_up_of, with_warm_ups
 from robot_runner.core.errors import DesignError, Finding
@@ -202,9 +202,7 @@ class RunTableModel:
             DesignError: an exclusion does not fit these factors, or the design did not choose from them.
         """
         if not self.is_full_factorial:
-            planned = (run.combination for run in self.plan())
-            choice = Choice(self.design, self.factors, planned, self.repetitions, self.allowed_of)
-            return grown_choice(choice, factors)
+            return grown_choice(self.design, self.plan(), self.factors, factors, self.allowed_of)
         exclusions = _applied(factors, self._exclusions)
         if exclusions is None:
             return full_factorial(factors)
@@ -262,9 +260,7 @@ class RunTableModel:
         Raises:
             DesignError: the seed or the blocks cannot be.
         """
-        findings = list(order_findings(seed, blocks, self.factors, self.repetitions))
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(order_findings(seed, blocks, self.factors, self.repetitions))
         self._order = _ordered(replace(self._order, shuffle=True), seed, blocks)
         return self.plan()
 
@@ -372,7 +368,7 @@ def _as_tuple(factors: Any) -> Any:
 
 
 def _applied(factors: Sequence[Factor], exclusions: Any) -> Exclusions | None:
-    """Apply what is to be excluded; None where that is nothing."""
+    """Apply the exclusions; None if there are none."""
     if isinstance(exclusions, list | tuple) and not exclusions:
         return None
     with garbage_collection_paused():

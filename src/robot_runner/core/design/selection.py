@@ -76,8 +76,7 @@ class RunChooser:
         Raises:
             ExecutionError: there is something; carries every finding.
         """
-        if self.findings:
-            raise ExecutionError.of_findings(self.findings)
+        ExecutionError.refuse(self.findings)
 
     def _read(self, option: str, expression: str) -> tuple[list[int], dict[str, set[int]]]:
         """Return the places that are named by ids, and those that have one of the treatments of each factor."""

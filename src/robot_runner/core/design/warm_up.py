@@ -48,9 +48,7 @@ class WarmUp:
     each_session: bool
 
     def __init__(self, runs: int = 1, per: str | Factor | None = None, *, each_session: bool = False) -> None:
-        findings = list(_findings(runs, per, each_session))
-        if findings:
-            raise DesignError.of_findings(findings)
+        DesignError.refuse(_findings(runs, per, each_session))
         object.__setattr__(self, "runs", runs)
         object.__setattr__(self, "per", per.name if isinstance(per, Factor) else per)
         object.__setattr__(self, "each_session", each_session)

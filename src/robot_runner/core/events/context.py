@@ -39,11 +39,9 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """Return the seconds since some fixed moment; never goes back."""
-        ...
 
     def sleep(self, seconds: float) -> None:
         """Let this many seconds of the clock go by; negative counts as zero."""
-        ...
 
 
 class SystemClock:
@@ -65,7 +63,6 @@ class StartedProgram(Protocol):
     @property
     def pid(self) -> int:
         """Its process id."""
-        ...
 
 
 class RunBroker(Protocol):
@@ -73,42 +70,33 @@ class RunBroker(Protocol):
 
     def publish(self, owner: str, name: str, value: object, origin: Origin) -> None:
         """Take a measure through the one gate."""
-        ...
 
     def share(self, owner: str, values: Mapping[str, object]) -> None:
         """Pass key-value pairs on to the subscribers of the following events."""
-        ...
 
     def warn(self, owner: str, problem: str, fix: str) -> None:
         """Record a warning finding about this run."""
-        ...
 
     def doubt(self, owner: str, problem: str, fix: str, measures: Sequence[str]) -> None:
         """Record a warning finding that makes values of this run doubtful."""
-        ...
 
     def doubt_run(self, owner: str, problem: str, fix: str) -> None:
         """Record a warning finding that makes all values of this run doubtful."""
-        ...
 
     def note(self, owner: str, kind: str, facts: Mapping[str, object]) -> None:
         """Report something else that happened in this run, as a record of this kind."""
-        ...
 
     @property
     def measures(self) -> Mapping[str, PublishedMeasure]:
         """What was published so far, by column of the run table."""
-        ...
 
     @property
     def shared(self) -> Mapping[str, Mapping[str, object]]:
         """The key-value pairs shared so far, by plugin."""
-        ...
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """The warnings recorded so far."""
-        ...
 
 
 class HostDoor(Protocol):
@@ -116,7 +104,6 @@ class HostDoor(Protocol):
 
     def open(self, name: str, context: RobotRunnerContext) -> HostAccess:
         """Return the host of this name; its connection is kept until the run ends."""
-        ...
 
 
 class NoHosts:

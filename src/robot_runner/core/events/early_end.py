@@ -32,15 +32,12 @@ class Ending(Protocol):
     @property
     def has_failed(self) -> bool:
         """Whether the run has failed: what is left is the closing, which is not to take long."""
-        ...
 
     def fail(self, owner: str, reason: str) -> None:
         """Fail the run and end what it is doing."""
-        ...
 
     def stop_mission(self, owner: str, reason: str) -> None:
         """End the mission, which is going on and was not stopped before."""
-        ...
 
 
 class EndingInPlace:

@@ -53,7 +53,6 @@ class HostAccess(Protocol):
             CommandError: it took too long, or failed and `check` is true; its last lines are told.
             LinkError: the host cannot be reached, or has gone away.
         """
-        ...
 
     def copy_to(self, source: Path | str, destination: str, *, timeout_s: float = 60.0) -> None:
         """Copy a file, or a folder with all that is in it, to the host, and replace what stands there.
@@ -66,7 +65,6 @@ class HostAccess(Protocol):
         Raises:
             LinkError: it cannot be copied, or the host cannot be reached.
         """
-        ...
 
     def fetch(self, *patterns: str, timeout_s: float = 60.0) -> list[Path]:
         """Fetch files into the run's folder, as `<host>/<path there>`; links are not followed.
@@ -84,4 +82,3 @@ class HostAccess(Protocol):
         Raises:
             LinkError: the host cannot be reached.
         """
-        ...

@@ -1,4 +1,4 @@
-"""The event manager: the broker between those who publish and those who hear (paper, II.C)."""
+"""The event manager: the broker between publishers and subscribers of events (paper, II.C)."""
 
 from __future__ import annotations
 

@@ -73,9 +73,7 @@ class Measure:
     high: float | None = field(default=None, kw_only=True, repr=False)
 
     def __post_init__(self) -> None:
-        findings = list(self._findings())
-        if findings:
-            raise MeasureError.of_findings(findings)
+        MeasureError.refuse(self._findings())
 
     def _findings(self) -> Iterator[Finding]:
         where = f"measure {self.name!r}"
@@ -86,7 +84,11 @@ class Measure:
         if self.over is not None and not isinstance(self.over, Over):
             yield Finding.error(where, f"over is {self.over!r}", did_you_mean(str(self.over), map(str, Over)))
         limits = {name: value for name, value in (("low", self.low), ("high", self.high)) if value is not None}
-        wrong = [name for name, value in limits.items() if not _is_limit(value)]
+        wrong = [
+            name
+            for name, each in limits.items()
+            if isinstance(each, bool) or not isinstance(each, Real) or math.isnan(each)
+        ]
         for name in wrong:
             yield Finding.error(where, f"{name} is {limits[name]!r}", "Give a number, or leave it out.")
         if not wrong and self.low is not None and self.high is not None and self.low > self.high:
@@ -121,10 +123,6 @@ class Measure:
         return replace(self, name=f"{self.name}.{phase}", description=f"In phase {phase}: {self.description}")
 
 
-def _is_limit(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and not math.isnan(value)
-
-
 def with_phases(measures: Sequence[Measure], phases: Sequence[str]) -> tuple[Measure, ...]:
     """Return the measures, and behind them those that have a value per phase, for each of the phases."""
     return (*measures, *(each.in_phase(phase) for each in measures if each.over is not None for phase in phases))
@@ -132,7 +130,7 @@ def with_phases(measures: Sequence[Measure], phases: Sequence[str]) -> tuple[Mea
 
 @dataclass(frozen=True, slots=True)
 class PublishedMeasure:
-    """A measure's value in one run, with who published it, where it comes from, and what makes it doubtful.
+    """A measure's value in one run, with its publisher, its origin, and its doubts.
 
     Attributes:
         doubts: the reasons for which the value is doubtful, or missing; none for a good one.
@@ -308,7 +306,7 @@ class MeasureColumns:
         return MeasureColumns((*self.in_table, *added), declared)
 
     def prepare(self) -> None:
-        """Look everything up that looking up a column needs, so that a run that is forked finds it done."""
+        """Build the index of columns, so that forked runs need not build it again."""
         _ = self._by_owner
 
     def column_for(self, owner: str, name: object) -> MeasureColumn:
@@ -374,6 +372,10 @@ def _misnamed(name: str, declared: Sequence[MeasureColumn]) -> list[Finding]:
     if phase and any(column.name == measure and column.measure.over is not None for column in declared):
         problem = f"{name!r} would be {measure!r} in a phase that the config does not ask for"
         return [Finding.error("data_columns", problem, f"Add {phase!r} to the config's `phases`.")]
+    for column in declared:
+        if name == f"{column.owner}.{column.measure.name}":  # as it would be called where another plugin had it, too
+            problem = f"{name!r} is called {column.name!r}, as no other plugin has a measure of that name"
+            return [Finding.error("data_columns", problem, f"Write {column.name!r}.")]
     full_names = [column.name for column in declared if column.measure.name == name]
     if not full_names:
         return []

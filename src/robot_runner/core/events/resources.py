@@ -15,7 +15,6 @@ class Closable(Protocol):
 
     def close(self) -> None:
         """Let go of what is held."""
-        ...
 
 
 R = TypeVar("R", bound=Closable)

@@ -67,7 +67,6 @@ class TimeSource(Protocol):
 
     def now(self) -> float:
         """Return the seconds since some fixed moment; never goes back."""
-        ...
 
 
 class _Moment(NamedTuple):

@@ -31,7 +31,7 @@ from robot_runner.core.words import plain
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from robot_runner.core.design.held_order import HeldOrder
+    from robot_runner.core.design.design import HeldOrder
     from robot_runner.core.execution.orchestrator_events import OngoingExperiment
     from robot_runner.core.execution.patience import Steps
     from robot_runner.core.execution.places import Place

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.plugin_checks import check_plugins, check_treatments
 from robot_runner.core.config.treatment_makers import Workshop, made_treatments
 from robot_runner.core.design.asking import AdaptiveDesign
-from robot_runner.core.design.batches import GrownRunTableModel, as_configured
-from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.batches import GrownRunTableModel, as_configured, described_design
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.circumstances import (
@@ -22,7 +21,7 @@ from robot_runner.core.execution.circumstances import (
 )
 from robot_runner.core.execution.recovery import ACCEPT, config_changes
 from robot_runner.core.storage.guarded_files import make_experiment_folder, make_folder
-from robot_runner.core.storage.system_refusals import fsync_folder, storage_error
+from robot_runner.core.storage.system_refusals import fsync_folder, storage_errors
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import counted, enumerated, listed
 
@@ -43,14 +42,12 @@ def made_folder(folder: ExperimentFolder) -> set[str]:
     Raises:
         StorageError: it cannot be made.
     """
-    try:
+    with storage_errors(folder.root, "made"):
         make_experiment_folder(folder.root)
         if folder.runs != folder.root:
             make_folder(folder.runs, folder.root)
         left_behind = {path.name for path in folder.runs.iterdir()}
         fsync_folder(folder.root)
-    except OSError as error:
-        raise storage_error(folder.root, "made", error) from error
     return left_behind
 
 
@@ -98,7 +95,7 @@ def refuse_unfit_treatments(
         return
     combinations = (recovered.rows.combination(place) for place in places)
     found = check_treatments(experiment.plugins, experiment.model, experiment.parameters.robot, combinations)
-    _refuse(found)
+    ExecutionError.refuse(each for each in found if each.is_error)
 
 
 def prepared_treatments(
@@ -131,13 +128,7 @@ def _refuse_unfit(experiment: Experiment) -> None:
     }
     bound = [each for each in experiment.plugins if names.intersection(factors_of(each).values())]
     found = check_plugins(bound, experiment.model, experiment.parameters.robot)
-    _refuse(found)
-
-
-def _refuse(found: Iterable[Finding]) -> None:
-    errors = [finding for finding in found if finding.is_error]
-    if errors:
-        raise ExecutionError.of_findings(errors)
+    ExecutionError.refuse(each for each in found if each.is_error)
 
 
 def refuse_unplanned(experiment: Experiment, manifest: Mapping[str, Any]) -> tuple[Finding, ...]:
@@ -154,7 +145,7 @@ def refuse_unplanned(experiment: Experiment, manifest: Mapping[str, Any]) -> tup
 
 
 def _lost_treatments(config: Path, model: RunTableModel, manifest: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield a warning where a plan that has grown, and so is the journal's, has treatments that the config lost.
+    """Yield a warning for each factor of a grown plan, which is the journal's, whose treatments the config has lost.
 
     They may come from outside, where no changed line tells; one that has not grown differs from its run table.
     """
@@ -202,7 +193,7 @@ def unplanned_additions(
     accepting = f" {ACCEPT}" if has_other_changes else ""
     fix = f"Add these runs: robot-runner extend {shown_config(config)}{accepting}. Or undo the change."
     if isinstance(now.design, AdaptiveDesign):
-        fix = "What decides by results cannot be extended: undo the change, or choose another experiment_name."
+        fix = "A design that decides by results cannot be extended: undo the change, or choose another experiment_name."
     finding = Finding.warning if any(_lost(model, design)) else Finding.error
     return (finding(f"{config}, create_run_table", problem, fix),)
 

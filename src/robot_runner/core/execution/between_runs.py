@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.parameters import OperationType
 from robot_runner.core.design.columns import REPETITION
-from robot_runner.core.design.held_order import HeldOrder
+from robot_runner.core.design.design import HeldOrder
 from robot_runner.core.errors import CommandError, ExecutionError, Finding, LinkError
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.execution.aside import executed_aside
@@ -207,14 +207,14 @@ class _Reboots:
             "host_restarted", host=name, next_run=task.run_id, seconds=seconds, failure=failure, **facts
         )
         if facts.get("is_new_kernel") is False:
-            problem = "the host went away and answers again, and its kernel was not started anew"
+            problem = "the host went away and answers again, but its kernel was not restarted"
             finding = Finding.warning(f"hosts[{name!r}]", problem, f"Look at reboot_command: {host.reboot_command!r}.")
             self._ongoing.notify(FindingsNoticed((finding,)))
         if outcome.status is AttemptStatus.FAILED:
             raise ExecutionError(
-                f"the host {name} was to be started anew before {task.run_id}: {failure}",
+                f"the host {name} was to be restarted before {task.run_id}: {failure}",
                 where=f"hosts[{name!r}]",
-                fix="Then start the experiment again: it resumes.",
+                fix="Look at the host, and start the experiment again: it resumes.",
             )
 
 
@@ -237,7 +237,7 @@ def _restarted(name: str, host: Host, context: RobotRunnerContext) -> dict[str, 
     except CommandError as error:
         if shell.is_connected():  # else the connection went before the command could say that it had succeeded
             raise LinkError(
-                f"it cannot be started anew: {error.problem}",
+                f"the host cannot be restarted: {error.problem}",
                 where=name,
                 fix="Let this user do that without a password, or give another reboot_command.",
             ) from error
@@ -257,7 +257,7 @@ def _await_end(name: str, host: Host, shell: Shell, told: float) -> None:
     while shell.is_connected():
         if time.monotonic() - told > host.back_within_s:
             raise LinkError(
-                f"it was told to start anew ({host.reboot_command!r}), and was still there after "
+                f"the host was told to restart ({host.reboot_command!r}), and was still there after "
                 f"{host.back_within_s:g} s",
                 where=name,
                 fix="Look at reboot_command, or allow it more time (back_within_s).",
@@ -275,7 +275,7 @@ def _await_answer(name: str, host: Host, access: HostCommands, told: float) -> s
             problem = error.problem
         time.sleep(_EVERY)
     raise LinkError(
-        f"it did not come back within {host.back_within_s:g} s{f': {problem}' if problem else ''}",
+        f"the host did not come back within {host.back_within_s:g} s{f': {problem}' if problem else ''}",
         where=name,
         fix="Look at the host, or allow it more time (back_within_s).",
     )

@@ -7,8 +7,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.batches import as_configured
-from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.execution.given_values import changed_values, given_values
@@ -20,7 +19,7 @@ from robot_runner.core.storage.guarded_files import MissingFileError, make_folde
 from robot_runner.core.storage.input_files import kept_contents
 from robot_runner.core.storage.journal import read_journal, utc_now
 from robot_runner.core.storage.manifest import describe_host, describe_software, is_damaged, read_manifest
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 from robot_runner.core.treatments import factors_of
 from robot_runner.core.words import listed
 
@@ -103,7 +102,8 @@ def resumed_manifest(experiment: Experiment, manifest: dict[str, Any]) -> dict[s
     if _analysis(experiment) != manifest.get("analysis"):
         manifest.setdefault("analysis_changes", []).append({"at": utc_now(), "analysis": _analysis(experiment)})
     now = experiment.registration.facts() if experiment.registration is not None else None
-    if now not in (None, manifest.get("registration"), _last_registration(manifest)):
+    changes = manifest.get("registration_changes") or [{}]
+    if now not in (None, manifest.get("registration"), changes[-1].get("registration", {})):
         manifest.setdefault("registration_changes", []).append({"at": utc_now(), "registration": now})
     if (rule := _repeat_until(experiment)) != manifest.get("repeat_until"):
         manifest.setdefault("repeat_until_changes", []).append({"at": utc_now(), "was": manifest.get("repeat_until")})
@@ -118,7 +118,7 @@ _NAMED = 8
 
 
 def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return what differs here from what the manifest says of the first execution: `was` and `is`, by what it is.
+    """Return the circumstances that differ from those of the first execution in the manifest: `was` and `is`, by name.
 
     A part that the manifest lacks, as an earlier version wrote it, counts as unchanged.
     """
@@ -135,7 +135,7 @@ def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, An
 
 
 def _pairs(what: str, before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    """Yield what each package was and is, None where it is gone; those that have come were nobody's before."""
+    """Yield the version of each package before and now, None if it is gone; new packages are left out."""
     return ((f"{what} {name}", release, now.get(name)) for name, release in (before or {}).items())
 
 
@@ -162,11 +162,6 @@ def change_findings(experiment: Experiment, manifest: Mapping[str, Any]) -> tupl
     problem = f"the machine or its software is not what the experiment began with: {named}"
     fix = "Go on where it began if runs are to be compared; the manifest and the report tell the difference."
     return (Finding.warning(str(experiment.folder.manifest), problem, fix),)
-
-
-def _last_registration(manifest: Mapping[str, Any]) -> Any:
-    changes = manifest.get("registration_changes") or [{}]
-    return changes[-1].get("registration", {})
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,10 +221,8 @@ def keep_config(experiment: Experiment, manifest: dict[str, Any]) -> None:
         StorageError: the copy cannot be written.
     """
     keep_config_files(experiment)
-    try:
+    with storage_errors(experiment.folder.config, "written"):
         _keep_uncommitted(experiment, manifest)
-    except OSError as error:
-        raise storage_error(experiment.folder.config, "written", error) from error
 
 
 def keep_config_files(experiment: Experiment) -> None:
@@ -243,7 +236,7 @@ def keep_config_files(experiment: Experiment) -> None:
     kept = experiment.folder.config
     root = experiment.folder.root
     contents = {target: source.read_bytes() for source, target in config_files(experiment).items()}
-    try:
+    with storage_errors(kept, "written"):
         contents = kept_contents(experiment.inputs, experiment.config_path.parent, kept) | contents
         if not kept.exists() or not all(_holds(target, content, root) for target, content in contents.items()):
             if kept.exists():
@@ -251,15 +244,9 @@ def keep_config_files(experiment: Experiment) -> None:
             for target, content in contents.items():
                 make_folder(target.parent, root)
                 replace(target, content, root)
-        _keep_registration(experiment)
-    except OSError as error:
-        raise storage_error(kept, "written", error) from error
-
-
-def _keep_registration(experiment: Experiment) -> None:
-    """Keep the registration that was there at the first run; it is never replaced."""
-    if experiment.registration is not None and not experiment.folder.manifest.exists():
-        replace(experiment.folder.registration, read_bytes(experiment.registration.path))
+        # The registration is that of the first run, and is never replaced.
+        if experiment.registration is not None and not experiment.folder.manifest.exists():
+            replace(experiment.folder.registration, read_bytes(experiment.registration.path))
 
 
 def _holds(target: Path, content: bytes, root: Path) -> bool:
@@ -291,7 +278,7 @@ def _execution(experiment: Experiment) -> dict[str, Any]:
 
 
 def _keep_uncommitted(experiment: Experiment, manifest: dict[str, Any]) -> None:
-    """Keep what was changed in the config's repository since the commit, so that what was executed can be had again.
+    """Keep the uncommitted changes of the config's repository, so that the code as executed can be restored.
 
     Each difference has a file of its own, as it may change from one execution to the next.
     """

@@ -186,7 +186,8 @@ class Deciding:
         added = [run for run in self._model.plan() if run.run_id in new]
         was = rows.layout
         layout = replace(self._experiment, model=self._model).table_layout(was.types, warms_up=WARM_UP in was.marks)
-        layout = replace(layout, extras=was.extras, has_exclusions=was.has_exclusions)
+        layout = replace(layout, extras=was.extras, former_measures=was.former_measures)
+        layout = replace(layout, has_exclusions=was.has_exclusions)
         places = range(len(rows), len(rows) + len(added))
         grown_rows = rows.with_plan([*rows.planned, *added], layout)
         return Growth(kind, {**record, **decision.facts}, self._model, grown_rows, places)

@@ -290,11 +290,7 @@ class Durations:
         return max((max(0.0, (seconds or 0.0) - (now - began)) for seconds, began in expected), default=0.0)
 
     def estimate(self, *, probe_s: float = 0.0) -> Estimate:
-        """Return how long everything that was planned takes, with its parts in words.
-
-        Args:
-            probe_s: how long profilers are probed before the first run, s.
-        """
+        """Return how long all that was planned takes, a probe before it included, with its parts in words."""
         runs = self._to_come
         if not runs:
             return Estimate(0.0, parts=("no run is to be executed",))

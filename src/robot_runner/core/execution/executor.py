@@ -164,7 +164,7 @@ def _executed_here(experiment: Experiment, task: RunTask, builder: OutcomeBuilde
             if is_over:  # it is for the thread of the run that tells too late
                 raise
             refused.append(error)
-            gate.end_run(RunInterrupted(f"what the run tells cannot be kept: {error.problem}"))
+            gate.end_run(RunInterrupted(f"the records of the run cannot be kept: {error.problem}"))
 
     log, passed_on = LazyLog(experiment.folder), watch.interruption.passed_on(gate)
     with log, redirect_stdout(log), redirect_stderr(log), passed_on:

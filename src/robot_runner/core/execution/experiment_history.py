@@ -139,7 +139,7 @@ class ExperimentHistory:
             missing = files.schema if files.run_table.exists() else files.run_table
             what = "schema of the run table" if files.run_table.exists() else "run table"
             problem = f"the {what} is missing; the journal has what was executed"
-            fix = "It is made anew when the experiment is executed next."
+            fix = "The next execution of the experiment makes it again."
             self.findings.append(Finding.warning(str(missing), problem, fix))
 
     def take_rows(self, rows: RunTableRows) -> None:
@@ -215,6 +215,8 @@ class ExperimentHistory:
         self._take_added(record)
         self._take_judged(record)
 
+    _take_decided = _take_repeated
+
     def _take_added(self, record: Mapping[str, Any]) -> None:
         self._planned += len(record["runs"])
         self._since_table |= {added["run"]: RunStatus.TODO for added in record["runs"]}
@@ -228,9 +230,6 @@ class ExperimentHistory:
         self._take_added(record)
         if record.get("role") == CONFIRMATION:
             self._take_judged(record)
-
-    def _take_decided(self, record: Mapping[str, Any]) -> None:
-        self._take_repeated(record)
 
     def _take_attempt_started(self, record: Mapping[str, Any]) -> None:
         self._in_flight[record["run"]] = InFlight(record["run"], record.get("place", ""))
@@ -262,8 +261,7 @@ class ExperimentHistory:
             self.left = TimeLeft.of_facts(record.get("left"))
             self._left_at = record["at"]
 
-    def _take_table_written(self, record: Mapping[str, Any]) -> None:
-        del record
+    def _take_table_written(self, _record: Mapping[str, Any]) -> None:
         self._since_table.clear()
 
     def _take_deviation(self, record: Mapping[str, Any]) -> None:
@@ -289,15 +287,12 @@ class ExperimentHistory:
     def _take_asked(self, record: Mapping[str, Any]) -> None:
         self.waiting_for = {"next_run": record["run"], "step": record["step"], "questions": ()}
 
-    def _take_answered(self, record: Mapping[str, Any]) -> None:
-        del record
+    def _take_answered(self, _record: Mapping[str, Any]) -> None:
         self.waiting_for = None
 
-    def _take_continued(self, record: Mapping[str, Any]) -> None:
-        del record
+    def _take_continued(self, _record: Mapping[str, Any]) -> None:
         self.waiting_for = None
         self.is_paused = False
 
-    def _take_paused(self, record: Mapping[str, Any]) -> None:
-        del record
+    def _take_paused(self, _record: Mapping[str, Any]) -> None:
         self.is_paused = True

@@ -15,7 +15,7 @@ from robot_runner.core.execution.experiment_history import ExperimentHistory
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import moved_in_words, moved_runs, unrecorded_findings
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import Command, Holder, holder_of, is_requested, send_command
+from robot_runner.core.storage.lock import Holder, holder_of, is_requested, send_continue
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -227,7 +227,7 @@ def require_executed(status: ExperimentStatus, where: str, what: str) -> None:
     """
     if status.holder is None:
         fix = f"{what}; `robot-runner run` with its config goes on."
-        raise ExecutionError("nobody executes this experiment", where=where, fix=fix)
+        raise ExecutionError("the experiment is not being executed", where=where, fix=fix)
 
 
 def require_waiting(status: ExperimentStatus, where: str) -> None:
@@ -239,7 +239,7 @@ def require_waiting(status: ExperimentStatus, where: str) -> None:
     if status.holder is None:
         left = status.todo + status.failed
         fix = "Start it with `robot-runner run` and its config: it resumes." if left else "All its runs are done."
-        raise ExecutionError("nobody executes this experiment", where=where, fix=fix)
+        raise ExecutionError("the experiment is not being executed", where=where, fix=fix)
     if not status.is_waiting_for_user:
         doing = f"executes {status.current_run}" if status.current_run else "is between two runs"
         raise ExecutionError(
@@ -252,20 +252,14 @@ def require_waiting(status: ExperimentStatus, where: str) -> None:
 def continue_and_see(
     files: ExperimentFolder, waiting_for: Mapping[str, Any] | None, answers: Mapping[str, str], where: str
 ) -> None:
-    """Tell an experiment that waits to go on, and see that it has taken the request.
-
-    Args:
-        files: the experiment's.
-        waiting_for: what the person has seen that it waits for: the request counts for nothing else.
-        answers: texts by the names of the questions.
-        where: what an error is about.
+    """Tell an experiment to go on that waits for what the person has seen, and see that it has taken the request.
 
     Raises:
         StorageError: the folder cannot be written.
         ExecutionError: the request was not taken within five seconds.
     """
     asked = None if waiting_for is None else (str(waiting_for["next_run"]), str(waiting_for["step"]))
-    send_command(files.control, Command.CONTINUE, answers, asked)
+    send_continue(files.control, answers, asked)
     end = time.monotonic() + _PATIENCE
     while files.control.exists():
         if time.monotonic() > end:

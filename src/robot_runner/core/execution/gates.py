@@ -90,13 +90,15 @@ class Gates:
     def _awaited(self, task: RunTask, experiment: Experiment, take: Report) -> Steps[RunOutcome]:
         gates = self._gates
         seconds = sum(gate.patience_s for gate in gates) + _MARGIN
+        # Where none can ask the robot, neither its graph nor a simulation is needed to wait.
+        asks_robot = not all(gate.condition.is_outside for gate in gates)
         return executed_aside(
             experiment,
             task,
             lambda context: _await_gates(gates, context),
             Watch(self._ongoing.patience.interruption, take),
             deadline_s=seconds if math.isfinite(seconds) else None,
-            robot=experiment.parameters.robot if any(map(_asks_robot, gates)) else None,
+            robot=experiment.parameters.robot if asks_robot else None,
         )
 
 
@@ -209,11 +211,6 @@ def _robot_is_away(outcome: RunOutcome) -> bool:
     """Whether the process could not begin to wait: the clock of the robot's graph could not be reached."""
     failure = outcome.failure
     return failure is not None and (failure.event, failure.owner) == ("", "link")
-
-
-def _asks_robot(gate: Gate) -> bool:
-    """Whether a condition may ask the robot: else neither its graph nor a simulation is needed to wait for it."""
-    return not gate.condition.is_outside
 
 
 def _await_gates(gates: Sequence[Gate], context: RobotRunnerContext) -> None:

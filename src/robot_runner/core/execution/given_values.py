@@ -24,9 +24,9 @@ from numbers import Number
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config import dialects
 from robot_runner.core.config.loader import own_parameters
 from robot_runner.core.config.parameters import PARAMETERS
+from robot_runner.core.config.preparation import prepare
 from robot_runner.core.errors import RobotRunnerError
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.secret_names import REDACTED, is_secret_name, without_environment_secrets
@@ -58,6 +58,7 @@ _ASSIGNED = re.compile(r"(\w+)['\"]?\s*[=:]")
 #: A set of texts, which has another order in each process.
 _SET = re.compile(r"\{(['\"][^:{}]*)\}")
 _DAY_S = 86_400
+_SCALAR = (str, Number, PurePath, Enum)
 
 
 def given_values(experiment: Experiment) -> dict[str, Any]:
@@ -215,17 +216,13 @@ def _parts(name: str, value: Any) -> Iterable[tuple[str, Any]] | None:
         given = [(each, getattr(value, each.name, None)) for each in fields(value)]
         # What is as it is by default is left out: a later version may have more of it.
         return [(f"{name}.{each.name}", part) for each, part in given if repr(part) != repr(each.default)]
-    if isinstance(value, list | tuple) and not all(_is_scalar(each) for each in value):
+    if isinstance(value, list | tuple) and not all(each is None or isinstance(each, _SCALAR) for each in value):
         return [(f"{name}[{place}]", part) for place, part in enumerate(value)]
     return None
 
 
-def _is_scalar(value: object) -> bool:
-    return value is None or isinstance(value, str | Number | PurePath | Enum)
-
-
 def _own_text(value: Any) -> str:
-    """Return the text by which an object of any kind is told from others; that of one that has none is left out."""
+    """Return a text that tells an object from others; objects without one are left out."""
     if isinstance(value, bytes | bytearray):
         return _digest(value)
     if isinstance(value, Condition | date | Treatment):
@@ -274,7 +271,7 @@ def last_given(manifest: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 
 def given_elsewhere(experiment: Experiment, original: Mapping[str, Any], settings: Collection[str]) -> list[str]:
-    """Return in words what an experiment is given otherwise than the one that it replicates, by that one's manifest.
+    """Return in words which values differ from those in the manifest of the experiment that is replicated.
 
     A file may lie elsewhere, and what is set on purpose is told in another way.
     """
@@ -322,7 +319,7 @@ def _steady(
         return changed
     again = None
     with _loaded_anew(experiment), suppress(RobotRunnerError, OSError):
-        found = dialects.prepare(experiment.config_path, experiment.overrides, is_for_here=False).experiment
+        found = prepare(experiment.config_path, experiment.overrides, is_for_here=False).experiment
         again = None if found is None else given_values(found)
     if again is None:
         return changed

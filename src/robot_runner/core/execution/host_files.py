@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import TYPE_CHECKING, ClassVar
 
 from robot_runner.core.errors import Finding, LinkError
 from robot_runner.core.links.declared_host import host_findings
 from robot_runner.core.plugin import System
+from robot_runner.core.words import shown_duration
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
 
     from robot_runner.core.config.parameters import Parameters
     from robot_runner.core.events.context import RobotRunnerContext
@@ -21,6 +24,10 @@ if TYPE_CHECKING:
 _NAME = "host_files"
 #: The share of the grace that fetching may take after a failure: the rest is for the robot and the other plugins.
 _SHARE_OF_GRACE = 0.6
+#: What is left for a file where the time is over, s: it is told as too late.
+_SHORTEST = 0.001
+#: How finely clocks and files of hosts tell the time, s.
+_STEP = 2.0
 
 
 def bring_host_files(parameters: Parameters, plugins: Sequence[Plugin]) -> Sequence[Plugin]:
@@ -46,6 +53,8 @@ class HostFiles(System):
         super().__init__(name=_NAME)
         self._hosts = hosts
         self._grace = grace
+        self._run_began: float | None = None
+        self._begun: dict[str, float] = {}
 
     def claims(self, robot: str | None) -> Iterable[str]:
         """Return what a run needs for itself: nothing but the hosts, which the experiment names."""
@@ -61,11 +70,19 @@ class HostFiles(System):
                 problem = f"the host is named {name!r}, and so is a plugin: both would keep files in one folder"
                 yield Finding.error(f"hosts[{name!r}]", problem, "Give one of them another name.")
 
+    def before_run(self) -> None:
+        """Note when the run began: callbacks may use hosts from here on."""
+        self._run_began = time.time()
+
     def start_run(self, context: RobotRunnerContext) -> None:
-        """Connect to each host."""
+        """Connect to each host, and ask what time it is there."""
         for name, host in self._hosts.items():
+            now = time.time()
+            since = 0.0 if self._run_began is None else now - self._run_began  # a fresh interpreter was not told
             if not host.is_local:
-                context.host(name).run("true", timeout_s=host.fetch_within_s)
+                told = context.host(name).run("date +%s", timeout_s=host.fetch_within_s, check=False).output.strip()
+                now = float(told) if told.isdecimal() else 0.0
+            self._begun[name] = now - since
 
     def stop_run(self, context: RobotRunnerContext) -> None:
         """Fetch what is declared of each host; after a failure as much as the grace allows."""
@@ -76,7 +93,17 @@ class HostFiles(System):
             seconds = host.fetch_within_s
             if context.ending.has_failed:
                 seconds = min(seconds, max(0.0, end - time.monotonic()))
+            deadline = time.monotonic() + seconds
             try:
-                context.host(name).fetch(*host.fetch, timeout_s=seconds)
+                for pattern in host.fetch:
+                    left = max(_SHORTEST, deadline - time.monotonic())
+                    self._look_at(context, name, pattern, context.host(name).fetch(pattern, timeout_s=left))
             except LinkError as error:
                 context.warn(f"nothing was fetched from {name}: {error.problem}", fix=error.fix)
+
+    def _look_at(self, context: RobotRunnerContext, name: str, pattern: str, came: Sequence[Path]) -> None:
+        """Warn where nothing that came was written since the run began: it may be what an earlier run has left."""
+        before = self._begun.get(name, 0.0) - max((path.stat().st_mtime for path in came), default=math.inf)
+        if before > _STEP:
+            problem = f"what was fetched from {name} as {pattern} was written {shown_duration(before)} before the run"
+            context.warn(problem, fix="Look whether this run wrote it; have each run remove what an earlier one left.")

@@ -317,7 +317,7 @@ class RunEnding:
             return
         self._has_told_held_up = self.has_failed = True
         stack = "".join(traceback.format_stack(frame))
-        fields = {"problem": "it was still going on when the run was told to end", "traceback": stack}
+        fields = {"problem": "the callback was still being executed when the run was told to end", "traceback": stack}
         # In a thread, as this is a signal's handler: what it has interrupted may hold the lock of what is reported.
         # One of `threading` has locks of its own.
         _thread.start_new_thread(self._write, (*self.callback, fields))

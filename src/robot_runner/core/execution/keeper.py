@@ -24,7 +24,7 @@ import os
 import select
 import signal
 import time
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.execution.interruption import ASK_AGAIN, STOP_SIGNALS
@@ -127,17 +127,20 @@ class Keeper:
     def __enter__(self) -> Self:
         flush_streams()  # or the run would print it once more
         mark = RunMark(self._folder)
-        with ExitStack() as undone:  # where no process is to be had, nothing stays open
-            undone.callback(mark.close)
-            requests, self._requests = _pipe(undone)
-            self.told, tell = _pipe(undone)
-            self.records, records = _pipe(undone)
+        opened = [mark.descriptor]
+        try:
+            requests, self._requests = _pipe(opened)
+            self.told, tell = _pipe(opened)
+            self.records, records = _pipe(opened)
             _widen(records)
             # Made here and not in the keeper: each page that a forked process is the first to touch is copied.
             report = RecordWriter(records)
             process = _KeeperProcess(self, requests, tell, report, mark)
             self._pid = forked()
-            undone.pop_all()
+        except BaseException:  # where no process is to be had, nothing stays open
+            for descriptor in opened:
+                os.close(descriptor)
+            raise
         if self._pid == 0:
             for descriptor in (self._requests, self.told, self.records):
                 os.close(descriptor)
@@ -367,14 +370,13 @@ def _widen(descriptor: int) -> None:
             fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
 
 
-def _pipe(undone: ExitStack) -> tuple[int, int]:
-    """Make a pipe whose ends are closed with `undone`."""
+def _pipe(opened: list[int]) -> tuple[int, int]:
+    """Make a pipe, and add its ends to what is open."""
     try:
         ends = os.pipe()
     except OSError as error:
         raise no_process(error) from error
-    for end in ends:
-        undone.callback(os.close, end)
+    opened += ends
     return ends
 
 

@@ -1,4 +1,4 @@
-"""What a run left alive though nobody watches over it any more: found by its marks, awaited, and ended.
+"""Processes that a run left alive without a keeper: found by their marks, awaited, and ended.
 
 A keeper ends all that its run started. Where the keeper was killed, two marks tell which processes are the run's:
 
@@ -17,6 +17,7 @@ import signal
 import sys
 import time
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -72,6 +73,7 @@ class RunMark:
         os.close(self.descriptor)
 
 
+@lru_cache(maxsize=16)
 def _mark(folder: ExperimentFolder) -> str:
     """Return what the variable has: runs in flight at other slots are none of those that one has left."""
     root = str(folder.root.resolve())

@@ -69,12 +69,12 @@ class MissionKnowledge:
         try:
             said = built_with(speaker, combination).duration_s(combination)
         except Exception as error:  # noqa: BLE001 - a stranger's code
-            self._doubt(where, f"it raised {type(error).__name__}: {error}")
+            self._doubt(where, f"the method raised {type(error).__name__}: {error}")
             return None
         if said is None:
             return None
         if isinstance(said, bool) or not isinstance(said, int | float) or not 0 <= said < math.inf:
-            self._doubt(where, f"it returned {said!r}, which is no number of seconds")
+            self._doubt(where, f"the method returned {said!r}, which is not a number of seconds")
             return None
         return float(said)
 

@@ -301,20 +301,16 @@ class Observer(Protocol):
     @property
     def refresh_interval(self) -> float | None:
         """How often `refresh` wants to be called, in seconds; None for never."""
-        ...
 
     @property
     def user_input(self) -> int | None:
         """The descriptor on which the user answers, or says to go on, by lines; None where nobody sits there."""
-        ...
 
     def notice(self, notice: Notice) -> None:
         """Take a notice."""
-        ...
 
     def refresh(self) -> None:
         """Bring a live screen up to date."""
-        ...
 
 
 class SilentObserver:

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.operator_steps import OperatorStep, read_answers
 from robot_runner.core.design.watched_combination import WatchedCombination
-from robot_runner.core.errors import ExecutionError, Finding, MeasureError
+from robot_runner.core.errors import ExecutionError, MeasureError
 from robot_runner.core.events.measure import OPERATOR_OWNER, Origin
 from robot_runner.core.execution.notices import AnswersRefused, QuestionAsked, UserHasContinued, WaitingForUser
 from robot_runner.core.execution.patience import Pause
 from robot_runner.core.storage.journal import read_journal
-from robot_runner.core.storage.lock import Command, take_request
+from robot_runner.core.storage.lock import take_request
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -224,11 +224,12 @@ class Operator:
                 if not left:
                     return given
             request = take_request(control, asked)
-            if request is not None and request.command is Command.CONTINUE:
+            if request is not None:
                 answers, findings = read_answers(questions, request.answers, given)
                 if not findings:
                     return answers
-                self._refuse(findings, left)
+                self._notify(AnswersRefused(findings))
+                self._put_question(left)
         return None
 
     def _take_line(self, line: str, left: deque[Question], given: dict[str, MeasureValue]) -> None:
@@ -237,10 +238,6 @@ class Operator:
             left.popleft()
         except MeasureError as error:
             self._notify(AnswersRefused((error.as_finding(),)))
-        self._put_question(left)
-
-    def _refuse(self, findings: Sequence[Finding], left: deque[Question]) -> None:
-        self._notify(AnswersRefused(findings))
         self._put_question(left)
 
     def _put_question(self, left: deque[Question]) -> None:

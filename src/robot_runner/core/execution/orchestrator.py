@@ -95,7 +95,7 @@ def execute_experiment(
         for finding in refused:
             if finding.problem not in told_of:
                 told_of.add(finding.problem)
-                _tell(observer, PreparationStarted(f"Waiting until it has ended: {finding.problem}"))
+                _tell(observer, PreparationStarted(f"Waiting for claims: {finding.problem}"))
         time.sleep(_LOOK_AT_CLAIMS)
         if interruption.is_requested:
             raise KeyboardInterrupt
@@ -186,7 +186,7 @@ class _Orchestrator:
         self._end_events(findings)
 
     def _end_after(self, error: BaseException, findings: Sequence[Finding]) -> None:
-        """Emit `after_experiment` after what ended the experiment; where that raises as well, both are told.
+        """Emit `after_experiment` after the error that ended the experiment; if that raises, too, both are told.
 
         Raises:
             ExecutionError: both raised.

@@ -1,4 +1,4 @@
-"""The events whose callbacks the orchestrating process executes itself, and what the parts of that process share."""
+"""The events that the orchestrating process emits itself, and the state that its parts share."""
 
 from __future__ import annotations
 
@@ -169,14 +169,7 @@ class OrchestratorEvents:
         experiment: Experiment,
         adapt: Callable[[RobotRunnerContext], RobotRunnerContext] = lambda context: context,
     ) -> list[object]:
-        """Emit an event of a run in this process; a callback that raises is reported as a failure of the run.
-
-        Args:
-            event: which.
-            task: the run.
-            report: takes what happens.
-            experiment: as the place of the run has it.
-            adapt: changes the context of each callback.
+        """Emit an event of a run in this process, `adapt` changing its contexts; who raises is a failure of the run.
 
         Returns:
             what each callback returned.

@@ -1,4 +1,4 @@
-"""How the orchestrator waits: one poll for all that is awaited, and the user's interruption; screens go on.
+"""How the orchestrator waits: one poll for everything awaited, interruptions included, while screens are refreshed.
 
 What takes its time is written as *steps*: a generator that yields what it waits for, and is resumed once that is over.
 So the steps of several runs go on side by side in a process that has no threads.

@@ -35,16 +35,13 @@ class Awaited(Protocol):
     @property
     def descriptors(self) -> Collection[int]:
         """What becomes readable, or is hung up, when there is something to do; it may change with each `advance`."""
-        ...
 
     @property
     def due(self) -> float | None:
         """When `advance` is to be called at the latest, on the monotonic clock (s); None for no such moment."""
-        ...
 
     def advance(self) -> bool:
         """Do what there is to do, without waiting; return whether it is over. Not called again once it is."""
-        ...
 
     def stop(self, because: str, *, is_interruption: bool = False) -> None:
         """Have it end soon; what it has opened is closed first. Asked again, it does nothing more.
@@ -53,16 +50,14 @@ class Awaited(Protocol):
             because: why, in words: it becomes the reason why the run failed.
             is_interruption: whether the user has asked for it, so that the run is to do again.
         """
-        ...
 
     def kill(self) -> None:
         """Have it end at once: the user has asked twice."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
 class InFlight:
-    """A run that is being executed: where (empty where there is one place only), and its last event."""
+    """A run that is being executed: its place (empty if there is only one), and its last event."""
 
     run: str
     place: str = ""
@@ -74,11 +69,9 @@ class RunInFlight(Awaited, Protocol):
 
     def outcome(self) -> RunOutcome:
         """Return how the attempt went, once it is over, whatever became of the run."""
-        ...
 
     def close(self) -> None:
         """Let go of it. A run that is still being executed is ended first, and waited for."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +123,6 @@ class Place(Protocol):
                 on another machine gives those of a machine the name of its own; a robot adds itself.
             combination: the treatments of the run.
         """
-        ...
 
     def begin(self, task: RunTask, builder: OutcomeBuilder, watch: Watch) -> RunInFlight:
         """Begin one attempt at a run, and return at once.
@@ -142,7 +134,6 @@ class Place(Protocol):
             builder: holds what was known of the attempt before; it takes each record before `watch.report` does.
             watch: what the orchestrator wants to know meanwhile.
         """
-        ...
 
 
 class Places(Protocol):
@@ -151,17 +142,14 @@ class Places(Protocol):
     @property
     def all(self) -> Sequence[Place]:
         """Those that are there now, in a lasting order, with those that are aside."""
-        ...
 
     @property
     def descriptors(self) -> Collection[int]:
         """What becomes readable when places may have come or gone."""
-        ...
 
     @property
     def due(self) -> float | None:
         """When `advance` is to be called at the latest, on the monotonic clock (s); None for no such moment."""
-        ...
 
     def advance(self) -> Sequence[str]:
         """Take note, without waiting, of places that have come or gone; return in words what a person should know.
@@ -169,8 +157,6 @@ class Places(Protocol):
         Raises:
             ExecutionError: none is left, and none is to come.
         """
-        ...
 
     def close(self) -> None:
         """Let go of all of them; no run is in flight any more."""
-        ...

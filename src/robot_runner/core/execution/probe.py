@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.parameters import Parameters
 from robot_runner.core.errors import ExecutionError, Finding
-from robot_runner.core.events.manager import EventManager, RobotRunnerEvents
+from robot_runner.core.events.manager import RUN_EVENTS, EventManager, RobotRunnerEvents
 from robot_runner.core.execution.aside import execute_aside
 from robot_runner.core.execution.interruption import Interruption
 from robot_runner.core.execution.places import Watch
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.events.measure import MeasureColumn, PublishedMeasure
-    from robot_runner.core.execution.task import RunOutcome
+    from robot_runner.core.execution.task import RunFailure, RunOutcome
     from robot_runner.core.plugin import Plugin
 
 
@@ -35,13 +35,7 @@ _RUN = "probe"
 _PATIENCE = 30.0
 #: Where a profiler says that it sets something up before a run, a moment without that would tell nothing of it.
 _SET_UP = (RobotRunnerEvents.BEFORE_EXPERIMENT, RobotRunnerEvents.BEFORE_RUN)
-_PROBED = (
-    RobotRunnerEvents.START_RUN,
-    RobotRunnerEvents.START_MEASUREMENT,
-    RobotRunnerEvents.STOP_MEASUREMENT,
-    RobotRunnerEvents.STOP_RUN,
-    RobotRunnerEvents.POPULATE_RUN_DATA,
-)
+_PROBED = tuple(event for event in RUN_EVENTS if event is not RobotRunnerEvents.LAUNCH_MISSION)
 _WITHOUT = "Or go without the probe: --no-probe, or probe = False in the config."
 
 
@@ -69,7 +63,7 @@ class Probed:
 
     @property
     def label(self) -> str:
-        """Its name, and that of the robot beside which it was tried, where several take turns."""
+        """Its name, with the robot's if several take turns."""
         return f"{self.plugin}, robot {self.robot}" if self.robot else self.plugin
 
     def findings(self) -> Iterator[Finding]:
@@ -210,14 +204,17 @@ def without_values(columns: Sequence[MeasureColumn], measures: Mapping[str, Publ
     return tuple(names) if silent else ()
 
 
+def _failures(outcome: RunOutcome) -> list[RunFailure]:
+    return [*([outcome.failure] if outcome.failure else []), *outcome.later_failures]
+
+
 def _failed(profilers: Sequence[Profiler], outcome: RunOutcome) -> list[Profiler]:
-    failures = (*([outcome.failure] if outcome.failure else []), *outcome.later_failures)
-    owners = {failure.owner for failure in failures}
+    owners = {failure.owner for failure in _failures(outcome)}
     return [each for each in profilers if each.name in owners]
 
 
 def _probed(profiler: Profiler, experiment: Experiment, outcome: RunOutcome) -> Probed:
-    failures = (*([outcome.failure] if outcome.failure else []), *outcome.later_failures)
+    failures = _failures(outcome)
     own = [str(failure) for failure in failures if failure.owner == profiler.name] or [str(each) for each in failures]
     phases = {f"{measure.name}.{phase}" for measure in profiler.measures for phase in experiment.parameters.phases}
     columns = [

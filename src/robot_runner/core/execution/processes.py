@@ -163,7 +163,7 @@ def group_ended(leader: int, grace: float, spared: Callable[[], frozenset[int]])
 
 
 def kill_group(leader: int, spared: Callable[[], frozenset[int]]) -> None:
-    """Kill what is left of a process group, but for what `spared` returns, and what those have started."""
+    """Kill the rest of a process group, except the processes that `spared` returns and their descendants."""
     with suppress(ProcessLookupError, PermissionError):  # macOS: no permission where all of them are zombies
         os.killpg(leader, 0)  # nearly always nobody is left, and `spared` has not to be asked
         if not (going_on := spared()):

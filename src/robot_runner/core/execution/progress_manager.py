@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 from robot_runner.core.config.treatment_makers import PREPARED, known_treatments
-from robot_runner.core.design.design_facts import described_design
+from robot_runner.core.design.batches import described_design
 from robot_runner.core.execution.begun_experiment import begun_manifest, made_folder, refuse_unfit_treatments
 from robot_runner.core.execution.circumstances import keep_config
 from robot_runner.core.execution.deciding import Deciding

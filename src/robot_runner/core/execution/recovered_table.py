@@ -188,6 +188,7 @@ class RecoveredTable:
         is_on_disk: whether the file holds all this, and has a schema, so that neither need be written.
         deviations: what was changed by hand since the last execution.
         done_before: the runs that were done before the first execution; None where this is not the first one.
+        former: the columns of the file that hold a measure of earlier executions, for which there is none any more.
     """
 
     experiment: Experiment
@@ -199,6 +200,7 @@ class RecoveredTable:
     is_on_disk: bool = False
     deviations: tuple[Deviation, ...] = ()
     done_before: list[str] | None = None
+    former: tuple[ColumnDescription, ...] = ()
     origins: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
     _kinds: set[tuple[str, Any]] = field(default_factory=set)
     doubts: defaultdict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
@@ -259,6 +261,7 @@ class RecoveredTable:
         if status == AttemptStatus.INTERRUPTED.value:
             self.rows.clear(run_id)
             return
+        self.rows.clear_former(run_id)
         self.rows.record(
             run_id,
             status=ENDS[status],
@@ -281,7 +284,7 @@ class RecoveredTable:
                 doubts=MappingProxyType(dict(self.reasons[column.name])),
             )
             for column in self.experiment.columns.in_table
-        }
+        } | {column.name: column for column in self.former}
 
 
 #: The run table is brought up to date at most so often that this share of the time goes into writing it, so that

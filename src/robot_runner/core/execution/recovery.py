@@ -1,4 +1,4 @@
-"""How an experiment is to go on: what is executed again, and what may differ from what was executed before."""
+"""How an experiment resumes: the runs to execute again, and the changes that are accepted."""
 
 from __future__ import annotations
 
@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from robot_runner.core.design.run_table_model import RunTable
     from robot_runner.core.design.warm_up import WarmUp
     from robot_runner.core.storage.run_table_rows import RunTableRows
-
-
-# How an experiment is to go on: what is executed again, and what may differ from before.
 
 
 class TableDisagreementError(ExecutionError):
@@ -149,7 +146,7 @@ def _contradictions(
 ACCEPT = "--accept-changes"
 
 _CONFIG_FIX = f"Undo the change, accept it ({ACCEPT}), or choose another experiment_name."
-_FROM_OUTSIDE = ", and comes from outside of the file, as a variable of the environment does"
+_FROM_OUTSIDE = ", and comes from outside the file, such as from an environment variable"
 _TABLE_FIX = f"Undo the change, let the table count ({ACCEPT}), or choose another experiment_name."
 
 
@@ -164,11 +161,6 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
     """Return how the config differs from what was executed before, line by line; nothing where it is new or the same.
 
     Comments and blank lines are no difference.
-
-    Args:
-        experiment: as it is now.
-        of_design: whether what makes the run table counts, too.
-        of_settings: whether what is set from outside counts, too.
 
     Raises:
         StorageError: the experiment's manifest cannot be read.
@@ -189,7 +181,8 @@ def config_changes(experiment: Experiment, *, of_design: bool = True, of_setting
     ]
     if of_settings:
         findings += input_changes(experiment.inputs, folder.config)
-        settings = _last_settings(manifest)
+        last = (manifest.get("executions") or [manifest])[-1]
+        settings = {str(name): str(text) for name, text in last.get("deviations", {}).items()}
         findings += _changed_settings(settings, experiment.overrides)
         told = "" if findings else _FROM_OUTSIDE
         findings += _changed_values(experiment, manifest, settings.keys() | experiment.overrides.keys(), told)
@@ -265,11 +258,6 @@ def _means_the_same(before: str, now: str, ignored: frozenset[str]) -> bool:
     return ast.dump(trees[0]) == ast.dump(trees[1])
 
 
-def _last_settings(manifest: Mapping[str, Any]) -> Mapping[str, str]:
-    executions = manifest.get("executions") or [manifest]
-    return {str(name): str(text) for name, text in executions[-1].get("deviations", {}).items()}
-
-
 #: By the one we have found this folder; the other changes no value.
 _OF_NO_CONSEQUENCE = {"results_output_path", "workers"}
 
@@ -286,12 +274,12 @@ def _changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> Iter
 def _changed_values(
     experiment: Experiment, manifest: Mapping[str, Any], settings: Collection[str], why: str
 ) -> Iterator[Finding]:
-    """Yield each value that is another one, but for those that are set, of which their settings tell."""
+    """Yield each value that has changed; those set with `--set` are compared as settings."""
     for name, pair in changed_values(experiment, manifest).items():
         if name not in settings:
             was, is_now = (repr(pair[each]) if each in pair else "not given" for each in ("was", "is"))
             where = f"{experiment.config_path}, {name}"
-            yield Finding.error(where, f"it was {was} and is {is_now}{why}", _CONFIG_FIX)
+            yield Finding.error(where, f"the value was {was} and is {is_now}{why}", _CONFIG_FIX)
 
 
 def _setting(name: str, value: str | None) -> str:
@@ -314,5 +302,4 @@ def refuse_differences(differences: Iterable[Finding], kind: type[ExecutionError
         listed[_MOST_DIFFERENCES:] = [
             Finding.error(listed[0].where, f"there are {more:,} more differences", listed[0].fix)
         ]
-    if listed:
-        raise kind.of_findings(listed)
+    kind.refuse(listed)

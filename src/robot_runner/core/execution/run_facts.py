@@ -68,7 +68,7 @@ def _programs(event: str, arguments: tuple[Any, ...]) -> list[str]:
 
 
 def _owner(owners: Mapping[int, str], frame: FrameType | None) -> str:
-    """Return whose callback a frame belongs to; empty where that cannot be told, as in a thread of a library."""
+    """Return the owner of the callback that a frame belongs to; empty if unknown, as in a thread of a library."""
     while frame is not None:
         who = owners.get(id(frame.f_locals.get("self")))
         if who is not None:
@@ -167,7 +167,7 @@ class UnreadFactors:
         return tuple((self._unread or {}).values())
 
     def take(self, task: RunTask, outcome: RunOutcome) -> tuple[Finding, ...]:
-        """Return what nobody read in the first run that is done; what a later run reads is not told at the end."""
+        """Return the factors that nobody read in the first finished run; later reads take them off the list."""
         if outcome.status is not AttemptStatus.DONE or not self._has_callbacks():
             return ()
         if self._unread is None:

@@ -73,7 +73,7 @@ class RecordWriter:
                 )
 
     def _send(self, *, waits: bool) -> None:
-        """Write what is held, as far as the pipe takes it, or all of it where that is waited for."""
+        """Write the held records: as much as the pipe takes at once, or with `waits` all of them."""
         while self._held:
             try:
                 written = os.write(self.descriptor, self._held[:_AT_ONCE])

@@ -1,4 +1,4 @@
-"""Which run begins next, at which place, and the poll loop in which all that are in flight go on side by side."""
+"""Which run begins next, at which place, and the poll loop for all runs in flight."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class SideBySide:
             self._let_go()
 
     def _choose(self) -> tuple[PendingRun, RunTask, Place, frozenset[str]] | None:
-        """Return the first run that can begin now, where, and what it claims; None where none can."""
+        """Return the first run that can begin now, with its place and its claims; None if there is none."""
         busy = {each.place.name for each in self._busy}
         free = [each for each in self._places.all if not each.is_aside and each.name not in busy]
         for place_in_queue in range(_AHEAD if free else 1):
@@ -247,7 +247,7 @@ class _Turns:
             self._count(_group(combination, repetition), robot, 1)
 
     def choose(self, task: RunTask, free: Sequence[Place], count: int) -> Place | None:
-        """Return the robot that takes a run; None where it is to wait for one that is busy."""
+        """Return the robot that takes a run; None if the run waits for a busy one."""
         group = _group(task.combination, task.repetition)
         share = -(-self._planned[group] // max(1, count))
         fair = [place for place in free if self._taken[group, place.name] < share]
@@ -285,7 +285,7 @@ class _Turns:
 
 
 def _turns_of(rows: RunTableRows, to_do: Container[int]) -> _Turns:
-    """Return which robots have executed what, as the run table has it, but for what is to be executed again."""
+    """Return the turns so far, from the run table; runs that are to be executed again do not count."""
     places = [place for place in range(len(rows)) if rows.excluded(place) is None or place in to_do]
     runs = {place: (rows.combination(place), rows.repetition(place)) for place in places}
     kept = (place for place in places if place not in to_do and rows.status(place) is RunStatus.DONE)

@@ -269,7 +269,7 @@ def _await_at(slot: ExperimentFolder) -> bool:
 
 
 def _kill(pid: int, folder: ExperimentFolder) -> None:
-    """Kill the process that stands by: only that one, whatever number stands in the file."""
+    """Kill the standby, and only the standby, whatever number stands in the file."""
     if pid > 1 and (sys.platform != "linux" or has_locked(pid, folder.standing_by.resolve())):
         with suppress(ProcessLookupError, PermissionError):
             os.kill(pid, signal.SIGKILL)

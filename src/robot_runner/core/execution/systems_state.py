@@ -1,4 +1,4 @@
-"""Who has the care of a run's systems: known to the run, its keeper, its standby and the orchestrator alike."""
+"""Which process is responsible for a run's systems: known to the run, its keeper, its standby and the orchestrator."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def cell_deviations(
         if is_now == was:
             continue
         value = record["measures"].get(name, {}).get("value")
-        if was == text and _are_same_number(row[name], value):
+        if was == text and {type(row[name]), type(value)} <= {int, float} and row[name] == value:
             rows.record(run_id, measures={name: value})
         else:
             yield Deviation(run_id, name, was, is_now)
@@ -65,10 +65,6 @@ def changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[D
         reason = excluded.reason(run_id)
         if reason != found:
             yield Deviation(run_id, EXCLUDED, reason or "", found or "")
-
-
-def _are_same_number(one: Any, other: Any) -> bool:
-    return {type(one), type(other)} <= {int, float} and one == other
 
 
 def _text(cell: Any) -> str:

@@ -50,7 +50,8 @@ from robot_runner.core.storage.guarded_files import (
 from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
+from robot_runner.core.storage.table_columns import former_measures
 from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
@@ -102,7 +103,9 @@ class _Recovery:
         layout: TableLayout = experiment.table_layout(
             {each.name: each.type for each in self._schema} or None, warms_up=bool(manifest["design"].get("warm_up"))
         )
-        self._layout = replace(layout, has_exclusions=self._history.excluded.were_any)
+        self._former = former_measures(self._schema, layout)
+        names = tuple(column.name for column in self._former)
+        self._layout = replace(layout, has_exclusions=self._history.excluded.were_any, former_measures=names)
         self._is_known_to_be_reordered = bool(manifest["design"].get("is_reordered"))
 
     def recovered(self) -> RecoveredTable:
@@ -116,6 +119,7 @@ class _Recovery:
                 table.findings = (Finding.warning(str(self._journal), _BEGINS_ANEW, _KEPT_ATTEMPTS),)
         else:
             table = self._read()
+        table.former = self._former
         attempted = set(history.attempted)
         for column in self._schema:
             table.origins[column.name].update(column.origin.split(", ") if column.origin else ())
@@ -360,11 +364,8 @@ def digest_of(path: Path) -> str:
     Raises:
         StorageError: it cannot be read.
     """
-    try:
-        with open_to_read(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise storage_error(path, "read", error) from error
+    with storage_errors(path, "read"), open_to_read(path) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _schema_of(path: Path) -> tuple[tuple[ColumnDescription, ...], tuple[Finding, ...]]:

@@ -258,7 +258,7 @@ class OutcomeBuilder:
         )
 
     def _qualified_measures(self) -> dict[str, PublishedMeasure]:
-        """Return what was published, each with what makes it doubtful, and the columns that tell of that."""
+        """Return the published measures with their doubts, and the values of the quality columns."""
         measures = dict(self._measures)
         for column in self._columns.declared:
             published = measures.get(column.name)

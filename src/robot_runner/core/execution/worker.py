@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from robot_runner.core.config.dialects import prepare_or_refuse
+from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate

@@ -1,1 +1,1 @@
-"""How a robot, a host or a device is reached: protocols, hosts and serial lines."""
+"""How robots and hosts are reached: protocols, kinds of link, commands on hosts over SSH."""

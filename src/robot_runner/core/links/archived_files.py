@@ -91,6 +91,8 @@ def _unpack_member(tar: tarfile.TarFile, name: str, held: tarfile.TarInfo, folde
         target = folder.joinpath(*parts)
         try:
             _write(source, target, folder, held.size)
+            with suppress(OverflowError, ValueError):  # an archive may say anything
+                os.utime(target, (held.mtime, held.mtime))  # when it was written there
         except OSError as error:
             unpacked.problems.append(f"{shown} cannot be written here: {error.strerror}")
             return error.errno not in _FULL

@@ -1,4 +1,4 @@
-"""Opens the links of a run by the name of its robot, once a run; which kinds of link there are, entry points say."""
+"""From the name of a robot to its link, which is opened once a run; entry points say which kinds of link there are."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def looks_for_robot(robot: str | None) -> bool:
 
 
 def found_robot(robot: str | None) -> FoundRobot | None:
-    """Return which robot is found by the name of one that is looked for (`auto`); None where the name is another.
+    """Return the robot that `auto` finds; None for any other name.
 
     Raises:
         LinkError: it is to be looked for, and none is there.
@@ -149,7 +149,7 @@ def open_clock(robot: str | None, resources: Resources, seed: int) -> Clock:
 
 
 def preload_robot(robot: str | None) -> None:
-    """Import what reaches this robot, so that a process which does nothing else is connected to it in no time.
+    """Import the client library of a robot's link, so that a process that needs nothing else connects quickly.
 
     Raises:
         LinkError: there is no such link.

@@ -83,9 +83,7 @@ class Host:
         set_to(self, "fetch", tuple(str(each) if isinstance(each, Path) else each for each in several))
         if isinstance(self.ssh_config, str | Path):
             set_to(self, "ssh_config", Path(os.path.expanduser(self.ssh_config)))  # noqa: PTH111  # as of an unknown user
-        findings = list(self._findings())
-        if findings:
-            raise ConfigError.of_findings(findings)
+        ConfigError.refuse(self._findings())
 
     @property
     def is_local(self) -> bool:

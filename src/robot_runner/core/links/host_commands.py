@@ -64,15 +64,12 @@ class Shell(Protocol):
 
     def is_connected(self) -> bool:
         """Return whether the connection to the host still stands; a failing command asks."""
-        ...
 
     def command(self, remote: str, *, within_s: float) -> list[str]:
         """Return the command line that has the host's login shell execute `remote`, connected within so many s."""
-        ...
 
     def close(self) -> None:
         """Let go of the host; closing twice does nothing."""
-        ...
 
 
 class _LocalShell:

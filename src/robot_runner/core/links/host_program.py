@@ -120,9 +120,9 @@ class Program:
     def follow(self, timeout_s: float) -> Ended:
         """Take what it writes until it ends, and end it where it takes too long or writes too much."""
         process = self._process
-        streams = [each for each in (process.stdout, process.stderr) if each is not None]
-        self._kept = {each.fileno(): bytearray() for each in streams}
         both = (process.stdout, process.stderr)
+        streams = list(filter(None, both))
+        self._kept = {each.fileno(): bytearray() for each in streams}
         output, errors = (self._kept[each.fileno()] if each is not None else bytearray() for each in both)
         with selectors.DefaultSelector() as selector:
             for each in streams:
@@ -186,6 +186,5 @@ class Program:
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
-        for each in (self._process.stdout, self._process.stderr):
-            if each is not None:
-                each.close()
+        for each in filter(None, (self._process.stdout, self._process.stderr)):
+            each.close()

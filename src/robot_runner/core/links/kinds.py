@@ -32,17 +32,14 @@ class RobotLinkKind(Protocol):
     @property
     def description(self) -> str:
         """What it is, in one line."""
-        ...
 
     @property
     def takes_address(self) -> bool:
         """Whether a robot is named by an address (`rosbridge://robot:9090`), and not by the link and its options."""
-        ...
 
     @property
     def is_simulated(self) -> bool:
         """Whether each robot behind it is a simulation, so that it needs nothing of the real world."""
-        ...
 
     def findings(self, name: RobotName) -> list[Finding]:
         """Return what stands in the way of reaching a robot of this name; nothing is opened by asking.
@@ -50,7 +47,6 @@ class RobotLinkKind(Protocol):
         Raises:
             LinkError: the name cannot be one; becomes a finding.
         """
-        ...
 
     def open_robot(
         self, name: RobotName, *, resources: Resources, clock: Clock, seed: int, namespace: str
@@ -67,7 +63,6 @@ class RobotLinkKind(Protocol):
         Raises:
             LinkError: the robot cannot be reached.
         """
-        ...
 
     def open_clock(self, name: RobotName, *, resources: Resources, seed: int) -> Clock:
         """Return the clock that a run with this robot lives by; it is closed with `resources`.
@@ -75,7 +70,6 @@ class RobotLinkKind(Protocol):
         Raises:
             LinkError: the robot cannot be reached, or does not tell the time.
         """
-        ...
 
 
 @runtime_checkable
@@ -84,7 +78,6 @@ class Preloads(Protocol):
 
     def preload(self, name: RobotName) -> None:
         """Import it; nothing is opened."""
-        ...
 
 
 @runtime_checkable
@@ -94,7 +87,6 @@ class JoinsGraph(Protocol):
     @property
     def is_slow_to_join(self) -> bool:
         """Whether a new participant is not heard at once, so that the standby joins beforehand."""
-        ...
 
 
 @runtime_checkable
@@ -110,7 +102,6 @@ class LooksAtGraph(Protocol):
             name: of the robot.
             needs: what is needed, with full names, by the place that findings are to name (`plugin Arm`).
         """
-        ...
 
 
 @runtime_checkable
@@ -119,7 +110,6 @@ class ReadsFiles(Protocol):
 
     def input_files(self, name: RobotName) -> Iterable[InputFile]:
         """Return those that a robot of this name reads."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +132,6 @@ class FindsRobot(Protocol):
     @property
     def description(self) -> str:
         """What it is, in one line."""
-        ...
 
     def found_robot(self) -> FoundRobot:
         """Return the robot that is there.
@@ -150,7 +139,6 @@ class FindsRobot(Protocol):
         Raises:
             LinkError: none is found; it says what was looked for.
         """
-        ...
 
 
 def installed_links() -> list[str]:

@@ -89,7 +89,6 @@ class Subscription(Protocol):
 
     def close(self) -> None:
         """End it; closing twice does nothing."""
-        ...
 
 
 @runtime_checkable
@@ -102,7 +101,6 @@ class Publisher(Protocol):
         Raises:
             LinkError: the robot cannot be reached, or the message does not follow its definition.
         """
-        ...
 
 
 @runtime_checkable
@@ -118,7 +116,6 @@ class Advertiser(Protocol):
         Raises:
             LinkError: the robot cannot be reached, there is no such type, or the topic carries another.
         """
-        ...
 
 
 @runtime_checkable
@@ -143,13 +140,11 @@ class Subscriber(Protocol):
         Raises:
             LinkError: it carries another type, its publishers offer less than `qos` asks for, or there is no such type.
         """
-        ...
 
     def subscribe_raw(
         self, topic: str, message_type: str, callback: Callable[[RawMessage], None], *, qos: Qos | None = None
     ) -> Subscription:
         """Have `callback` called with the bytes of each message of the topic; as `subscribe` in all else."""
-        ...
 
     def wait_for(
         self,
@@ -164,7 +159,6 @@ class Subscriber(Protocol):
         Raises:
             LinkError: none came in time, or as `subscribe`.
         """
-        ...
 
 
 @runtime_checkable
@@ -178,7 +172,6 @@ class Caller(Protocol):
             LinkError: there is no such service, it has another type, it fails or does not answer in time, or the
                 request does not follow its definition.
         """
-        ...
 
 
 @runtime_checkable
@@ -191,7 +184,6 @@ class Offerer(Protocol):
         Raises:
             LinkError: there is no such type, or somebody offers a service of this name already.
         """
-        ...
 
 
 class Goal(Protocol):
@@ -200,7 +192,6 @@ class Goal(Protocol):
     @property
     def status(self) -> GoalStatus:
         """What the server said last of it."""
-        ...
 
     def result(self, *, timeout: float) -> ActionResult:
         """Wait until it is over and return what came of it, in whichever way it ended; `timeout` is in seconds.
@@ -208,7 +199,6 @@ class Goal(Protocol):
         Raises:
             LinkError: it is not over in time, and goes on; or its server is gone.
         """
-        ...
 
     def cancel(self, *, timeout: float = 5.0) -> None:
         """Ask for its end and wait until it is over; nothing is done where it is over. `timeout` is in seconds.
@@ -216,7 +206,6 @@ class Goal(Protocol):
         Raises:
             LinkError: the server refuses, or does not end it in time.
         """
-        ...
 
 
 @runtime_checkable
@@ -245,7 +234,6 @@ class ActionCaller(Protocol):
             LinkError: there is no such action, it has another type, the server rejects the goal or does not answer in
                 time, or the goal does not follow its definition.
         """
-        ...
 
 
 class GoalExecution(Protocol):
@@ -254,12 +242,10 @@ class GoalExecution(Protocol):
     @property
     def goal(self) -> Message:
         """What is asked for, with every field of its type."""
-        ...
 
     @property
     def is_cancel_requested(self) -> bool:
         """Whether it is to end: raise `ActionCanceled` then."""
-        ...
 
     def feedback(self, message: Message) -> None:
         """Tell whoever sent the goal how far it is.
@@ -267,7 +253,6 @@ class GoalExecution(Protocol):
         Raises:
             LinkError: the message does not follow its definition, or the graph is lost.
         """
-        ...
 
 
 @runtime_checkable
@@ -296,7 +281,6 @@ class ActionOfferer(Protocol):
         Raises:
             LinkError: there is no such type, or somebody offers an action of this name already.
         """
-        ...
 
 
 @runtime_checkable
@@ -305,27 +289,21 @@ class GraphListing(Protocol):
 
     def topics(self) -> Mapping[str, str]:
         """Return the type of each topic that is published or subscribed on the graph, by its full name."""
-        ...
 
     def services(self) -> Mapping[str, str]:
         """Return the type of each service on the graph, by its full name; empty where the graph does not tell."""
-        ...
 
     def actions(self) -> Mapping[str, str]:
         """Return the type of each action that a server offers, by its full name."""
-        ...
 
     def nodes(self) -> Sequence[str]:
         """Return the full names of the nodes on the graph, sorted."""
-        ...
 
     def publishers(self, topic: str) -> Sequence[GraphEndpoint]:
         """Return who publishes a topic, this link included; nobody where there is no such topic."""
-        ...
 
     def subscribers(self, topic: str) -> Sequence[GraphEndpoint]:
         """Return who subscribes a topic, this link included; nobody where there is no such topic."""
-        ...
 
 
 @runtime_checkable
@@ -340,12 +318,10 @@ class RobotLink(Publisher, Subscriber, Caller, Offerer, ActionCaller, ActionOffe
     @property
     def is_simulated(self) -> bool:
         """Whether there is a simulation behind it, so that what it yields is labelled so."""
-        ...
 
     @property
     def encoding(self) -> Encoding:
         """How the bytes of raw messages are laid out."""
-        ...
 
     def definition(self, message_type: str) -> str:
         """Return the text of a type's definition, with those that it is made of after it, as bags store it.
@@ -353,7 +329,6 @@ class RobotLink(Publisher, Subscriber, Caller, Offerer, ActionCaller, ActionOffe
         Raises:
             LinkError: the link knows no such type.
         """
-        ...
 
     def close(self) -> None:
         """Cancel the goals that are not over, end all subscriptions and offers, and leave; once.
@@ -361,4 +336,3 @@ class RobotLink(Publisher, Subscriber, Caller, Offerer, ActionCaller, ActionOffe
         Raises:
             LinkError: a goal or a robot that was driven could not be stopped, or a callback raised.
         """
-        ...

@@ -97,8 +97,7 @@ class Robots:
     def __init__(self, *robots: str, **named: str) -> None:
         given = [*((_name_of(link), link) for link in robots), *named.items()]
         findings = [*_name_findings(given), *_link_findings(given)]
-        if findings:
-            raise ConfigError.of_findings(findings)
+        ConfigError.refuse(findings)
         self.links: Mapping[str, str] = MappingProxyType(dict(given))
 
     def __repr__(self) -> str:
@@ -114,7 +113,7 @@ def _name_of(link: object) -> str:
 
 def _name_findings(given: list[tuple[str, str]]) -> list[Finding]:
     names = [name for name, _ in given]
-    findings = [] if len(given) > 1 else [_finding("it names fewer than two robots", "Write robot = '...' for one.")]
+    findings = [] if len(given) > 1 else [_finding("fewer than two robots are named", "Write robot = '...' for one.")]
     for name in dict.fromkeys(names):
         if not _NAME.fullmatch(name):
             problem = f"{name!r} cannot be the name of a robot"

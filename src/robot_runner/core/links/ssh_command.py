@@ -80,11 +80,7 @@ def ssh_command(host: str, remote: str, *, config: Path | None = None) -> list[s
 
 
 def remedy(host: str, answer: str) -> str:
-    """Return what mends what ssh complains of.
-
-    Args:
-        host: as ssh takes it.
-        answer: the whole of what ssh wrote to its stderr: what matters may stand above the last line.
+    """Return what mends what ssh complains of, by all that it wrote: the cause may stand above the last line.
 
     Example:
         >>> remedy("pi@robot", "pi@robot: Permission denied (publickey).")
@@ -109,13 +105,7 @@ def gist(answer: str) -> str:
 
 
 def ssh_findings(where: str, host: str, *, config: Path | None = None) -> list[Finding]:
-    """Return what stands in the way of executing something on a host: it is tried, and changes nothing there.
-
-    Args:
-        where: the plugin that asks.
-        host: as ssh takes it.
-        config: a file to take the place of the user's ssh config.
-    """
+    """Return what stands in the way of executing something on a host: it is tried, and changes nothing there."""
     try:
         command = ssh_command(host, "exit 0", config=config)
     except LinkError as error:
@@ -190,11 +180,7 @@ class KeptConnection:
             return False
 
     def command(self, remote: str, *, within_s: float = _CONNECTING) -> list[str]:
-        """Return the command line that executes `remote` over the connection, which is opened if it is not.
-
-        Args:
-            remote: for the login shell there.
-            within_s: how long it may take to connect, s.
+        """Return the command line that executes `remote` over the connection, opened within so many s if it is not.
 
         Raises:
             LinkError: the host cannot be reached.

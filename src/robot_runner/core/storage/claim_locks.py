@@ -136,7 +136,7 @@ class HeldClaims:
             is_mine = _locked(descriptor, fcntl.LOCK_EX)
         except (OSError, StorageError) as error:
             refusal = error if isinstance(error, StorageError) else storage_error(path, "locked", error)
-            problem = f"nobody is kept out who claims {claim} as well: {refusal.problem} ({refusal.where})"
+            problem = f"other experiments that claim {claim} are not kept out: {refusal.problem} ({refusal.where})"
             self.findings.append(Finding.warning("claims", problem, _NAME_A_FOLDER))
             return
         if not is_mine:
@@ -152,7 +152,7 @@ def _path_of(claim: str) -> Path:
 
 
 def _locked(descriptor: int, kind: int) -> bool:
-    """Lock a file, and return whether that was possible: nobody holds it who has claimed what it stands for.
+    """Lock the file of a claim, and return whether nobody else holds the claim.
 
     Who merely looks has a shared lock for a moment; that refuses nobody.
     """

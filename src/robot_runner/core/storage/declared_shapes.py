@@ -39,7 +39,7 @@ _MOST_FAULTS = 20
 _SHOWN = 60
 _LONGEST_TEXT = 10_000
 #: Ours have less than ten levels; beyond some hundred, Python's own functions fail on them.
-_DEEPEST = 64
+DEEPEST = 64
 _LARGEST_COUNT = 2**63
 #: As a measure's value: as far as a float goes.
 _MOST_BITS_OF_VALUE = 1024
@@ -253,9 +253,9 @@ def levels_of(value: Any) -> Iterator[list[Any]]:
 def _not_too_deep(value: Any, place: str, faults: list[str]) -> None:
     """Look at what has no declared shape: it may be nested, within reason."""
     for depth, level in enumerate(levels_of(value)):
-        if depth == _DEEPEST:
+        if depth == DEEPEST:
             if len(faults) < _MOST_FAULTS:
-                faults.append(f"{place or 'it'} is nested deeper than {_DEEPEST} levels")
+                faults.append(f"{place or 'it'} is nested deeper than {DEEPEST} levels")
             return
         for each in level:
             if type(each) is int:

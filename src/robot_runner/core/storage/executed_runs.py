@@ -60,7 +60,7 @@ def unrecorded_runs(done: Iterable[str], ended: Container[str], manifest: Mappin
 
 
 def unrecorded_in_words(runs: Sequence[str], journal: Path) -> str:
-    """Return what is wrong where runs are done of which the journal has no end, and what is lost."""
+    """Return in words that the journal lacks the end of runs that are done, and what is lost with it."""
     is_are, them, their = ("is", "it", "its") if len(runs) == 1 else ("are", "them", "their")
     older = f"it is older than the table, or {their} status was written by hand"
     return (
@@ -95,11 +95,7 @@ def executed_order(journal: Path) -> list[str]:
 
 
 def moved_runs(table: Sequence[str], executed: Sequence[str]) -> tuple[str, ...]:
-    """Return the fewest runs that had to change places for the table's order to become the one that was executed.
-
-    Args:
-        table: the ids of all runs, in the order of the run table.
-        executed: the ids of those that were executed, in that order; ids that the table lacks are passed over.
+    """Return the fewest runs that had to change places for the order of the table to become the executed one.
 
     Example:
         >>> moved_runs(["r_1", "r_2", "r_3", "r_4"], ["r_3", "r_1", "r_2"])

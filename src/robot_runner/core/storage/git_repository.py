@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
 
@@ -52,9 +51,7 @@ class RepositoryState:
         return {**{name: value for name, value in facts.items() if value}, "is_dirty": self.is_dirty}
 
 
-def git(
-    *words: str, folder: Path | str = ".", timeout: float = _PATIENCE, environment: Mapping[str, str] | None = None
-) -> subprocess.CompletedProcess[bytes]:
+def git(*words: str, folder: Path | str = ".", timeout: float = _PATIENCE) -> subprocess.CompletedProcess[bytes]:
     """Execute one command of git to its end.
 
     Raises:
@@ -66,7 +63,7 @@ def git(
         # A monitor of the file system is a program that the repository's own configuration names.
         ["git", "-c", "core.fsmonitor=false", *words],  # noqa: S607 - the git that the user has
         cwd=folder,
-        env={**inherited, **_ENVIRONMENT, **(environment or {})},
+        env={**inherited, **_ENVIRONMENT},
         stdin=subprocess.DEVNULL,
         capture_output=True,
         timeout=timeout,

@@ -24,7 +24,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.storage.declared_shapes import levels_of, parsed_json, shape_findings
+from robot_runner.core.storage.declared_shapes import DEEPEST, levels_of, parsed_json, shape_findings
 from robot_runner.core.storage.guarded_paths import (
     ONLY_FILES,
     MissingFileError,
@@ -70,8 +70,6 @@ __all__ = [
 
 #: JSON takes up to 24 times its length in memory (a list of empty objects): 8 MB become 200 MB.
 JSON_LIMIT = 8_000_000
-#: Levels of brackets: ours have less than ten.
-JSON_DEPTH = 64
 #: Text that is read whole, and the longest line of what is read line by line.
 TEXT_LIMIT = 64_000_000
 LINE_LIMIT = 16_000_000
@@ -161,7 +159,7 @@ def read_text(path: Path, root: Path | None = None, *, limit: int = TEXT_LIMIT, 
         raise _damaged(path, f"the file is no text in UTF-8: {error.reason} at byte {error.start}") from error
 
 
-def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, depth: int = JSON_DEPTH) -> Any:
+def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT) -> Any:
     """Return the value that a JSON file holds.
 
     Raises:
@@ -170,17 +168,17 @@ def read_json(path: Path, root: Path | None = None, *, limit: int = JSON_LIMIT, 
     content = read_bytes(path, root, limit=limit)
     try:
         value = parsed_json(content.decode("utf-8-sig"))
-    except RecursionError as error:
-        raise _damaged(path, f"its JSON is nested deeper than {depth} levels") from error
+        if all(level < DEEPEST for level, _ in enumerate(levels_of(value))):
+            return value
+    except RecursionError:
+        pass
     except ValueError as error:
         raise _damaged(path, f"the file is not valid JSON: {error}") from error
-    if any(level == depth for level, _ in enumerate(levels_of(value))):
-        raise _damaged(path, f"its JSON is nested deeper than {depth} levels")
-    return value
+    raise _damaged(path, f"its JSON is nested deeper than {DEEPEST} levels")
 
 
 def read_declared(path: Path, what: str, shape: Any, *, newest: int, fix: str, limit: int = JSON_LIMIT) -> Any:
-    """Return what a JSON file holds, `what` in words, that has a declared shape and a format, at most the `newest`.
+    """Return the value in a JSON file of a declared shape, whose `format` is at most `newest`; `what` names the file.
 
     Raises:
         MissingFileError: there is none.
@@ -194,8 +192,7 @@ def read_declared(path: Path, what: str, shape: Any, *, newest: int, fix: str, l
     if isinstance(found, int) and found > newest:
         problem = f"the {what} has format {found}, newer than {newest}, which this version knows"
         raise StorageError(problem, where=str(path), fix="Update robot-runner.")
-    if findings := shape_findings(str(path), what, value, shape, fix):
-        raise StorageError.of_findings(findings)
+    StorageError.refuse(shape_findings(str(path), what, value, shape, fix))
     return value
 
 

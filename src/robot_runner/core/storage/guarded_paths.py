@@ -138,7 +138,7 @@ def rights_of(root: Path) -> int:
 
 
 def refusal_of(path: Path, root: Path, action: str, error: OSError) -> StorageError:
-    """Return what to tell of something that the system refuses; where a link is in the way, which it is."""
+    """Return the error for something that the system refuses; it names a link that is in the way."""
     if error.errno in {errno.ELOOP, errno.ENOTDIR}:
         below = path.relative_to(root)
         for part in (*reversed(below.parents[:-1]), below):

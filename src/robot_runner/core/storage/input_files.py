@@ -20,7 +20,7 @@ from typing import NotRequired, TypedDict
 from robot_runner.core.errors import Finding, StorageError
 from robot_runner.core.storage.declared_shapes import faults_of
 from robot_runner.core.storage.guarded_files import TEXT_LIMIT, read_bytes, read_json, replace
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 
 #: The name of the index, beside the config.
 INDEX = "input_files.json"
@@ -107,12 +107,7 @@ def shown_input(each: KeptInput) -> str:
 
 @contextmanager
 def kept_copies(folder: Path, working: Path | None = None) -> Iterator[None]:
-    """While it lasts, have `input_file` find the copies that a folder of configs keeps, in this process and its own.
-
-    Args:
-        folder: of configs.
-        working: what `copy_kept` has made of it: then these copies are found.
-    """
+    """While it lasts, have `input_file` find the copies that a folder of configs keeps, or those in `working`."""
     own = {_VARIABLE: str(folder.resolve()), _WORKING: str((working or folder).resolve())}
     before = {name: os.environ.get(name) for name in own}
     os.environ.update(own)
@@ -132,7 +127,7 @@ def copy_kept(folder: Path, target: Path) -> None:
         StorageError: something cannot be read or written.
     """
     part = target.with_name(f".{target.name}.tmp")
-    try:
+    with storage_errors(target, "written"):
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
         for each in read_index(folder):
@@ -143,8 +138,6 @@ def copy_kept(folder: Path, target: Path) -> None:
                 if place.relative_to(part).as_posix() in each.get("programs", ()):
                     place.chmod(place.stat().st_mode | 0o100 | (place.stat().st_mode & 0o044) >> 2)
         part.replace(target)
-    except OSError as error:
-        raise storage_error(target, "written", error) from error
 
 
 def copies_in(folder: Path) -> set[Path]:
@@ -165,7 +158,7 @@ def _copies_of(each: KeptInput, folder: Path) -> list[Path]:
 
 
 def input_file(path: Path) -> Path:
-    """Return where to read a file that a config names: itself, or its copy where a package is executed again.
+    """Return the path to read a file from that a config names: its copy if a package is executed again, else itself.
 
     A `~` at its beginning stands for the home folder.
 
@@ -177,7 +170,7 @@ def input_file(path: Path) -> Path:
 
 
 def kept_copy(path: Path) -> Path | None:
-    """Return the copy of a file, or of what is in a folder, where a package is executed again that has one."""
+    """Return the copy that a package has of a file, or of a file in a folder, while it is executed again."""
     folder = os.environ.get(_VARIABLE)
     copies = _copies(Path(folder), Path(os.environ.get(_WORKING) or folder)) if folder else {}
     for base in (path, *path.parents) if copies else ():
@@ -222,7 +215,7 @@ def kept_contents(inputs: Sequence[InputFile], beside: Path, kept: Path) -> dict
     contents: dict[Path, bytes] = {}
     index: list[KeptInput] = []
     for each in dict.fromkeys(inputs):
-        with _refusals_told(each):
+        with storage_errors(each.path, "read"):
             path, members = _files_of(each)
             if members:
                 entry = _described(each, path, members)
@@ -267,22 +260,14 @@ def input_changes(inputs: Sequence[InputFile], kept: Path) -> Iterator[Finding]:
 
 
 def _is_another(was: KeptInput, each: InputFile) -> bool:
-    with _refusals_told(each):
+    with storage_errors(each.path, "read"):
         path, members = _files_of(each)
         now = _described(each, path, members)
     return bool(members) and (now["size"], now["sha256"]) != (was["size"], was["sha256"])
 
 
-@contextmanager
-def _refusals_told(each: InputFile) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise storage_error(each.path, "read", error) from error
-
-
 def _files_of(each: InputFile) -> tuple[Path, list[Path]]:
-    """Return where an input is, and all files of it: none where it is missing, of which its own reader tells."""
+    """Return the path of an input and all of its files; none if it is missing, which its reader reports."""
     path = _absolute(input_file(each.path))
     return path, _members_of(path, each.others)
 
@@ -344,10 +329,7 @@ def _absolute(path: Path) -> Path:
 
 
 def missing_inputs(folder: Path) -> Iterator[Finding]:
-    """Yield which files a package leaves out and this machine lacks, or has otherwise.
-
-    Args:
-        folder: of the package's config.
+    """Yield which files a package leaves out and this machine lacks, or has otherwise, by the folder of its config.
 
     Raises:
         StorageError: the index cannot be read.

@@ -1,4 +1,4 @@
-"""The folders and logs of runs: each attempt begins with none, and none loses what an earlier attempt left.
+"""The names of an experiment's files and folders, known here alone; and how each attempt at a run begins with none.
 
 Making a folder or a file costs a file system more than all else that is recorded of a run. So a run has a folder only
 if something is kept in it, and what it prints goes to one log that is renamed into its folder when the run has ended.
@@ -14,17 +14,25 @@ from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.storage.guarded_files import make_folder, open_descriptor, open_to_append
 from robot_runner.core.storage.masked_log import MaskedText, mask_log
-from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.storage.system_refusals import storage_errors
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
 
-# The names of an experiment's files and folders: the only place that knows them.
-
 _RUNS = "runs"
 _MANIFEST = "manifest.json"
+
+
+class _Member:
+    """What lies right below an experiment's folder, by its name: an attribute of `ExperimentFolder`."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __get__(self, folder: ExperimentFolder, _kind: type) -> Path:
+        return folder.root / self._name
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +58,41 @@ class ExperimentFolder:
     runs: Path = field(init=False, repr=False, compare=False)
     #: What the run that is being executed has printed so far.
     current_log: Path = field(init=False, repr=False, compare=False)
+
+    #: The populated run table, for people, R and pandas.
+    run_table = _Member("run_table.csv")
+    #: Type, unit, meaning and owner of each column of the run table.
+    schema = _Member("run_table.schema.json")
+    #: The append-only history of the experiment.
+    journal = _Member("journal.jsonl")
+    #: The circumstances: host, versions, seed, what was set by hand.
+    manifest = _Member(_MANIFEST)
+    #: The config file and the local modules that it imports, as executed.
+    config = _Member("config")
+    #: What was registered before the first run, where anything was.
+    registration = _Member("registration.json")
+    #: The report, with its tables and figures; made anew whenever it is asked for.
+    report = _Member("report")
+    #: What was printed while revisions of a repository were built.
+    revisions = _Member("revisions")
+    #: What software under test writes that goes on through all runs: a folder for each start of each subject.
+    subjects = _Member("subjects")
+    #: What attempts before the last one left behind.
+    earlier_attempts = _Member("earlier_attempts")
+    #: Run tables that the journal did not agree with, numbered.
+    earlier_tables = _Member("earlier_tables")
+    #: Configs that were executed before the config changed, numbered.
+    earlier_configs = _Member("earlier_configs")
+    #: Held by the process that executes the experiment.
+    lock = _Member(".lock")
+    #: What a second terminal tells the orchestrator.
+    control = _Member(".control")
+    #: There while the experiment is to pause between two runs.
+    pause = _Member(".pause")
+    #: There once the experiment is to stop as by Ctrl-C, until it was seen.
+    stop = _Member(".stop")
+    #: The processes that may outlive the run that started them.
+    outliving = _Member(".outliving")
 
     def __post_init__(self) -> None:
         # Made once: they are asked for in every run, and making a path takes longer than all else there.
@@ -79,74 +122,9 @@ class ExperimentFolder:
         keeps_runs_in_root = (root / _MANIFEST).exists() and not (root / _RUNS).exists()
         return cls(root, "" if keeps_runs_in_root else _RUNS)
 
-    @property
-    def run_table(self) -> Path:
-        """The populated run table, for people, R and pandas."""
-        return self.root / "run_table.csv"
-
-    @property
-    def schema(self) -> Path:
-        """Type, unit, meaning and owner of each column of the run table."""
-        return self.root / "run_table.schema.json"
-
-    @property
-    def journal(self) -> Path:
-        """The append-only history of the experiment."""
-        return self.root / "journal.jsonl"
-
-    @property
-    def manifest(self) -> Path:
-        """The circumstances: host, versions, seed, what was set by hand."""
-        return self.root / _MANIFEST
-
-    @property
-    def config(self) -> Path:
-        """The config file and the local modules that it imports, as executed."""
-        return self.root / "config"
-
-    @property
-    def registration(self) -> Path:
-        """What was registered before the first run, where anything was."""
-        return self.root / "registration.json"
-
     def uncommitted(self, digest: str) -> Path:
         """Return the file of changes that were not committed to the config's repository, by their SHA-256."""
         return self.config / f"uncommitted-{digest[:12]}.diff"
-
-    @property
-    def earlier_configs(self) -> Path:
-        """Configs that were executed before the config changed, numbered."""
-        return self.root / "earlier_configs"
-
-    @property
-    def earlier_tables(self) -> Path:
-        """Run tables that the journal did not agree with, numbered."""
-        return self.root / "earlier_tables"
-
-    @property
-    def earlier_attempts(self) -> Path:
-        """What attempts before the last one left behind."""
-        return self.root / "earlier_attempts"
-
-    @property
-    def revisions(self) -> Path:
-        """What was printed while revisions of a repository were built."""
-        return self.root / "revisions"
-
-    @property
-    def subjects(self) -> Path:
-        """What software under test writes that goes on through all runs: a folder for each start of each subject."""
-        return self.root / "subjects"
-
-    @property
-    def report(self) -> Path:
-        """The report, with its tables and figures; made anew whenever it is asked for."""
-        return self.root / "report"
-
-    @property
-    def lock(self) -> Path:
-        """Held by the process that executes the experiment."""
-        return self.root / ".lock"
 
     @property
     def alive(self) -> Path:
@@ -157,26 +135,6 @@ class ExperimentFolder:
     def standing_by(self) -> Path:
         """Locked by the process that stands by to make the systems of a run safe; it has that process's id."""
         return self.root / f".standing_by{self._of_slot}"
-
-    @property
-    def outliving(self) -> Path:
-        """The processes that may outlive the run that started them."""
-        return self.root / ".outliving"
-
-    @property
-    def control(self) -> Path:
-        """What a second terminal tells the orchestrator."""
-        return self.root / ".control"
-
-    @property
-    def pause(self) -> Path:
-        """There while the experiment is to pause between two runs."""
-        return self.root / ".pause"
-
-    @property
-    def stop(self) -> Path:
-        """There once the experiment is to stop as by Ctrl-C, until it was seen."""
-        return self.root / ".stop"
 
     def run(self, run_id: str) -> Path:
         """Return the folder of a run: its log, and a folder for each plugin's raw data."""
@@ -190,10 +148,6 @@ class ExperimentFolder:
         """Return the file of values that the run table could not take."""
         return self.run(run_id) / "refused.jsonl"
 
-    def earlier_attempt(self, run_id: str, attempt: int) -> Path:
-        """Return where a run's folder is kept once another attempt was made."""
-        return self.earlier_attempts / run_id / str(attempt)
-
 
 def _open_log(folder: ExperimentFolder) -> int:
     """Return a descriptor that appends to the log of the run that is being executed.
@@ -205,7 +159,7 @@ def _open_log(folder: ExperimentFolder) -> int:
 
 
 def print_to_log(folder: ExperimentFolder) -> None:
-    """Have this process print to the log of the run that is being executed, what it starts and what is in C included.
+    """Redirect this process's output to the log of the current run, for programs that it starts and for C code, too.
 
     Raises:
         StorageError: the log cannot be opened.
@@ -267,13 +221,11 @@ def keep_log(folder: ExperimentFolder, run_id: str) -> None:
     Raises:
         StorageError: it cannot be moved.
     """
-    try:
+    with storage_errors(folder.log(run_id), "written"):
         if _size(folder.current_log) > 0:
             make_folder(folder.run(run_id), folder.root)
             mask_log(folder.current_log, folder.root)
             folder.current_log.replace(folder.log(run_id))
-    except OSError as error:
-        raise storage_error(folder.log(run_id), "written", error) from error
 
 
 def drop_empty_log(folder: ExperimentFolder) -> None:
@@ -308,13 +260,11 @@ def put_earlier_attempt_away(folder: ExperimentFolder, run_id: str, attempt: int
         StorageError: it cannot be moved.
     """
     left = folder.run(run_id)
-    try:
+    with storage_errors(left, "moved"):
         if left.exists():
-            kept = _free(folder.earlier_attempt(run_id, attempt))
+            kept = _free(folder.earlier_attempts / run_id / str(attempt))
             make_folder(kept.parent, folder.root)
             left.rename(kept)
-    except OSError as error:
-        raise storage_error(left, "moved", error) from error
 
 
 def _free(wanted: Path) -> Path:

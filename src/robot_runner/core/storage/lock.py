@@ -1,4 +1,4 @@
-"""What a second terminal tells the orchestrator, a word and what goes with it in one file; and who executes it."""
+"""Who executes an experiment, known to all; and what a second terminal asks of it: to go on, to pause, to stop."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import socket
 from contextlib import suppress
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import TYPE_CHECKING, Self
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from robot_runner.core.storage.journal import Journal
-
-
-# Who executes an experiment: one process at a time, known to the others.
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +66,7 @@ class ExperimentLock:
         self._descriptor = descriptor
 
     def look_after(self, journal: Journal) -> list[Finding]:
-        """See that the file that is locked is still the one that others look at; take the lock anew where it is not.
+        """Check that the locked file is still the one that others see, and take the lock again if it is not.
 
         Somebody may have removed it, by hand or by `git clean`, and so let a second orchestrator in. Asked before each
         run, it finds that out at the latest when the run is over that was executed meanwhile.
@@ -152,54 +148,35 @@ def _refusal(path: Path, holder: Holder) -> ExecutionError:
 Asked = tuple[str, str]
 
 
-class Command(Enum):
-    """What can be said."""
-
-    CONTINUE = "continue"
-
-
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A command, the answers that go with it: texts by the names of the questions; and what the person was asked."""
+    """That a person says to go on, the answers (texts by the names of the questions), and what the person was asked."""
 
-    command: Command
     answers: Mapping[str, str] = field(default_factory=dict)
     asked: Asked | None = None
 
 
+#: The one command that the control file may hold.
+_CONTINUE = "continue"
 #: A longer request is none of ours.
 _MOST_BYTES = 64 * 1024
 
 
-def send_command(
-    control: Path, command: Command, answers: Mapping[str, str] | None = None, asked: Asked | None = None
-) -> None:
-    """Leave a command for the orchestrator, with answers to what it asks.
-
-    Args:
-        control: the file for it.
-        command: what is said.
-        answers: texts by the names of the questions.
-        asked: what the person has answered, so that it counts for nothing else; None where that is not known.
+def send_continue(control: Path, answers: Mapping[str, str] | None = None, asked: Asked | None = None) -> None:
+    """Tell the orchestrator to go on, with answers, by name, to what was asked (None where that is not known).
 
     Raises:
         StorageError: the experiment's folder cannot be written.
     """
     said = {} if asked is None else {"run": asked[0], "step": asked[1]}
-    replace(control, json.dumps({"command": command.value, "answers": dict(answers or {}), **said}))
-
-
-def take_command(control: Path, asked: Asked | None = None) -> Command | None:
-    """Return the command that was left, and remove it; as `take_request`."""
-    request = take_request(control, asked)
-    return request.command if request else None
+    replace(control, json.dumps({"command": _CONTINUE, "answers": dict(answers or {}), **said}))
 
 
 def take_request(control: Path, asked: Asked | None = None) -> Request | None:
-    """Return the request that was left, and remove it; None where there is none, or none that can be understood.
+    """Return the request that was left, and remove it; None if there is none, or it cannot be read.
 
     Args:
-        control: the file for it.
+        control: the file for the request.
         asked: what is asked; a request that answers another question is left in place. None takes every request.
     """
     try:
@@ -207,29 +184,24 @@ def take_request(control: Path, asked: Asked | None = None) -> Request | None:
     except MissingFileError:
         return None
     except StorageError:  # nothing that we wrote
-        forget_command(control)
+        remove(control)
         return None
     request = _understood(text)
     if request is not None and asked is not None and request.asked not in {None, asked}:
         return None
-    forget_command(control)
+    remove(control)
     return request
 
 
 def _understood(text: bytes) -> Request | None:
     try:
         said = parsed_json(text.decode())
-        if faults_of(said, RequestFile):
+        if faults_of(said, RequestFile) or said["command"] != _CONTINUE:
             return None
         asked = (said["run"], said.get("step", "")) if "run" in said else None
-        return Request(Command(said["command"]), said.get("answers", {}), asked)
+        return Request(said.get("answers", {}), asked)
     except (ValueError, RecursionError):
         return None
-
-
-def forget_command(control: Path) -> None:
-    """Remove a command that was left before anybody waited for it."""
-    remove(control)
 
 
 # Requests to pause and to stop: each a file of its own, so that it lasts until it is taken back and no command is lost.

@@ -156,7 +156,7 @@ def sign(descriptor: int, signature: Any) -> None:
 
 
 def signature_of(descriptor: int, shape: Any) -> dict[str, Any] | None:
-    """Return who holds a locked file, in the keys of a TypedDict; None where that was not, or not yet, signed."""
+    """Return who holds a locked file, by the keys of a TypedDict; None if the file is not signed (yet)."""
     try:
         said = json.loads(os.pread(descriptor, _MOST_BYTES, 0))
     except (ValueError, RecursionError):

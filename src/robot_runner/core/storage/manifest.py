@@ -145,7 +145,7 @@ _DEADLINE_S = 20.0
 
 
 def describe_system() -> dict[str, str]:
-    """Return which system this is and of which release, as its `os-release` file says; nothing where it has none."""
+    """Return the name and release of this system, from its `os-release` file; nothing if it has none."""
     try:
         release = platform.freedesktop_os_release()
     except OSError:
@@ -179,12 +179,9 @@ def _field(paragraph: bytes, name: bytes) -> str:
 
 
 def described_programs(paths: Iterable[str]) -> dict[str, dict[str, str | None]]:
-    """Return what each program is: the package that it is of, its version, and the SHA-256 of its file.
+    """Return what each program is, by its absolute path: its package and version, and the SHA-256 of its file.
 
     No program is executed for it: one that measures might begin to.
-
-    Args:
-        paths: absolute, as the programs were called.
     """
     real = {path: os.path.realpath(path) for path in paths}
     owners = _owners(set(real.values()))

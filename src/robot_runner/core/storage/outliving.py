@@ -1,4 +1,4 @@
-"""Programs that may outlive the run that started them, on purpose: and are left alone when a run is cleared away."""
+"""Programs that may outlive the run that started them, and are spared when its other processes are ended."""
 
 from __future__ import annotations
 

@@ -212,7 +212,7 @@ class _Reading:
         self._run_ids.check()
         if not count:
             fix = "Add a line for each run, or delete the file: it is planned anew then."
-            self._findings.error("there are no runs in it", fix)
+            self._findings.error("the run table has no runs", fix)
         self._findings.raise_errors()
         layout = replace(self._layout, extras=self._extras)
         has_file = delimiter == "," and list(first_cells) == layout.headings
@@ -236,7 +236,9 @@ class _Reading:
         defaults = {column.name: column.default for column in self._layout.factors if column.has_default}
         treatments = combined(self._layout.factor_names, defaults)
         run_ids = found.get(RUN_ID) or list(map(numbered_run_id, numbers))
-        repetitions = self._repetitions_of(found, treatments)
+        repetitions: Sequence[int] = [1] * count
+        if self._layout.has_repetition:  # else a column of that name is a factor or a user's own
+            repetitions = found.get(REPETITION) or self._repetitions.counted(treatments)
         marks = {name: found[name] for name in self._layout.marks if name in found}
         batches = marks.get(BATCH) or [1] * count
         if WARM_UP in marks:
@@ -256,13 +258,6 @@ class _Reading:
             self._kept(headings, cells, count),
             found.get(EXCLUDED) or repeat(None),
         )
-
-    def _repetitions_of(
-        self, found: Mapping[str, Sequence[Any]], treatments: Sequence[tuple[Any, ...]]
-    ) -> Sequence[int]:
-        if not self._layout.has_repetition:  # a column of that name is a factor or a user's own
-            return [1] * len(treatments)
-        return found.get(REPETITION) or self._repetitions.counted(treatments)
 
     def _kept(
         self, headings: Headings, cells: Sequence[Sequence[str]], count: int

@@ -204,11 +204,13 @@ class RunTableRows:
         """
         self._rows[self.index_of(run_id)].excluded = reason
 
-    def without_exclusions(self) -> RunTableRows:
-        """Return the same rows, none of them left out, without the column for it."""
-        for row in self._rows:
+    def to_do_again(self) -> RunTableRows:
+        """Return the same runs, all still to be executed: without a user's own columns, which tell of how they went."""
+        for place, row in enumerate(self._rows):
+            self.clear(self.run_id(place))
             row.excluded = None
-        return RunTableRows(replace(self.layout, has_exclusions=False), self._rows, self.warnings)
+        layout = replace(self.layout, has_exclusions=False, extras=(), former_measures=())
+        return RunTableRows(layout, self._rows, self.warnings)
 
     def combination(self, place: int) -> Combination:
         """Return the treatment of each factor in the run at `place`."""
@@ -265,7 +267,18 @@ class RunTableRows:
         """
         row = self._rows[self.index_of(run_id)]
         row.stamps, row.measures = _nothing(self.layout)
+        self.clear_former(run_id)
         self._change(row, RunStatus.TODO)
+
+    def clear_former(self, run_id: str) -> None:
+        """Forget what an earlier attempt left in columns that are no measures any more.
+
+        Raises:
+            StorageError: there is no such run.
+        """
+        row = self._rows[self.index_of(run_id)]
+        if row.kept and self.layout.former_measures:
+            row.kept = {name: text for name, text in row.kept.items() if name not in self.layout.former_measures}
 
     def cells(self) -> Iterator[list[Sequence[Any]]]:
         """Yield the cells of some rows at a time, in the order of the layout, as `csv_text` takes them."""

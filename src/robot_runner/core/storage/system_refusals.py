@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import StorageError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 
@@ -63,6 +65,15 @@ def storage_error(path: Path, action: str, error: OSError) -> StorageError:
         fix = "Remove files, however small: the disk has room, and no inodes (df -i). Then try again."
     kind = "folder" if action == "made" or os.path.isdir(path) else "file"  # noqa: PTH112  # it raises nothing for a name that is too long
     return StorageError(f"the {kind} cannot be {action}: {reason}", where=str(path), fix=fix)
+
+
+@contextmanager
+def storage_errors(path: Path, action: str) -> Iterator[None]:
+    """While this lasts, an OSError becomes a `StorageError`; `action` completes "the file cannot be ..."."""
+    try:
+        yield
+    except OSError as error:
+        raise storage_error(path, action, error) from error
 
 
 def _lacks_inodes(folder: Path) -> bool:

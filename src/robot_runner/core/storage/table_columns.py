@@ -187,6 +187,8 @@ class TableLayout:
         marks: the columns after that which tell how a run was planned, of those in `MARKS`.
         stamps: the events' time-stamp columns.
         extras: columns that a user added; kept as text.
+        former_measures: those of `extras` that held a measure when runs were executed before; an attempt leaves nothing
+            in them of earlier ones.
         types: the type of columns in the run table's schema, by name, for reading cells that could be several things.
         spelling: how the file spells headings and statuses.
 
@@ -207,6 +209,7 @@ class TableLayout:
     spelling: TableSpelling = OWN_SPELLING
     has_exclusions: bool = False
     marks: tuple[str, ...] = ()
+    former_measures: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         counts = Counter(self.columns)
@@ -280,6 +283,17 @@ class TableLayout:
         """All headings, in order."""
         planned = (*self.factor_names, *self.repetition, *self.marks)
         return (RUN_ID, STATUS, *self.exclusion, *self.stamps, *planned, *self.measures, *self.extras)
+
+
+def former_measures(schema: Iterable[ColumnDescription], layout: TableLayout) -> tuple[ColumnDescription, ...]:
+    """Return the columns of a schema that hold, or once held, a measure for which a layout has no column any more."""
+    there = set(layout.columns)
+    return tuple(
+        replace(column, role=ColumnRole.EXTRA)
+        for column in schema
+        if column.name not in there
+        and (column.role is ColumnRole.MEASURE or (column.role is ColumnRole.EXTRA and column.owner))
+    )
 
 
 def _factor_column(factor: Factor, defaults: Mapping[str, Any]) -> FactorColumn:

@@ -35,7 +35,7 @@ _MOST = 50
 
 
 class TableFindings:
-    """Gathers what is wrong with one file. A fix that takes long to find is asked for only where it is listed.
+    """Gathers the problems of one file. A fix that takes long to find is looked for only if it is listed.
 
     Example:
         >>> from pathlib import Path
@@ -133,7 +133,6 @@ class CellDecoder(Protocol):
 
     def read(self, cells: Sequence[str], chunk: RowChunk) -> Sequence[Any]:
         """Return the value of each of the column's cells in the rows of `chunk`."""
-        ...
 
 
 class RunIdDecoder:

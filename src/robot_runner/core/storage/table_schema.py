@@ -1,4 +1,4 @@
-"""What a Frictionless data package says of an experiment and its run table.
+"""`run_table.schema.json`: type, unit, meaning and owner of each column; and the other parts of a data package.
 
 https://specs.frictionlessdata.io/data-package/
 """
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from robot_runner.core.storage.run_table_rows import RunTableRows
     from robot_runner.core.storage.table_columns import FactorColumn
 
-
-# `run_table.schema.json`: type, unit, meaning and owner of each column of the run table.
 
 _OWN = "robot_runner:"
 _PROFILE = "https://specs.frictionlessdata.io/schemas/table-schema.json"
@@ -65,12 +63,11 @@ def read_schema(path: Path) -> tuple[ColumnDescription, ...]:
         schema = read_json(path)
     except DamagedFileError as error:
         raise _no_schema(path, error.problem) from error
-    if findings := shape_findings(str(path), "schema of a run table", schema, Schema, _SCHEMA_FIX):
-        raise StorageError.of_findings(findings)
+    StorageError.refuse(shape_findings(str(path), "schema of a run table", schema, Schema, _SCHEMA_FIX))
     columns = tuple(_description(path, place, each) for place, each in enumerate(schema["fields"]))
     twice = [name for name, count in Counter(column.name for column in columns).items() if count > 1]
     if twice:
-        raise _no_schema(path, f"it has two fields for {twice[0]!r}")
+        raise _no_schema(path, f"two fields are for {twice[0]!r}")
     return columns
 
 
@@ -132,12 +129,7 @@ EXCLUSION = ColumnDescription(
 def describe_columns(
     rows: RunTableRows, known: Mapping[str, ColumnDescription] | None = None
 ) -> tuple[ColumnDescription, ...]:
-    """Describe each column of a run table, for its schema.
-
-    Args:
-        rows: the run table; types are those of the values that it holds.
-        known: what is known of columns beside their values (titles, units, owners, ...), by heading.
-    """
+    """Describe each column of a run table, by its values and what else is known, by heading, for its schema."""
     recorded = rows.recorded()
     words = {status: rows.layout.spelling.status_words[status] for status in RunStatus}
     described = [
@@ -263,12 +255,7 @@ def data_package(experiment: str, resources: list[dict[str, Any]]) -> dict[str, 
 
 
 def file_resource(path: str, size: int, sha256: str) -> dict[str, Any]:
-    """Return what is said of any file.
-
-    Args:
-        path: below the folder of the data package, with `/`.
-        size: in bytes.
-        sha256: of its bytes, in hexadecimal digits.
+    """Return what is said of any file: its path below the data package (with `/`), bytes, and SHA-256.
 
     Example:
         >>> file_resource("runs.csv", 3, "00")["hash"]
