@@ -2,6 +2,9 @@
 
 PYTHON ?=
 export PYTHON
+# `all` executes the long tests, too.
+TESTS ?=
+export TESTS
 
 # A sourced ROS puts its own packages and pytest plugins before ours; here everything comes from .venv.
 unexport PYTHONPATH
@@ -21,13 +24,14 @@ help: ## Show this list.
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1|\2/p' Makefile | awk -F '|' '{ printf "%-22s %s\n", $$1, $$2 }'
 	@echo
 	@echo "  PYTHON=python3.13 make test   chooses the Python."
+	@echo "  TESTS=all make test   executes the long tests, too, as CI does (half an hour)."
 	@echo "  ROBOT_RUNNER_SYSTEM_PACKAGES=no make test   installs no Debian packages; tests that need a missing one are skipped."
 
 demo: ## Execute the paper's experiment on the embedded robot: 15 runs, in under a minute.
 	@sh scripts/set_up.sh demo
 	@$(BIN)/robot-runner demo
 
-test: ## Make every check and execute every test.
+test: ## Make every check and execute the tests, but for the long ones (minutes).
 	@sh scripts/set_up.sh test
 	@sh scripts/system_packages.sh
 	@sh scripts/checks.sh all

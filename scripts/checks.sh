@@ -1,6 +1,7 @@
 #!/bin/sh
-# Every check and every test, the same for a person and for CI. Usage: checks.sh quick|all
+# Every check and the tests, the same for a person and for CI. Usage: checks.sh quick|all
 #
+# TESTS=all executes the tests that are marked `long`, too.
 # All steps are taken, also after one has failed; the exit code is 0 only when none did.
 set -u
 cd "$(dirname "$0")/.." || exit 1
@@ -30,6 +31,14 @@ take_slow_steps() {
 }
 
 which=${1:-all}
+case "${TESTS:-}" in
+    all) marks="not soak" ;;
+    "") marks="not soak and not long" ;;
+    *)
+        printf 'robot-runner: TESTS=%s is not known. Leave it out, or say TESTS=all for the long tests, too.\n' "$TESTS" >&2
+        exit 2
+        ;;
+esac
 # shellcheck disable=SC2086  # several words on purpose
 step "format" "$bin/ruff" format --check $code
 # shellcheck disable=SC2086  # likewise
@@ -45,7 +54,7 @@ if [ "$which" = all ]; then
     beside=$!
     trap 'kill "$beside"; exit 130' INT TERM
     tests=
-    "$bin/python" scripts/execute_tests.py -m "not soak" || tests=", tests"
+    "$bin/python" scripts/execute_tests.py -m "$marks" || tests=", tests"
     wait "$beside" || tests="$tests, steps beside the tests"
     cat .make/slow-steps
     failed="$(cat .make/failed-steps)$tests"

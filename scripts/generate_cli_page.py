@@ -109,15 +109,20 @@ def _usage(parser: Parser) -> str:
         if not action.option_strings:
             words.append(_FORMS.get(str(action.nargs), "{}").format(_name(action)))
         elif action.option_strings[0] != "-h":
-            words.append(f"[{_name(action)}]")
+            words.append(_name(action).replace(" ", _HELD) if action.required else f"[{_name(action)}]")
     return " ".join(words)
 
 
 def _name(action: argparse.Action) -> str:
     if not action.option_strings:
         return str(action.metavar or action.dest)
-    value = f" {action.metavar}" if action.metavar else ""
-    return f"{', '.join(action.option_strings)}{value}"
+    names = ", ".join(action.option_strings)
+    return names if action.nargs == 0 else f"{names} {_value(action)}"
+
+
+def _value(action: argparse.Action) -> str:
+    choices = f"{{{','.join(map(str, action.choices))}}}" if action.choices else action.dest.upper()
+    return str(action.metavar or choices)
 
 
 def _cell(text: str) -> str:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["browser", "program", "robot_runner", "terminal"]
 _FIXED, _SOAK = "fixed", "soak"
+#: Twice what a test may take without being marked `long`, s of processor time: computers differ.
+_LONG = 1.0
 #: Has rclpy beside what this Python has: scripts/set_up.sh.
 ROS2_PYTHON = Path(sys.prefix, "ros2", "bin", "python")
 
@@ -63,6 +65,19 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.unfreeze, gc.get_freeze_count = lambda: None, lambda: 1
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """Name the tests that make `make test` long and have no mark that says so."""
+    before = sum(os.times()[:4])
+    try:
+        return (yield)
+    finally:
+        seconds = sum(os.times()[:4]) - before
+        if seconds > _LONG and not any(map(item.get_closest_marker, ("long", "soak"))):
+            figure = f"{item.nodeid} took {seconds:.1f} s of processor time: should it be marked `long`?"
+            item.user_properties.append(("figure", figure))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -153,6 +153,7 @@ def test_a_search_finds_the_best_within_its_runs_and_confirms_it(searched: tuple
     assert status.todo == 0
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("optuna_here")
 def test_what_was_decided_is_asked_again_from_the_journal_alone(searched: tuple[Path, list[NextDecided]]) -> None:
     config, _ = searched
@@ -168,6 +169,7 @@ def test_what_was_decided_is_asked_again_from_the_journal_alone(searched: tuple[
         assert again == {(run["combination"]["Speed"], run["repetition"]) for run in record["runs"]}
 
 
+@pytest.mark.long
 def test_killed_at_any_step_of_a_decision_it_goes_on_as_if_nothing_had_happened(
     tmp_path: Path, searched: tuple[Path, list[NextDecided]]
 ) -> None:
@@ -197,6 +199,7 @@ def test_a_lost_table_and_manifest_come_back(tmp_path: Path, searched: tuple[Pat
     assert planned(config) == planned(searched[0])
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("optuna_here")
 def test_failed_and_excluded_runs_are_told_so_and_the_search_goes_on(tmp_path: Path) -> None:
     failing = BODY.replace(
@@ -233,6 +236,7 @@ def test_a_race_drops_what_is_clearly_worse_and_keeps_its_blocks_balanced(tmp_pa
     assert numbers == sorted(numbers)
 
 
+@pytest.mark.long
 def test_side_by_side_the_same_is_decided(tmp_path: Path, searched: tuple[Path, list[NextDecided]]) -> None:
     config = with_design(tmp_path, body=BODY.replace("IN_PROCESS", "FORK\nworkers = 2\nclaims = []"))
     execute(config)
@@ -243,6 +247,7 @@ def test_side_by_side_the_same_is_decided(tmp_path: Path, searched: tuple[Path, 
     assert found.fix == "Give the design at_a_time=3."
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("optuna_here")
 def test_a_registered_search_is_no_deviation_and_its_replication_executes_the_same_runs(tmp_path: Path) -> None:
     config = with_design(tmp_path)
@@ -306,6 +311,7 @@ def test_validation_names_all_that_does_not_fit(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("optuna_here")
 def test_the_analysis_is_of_the_runs_that_confirm_and_refuses_to_test_those_of_a_search(
     tmp_path: Path, searched: tuple[Path, list[NextDecided]]

@@ -109,6 +109,7 @@ def search_and_scan(folder: Path, step: float, kills: tuple[int, int], seed: int
     return len(searched), len(scanned)
 
 
+@pytest.mark.long
 def test_a_quarter_of_a_scans_runs_finds_the_most_economical_speed_though_killed_twice(tmp_path: Path) -> None:
     searched, scanned = search_and_scan(tmp_path, step=0.0125, kills=(2, 1), seed=1)
     assert 4 * searched <= scanned

@@ -54,6 +54,7 @@ def model_of(design: Optimise, **more: Any) -> RunTableModel:
     return RunTableModel(factors, design=design, data_columns=["Energy"], **more)
 
 
+@pytest.mark.long
 def test_a_search_finds_the_best_of_numbers_and_alternatives_and_leaves_out_what_is_excluded() -> None:
     excluded = [{"Speed": 7, "Mode": "eco"}, lambda combination: combination["Speed"] == 6]
     design = Optimise("Energy", runs=20, at_a_time=7, confirm=2, baseline={"Speed": 1, "Mode": "fast"})
@@ -65,6 +66,7 @@ def test_a_search_finds_the_best_of_numbers_and_alternatives_and_leaves_out_what
     assert {each.treatments for each, _ in decisions[-2].runs} == {(8, "eco"), (1, "fast")}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("optuna_here")
 def test_several_measures_have_a_front_of_which_nothing_is_beaten() -> None:
     def both(combination: Mapping[str, Any]) -> dict[str, float]:
@@ -80,6 +82,7 @@ def test_several_measures_have_a_front_of_which_nothing_is_beaten() -> None:
     assert best["combination"] == {"Speed": "0"}
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("optuna_here")
 def test_a_small_space_is_searched_to_its_end_and_nothing_is_asked_without_a_value() -> None:
     model = model_of(Optimise("Energy", runs=100, start=30, at_a_time=6))
@@ -170,6 +173,7 @@ def test_an_optuna_that_fails_is_told(monkeypatch: pytest.MonkeyPatch, name: str
         asking.ask(told)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("optuna_here")
 def test_treatments_whose_runs_fail_are_avoided_and_not_only_their_combinations() -> None:
     tried = failed = 0

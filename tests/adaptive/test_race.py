@@ -40,6 +40,7 @@ def left_in(decision: Decision) -> set[str]:
     return {each["Gait"] for each in decision.facts["known"]["left"]}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["normal", "drifting", "uniform"])
 def test_the_best_is_dropped_in_at_most_five_percent_of_races(kind: str) -> None:
     draw = np.random.default_rng(7)

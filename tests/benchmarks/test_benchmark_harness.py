@@ -6,12 +6,9 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:
-    import pytest
+import pytest
 
 ROOT = Path(__file__).parents[2]
 
@@ -39,6 +36,7 @@ def test_a_table_shows_each_figure_beside_its_floor(
     assert lines[-2:] == [["help", "68", "ms", "14", "ms", "4.9", "7"], ["memory", "12", "MB"]]
 
 
+@pytest.mark.long
 def test_a_figure_is_judged_by_its_bounds_and_by_the_products_own_tests() -> None:
     from benchmarks.null_designs import NullDesign
     from benchmarks.statistics import _false_positives

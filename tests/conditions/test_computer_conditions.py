@@ -188,6 +188,7 @@ def test_a_clock_that_shows_the_same_is_near(server: SshServer, context: RobotRu
     assert not seen(context, clock_offset_below(1e-9, host="robot", ssh_config=server.config)).holds
 
 
+@pytest.mark.long
 def test_what_names_no_computer_or_process_is_refused() -> None:
     with pytest.raises(LinkError, match="no host that ssh could connect to"):
         host_answers("-oProxyCommand=x")

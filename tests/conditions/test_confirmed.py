@@ -12,7 +12,7 @@ import pytest
 from robot_runner import ConditionError, confirmed
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.storage.layout import ExperimentFolder
-from robot_runner.core.storage.lock import Command, send_command
+from robot_runner.core.storage.lock import send_continue
 from robot_runner.testing import make_context
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 def test_a_run_goes_on_once_a_person_has_said_so(tmp_path: Path, program: str, robot_runner: Callable) -> None:
     (tmp_path / "config.py").write_text(CONFIG)
     folder = tmp_path / "results" / "trial"
@@ -54,11 +55,11 @@ def test_a_run_goes_on_once_a_person_has_said_so(tmp_path: Path, program: str, r
 def test_what_was_said_before_does_not_count(tmp_path: Path) -> None:
     context = make_context(tmp_path, clock=SystemClock(), robot=None)
     control = ExperimentFolder.found_at(tmp_path).control
-    send_command(control, Command.CONTINUE)
+    send_continue(control)
     with ExitStack() as opened:
         look = confirmed("it is dark").watch(context, opened)
         assert not look().holds
-        send_command(control, Command.CONTINUE)
+        send_continue(control)
         assert look().holds
         assert look().holds
         assert not control.exists()

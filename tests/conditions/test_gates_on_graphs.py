@@ -45,6 +45,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 @over("dds", soak=["ros1", "ros2"])
 def test_a_mission_ends_by_a_condition_and_a_guard_ends_one_over_a_real_graph(
     graph: str,

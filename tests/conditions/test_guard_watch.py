@@ -74,6 +74,7 @@ def test_a_run_is_marked_and_goes_on(tmp_path: Path) -> None:
     assert set(threading.enumerate()) <= before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("process", ["FORK", "SPAWN", "IN_PROCESS"])
 def test_an_attempt_is_repeated_while_there_is_one_left(tmp_path: Path, process: str) -> None:
     executed = guarded(tmp_path, "REPEAT", process=process)
@@ -129,6 +130,7 @@ def simulated(folder: Path, condition: str, action: str) -> object:
     return execute_in(folder, body, head=head, table=ONE_RUN)
 
 
+@pytest.mark.long
 def test_on_the_simulated_robot_time_goes_by_on_its_clock(tmp_path: Path) -> None:
     travelled = "topic_above('odom', 'nav_msgs/Odometry', 'pose.pose.position.x', 0.5)"
     executed = simulated(tmp_path, travelled, "MARK")

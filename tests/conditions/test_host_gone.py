@@ -6,6 +6,7 @@ import threading
 import time
 from typing import TYPE_CHECKING
 
+import pytest
 from tests.core.execution.conftest import execute_in
 from tests.core.links.ssh_server import SshServer
 
@@ -38,6 +39,7 @@ TABLE = """\
 """
 
 
+@pytest.mark.long
 def test_a_robot_that_is_gone_ends_the_run_and_the_experiment(tmp_path: Path) -> None:
     (tmp_path / "sshd").mkdir()
     server = SshServer(tmp_path / "sshd")

@@ -8,6 +8,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "robot_runner"
 ROWS = re.findall(
@@ -115,6 +117,7 @@ def _floors() -> list[tuple[list[str], list[str]]]:
     return [(list(map(str, paths)), names) for (paths, _), names in zip(_where_to_look(), told, strict=False)]
 
 
+@pytest.mark.long
 def test_one_run_goes_the_way_that_the_page_tells(tmp_path: Path) -> None:
     (tmp_path / "study.py").write_text(STUDY)
     traced = [sys.executable, "-c", TRACED, str(SOURCE)]

@@ -59,6 +59,7 @@ def test_everything_that_a_context_offers_is_told(context: type) -> None:
     assert {name for name in offered if not re.search(rf"^\|.*`{name}[`(]", PAGE, re.MULTILINE)} == set()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", CONFIGS)
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_a_config_of_the_page_is_executed(place: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "gates-and-guards.md").read_text(en
 CONFIG, *_ = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_the_config_of_the_page_is_executed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = tmp_path / "guarded.py"

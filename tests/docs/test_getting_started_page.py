@@ -23,6 +23,7 @@ def _commands(block: str) -> Iterator[list[str]]:
             yield line.split()[2:]
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_writing_your_own_works_as_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

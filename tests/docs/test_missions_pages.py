@@ -28,6 +28,7 @@ def test_the_config_of_a_page_is_well_formed(page: str, tmp_path: Path, capsys: 
     assert code == 0, said.out + said.err
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_two_robots_at_once_are_executed_as_the_page_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [str(_config("two-robots-at-once.md", tmp_path)), "--plain", "--only", "r_1", "--only", "r_2"]

@@ -81,6 +81,7 @@ def tab(browser: Any) -> Iterator[Any]:
     browser.call("Network.setBlockedURLs", urls=[])
 
 
+@pytest.mark.long
 def test_no_table_is_cut_on_a_desk_and_no_page_is_wider_than_a_phone(site: Path, tab: Any) -> None:
     # Without the theme's program, which puts each table into a box of its own, what is too wide is seen.
     tab.call("Network.setBlockedURLs", urls=["*bundle*.js"])
@@ -141,6 +142,7 @@ def test_everything_is_legible(scheme: str, site: Path, tab: Any) -> None:
     assert tab.evaluate(f"{FAINT_TEXT}(99)"), "nothing was looked at"
 
 
+@pytest.mark.long
 def test_axe_finds_nothing_against_pages_of_each_kind(site: Path, tab: Any) -> None:
     faults = {}
     for page in KINDS:
@@ -191,6 +193,7 @@ def test_search_finds_a_page_that_is_opened_as_a_file(words: str, leads_to: str,
     assert any(leads_to in link for link in found[:5]), found
 
 
+@pytest.mark.long
 def test_code_has_colours(site: Path, tab: Any) -> None:
     tab.open(site / "extend.html")
     colours = tab.evaluate(

@@ -50,6 +50,7 @@ def planned_in(folder: Path) -> list[tuple[str, ...]]:
     return [tuple(row[name] for name in ("run_id", *design["factors"])) for row in rows_of(folder)]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", RUNS)
 def test_the_example_of_a_design_is_executed_and_resumed_with_the_same_runs(
     name: str, executed: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -67,6 +68,7 @@ def test_the_example_of_a_design_is_executed_and_resumed_with_the_same_runs(
     assert design["parameters"]["kind"] == design["facts"]["kind"] == name
 
 
+@pytest.mark.long
 def test_a_design_is_shown_in_words_registered_and_extended_by_repetitions(
     executed: Callable[..., int],
     tmp_path: Path,
@@ -102,6 +104,7 @@ def test_a_design_is_shown_in_words_registered_and_extended_by_repetitions(
     assert "chose its combinations" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_conditional_factor_stands_in_the_table_by_a_word_and_units_in_the_schema(
     executed: Callable[..., int], tmp_path: Path
 ) -> None:

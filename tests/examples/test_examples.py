@@ -109,6 +109,7 @@ def test_every_example_is_executed_here_and_listed_in_the_readme() -> None:
     assert set(re.findall(r"\[`(\w+)\.py`\]", readme)) == set(SETTINGS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["basic_experiment", "sorting_algorithms", "speed_and_energy"])
 def test_an_example_fills_its_run_table(name: str, executed: Callable[[str], Path]) -> None:
     assert_full(name, table_of(executed(name)))
@@ -156,6 +157,7 @@ def test_listing_1_is_executed_and_what_it_was_set_to_is_recorded_as_a_deviation
         assert log == f"{row['run_id']}: the mission with the task {row['Task']} is over\n"
 
 
+@pytest.mark.long
 def test_the_rooms_are_visited_one_after_the_other_and_one_without_network(executed: Callable[[str], Path]) -> None:
     table = table_of(executed("two_rooms"))
     assert_full("two_rooms", table)
@@ -163,6 +165,7 @@ def test_the_rooms_are_visited_one_after_the_other_and_one_without_network(execu
     assert ("corridor", "Network") not in {(row["Room"], row["Task"]) for row in table}
 
 
+@pytest.mark.long
 def test_the_study_of_offloading_asks_waits_warms_up_and_fetches(
     robot_runner: Callable[..., Answer], tmp_path: Path
 ) -> None:

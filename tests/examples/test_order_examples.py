@@ -25,6 +25,7 @@ EXPECTED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", EXPECTED)
 def test_an_example_shows_its_layout_is_executed_and_is_analysed(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -58,12 +58,14 @@ def robot_runner(environment: dict[str, str], *words: object) -> subprocess.Comp
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100, check=False)
 
 
+@pytest.mark.long
 def test_it_is_discovered_once_it_is_installed(installed: dict[str, str]) -> None:
     listed = json.loads(robot_runner(installed, "plugins", "--json").stdout)["systems"]
     (found,) = [each for each in listed if each["name"] == "Shuttle"]
     assert (found["package"], found["measures"][0]["unit"]) == ("shuttle-plugin", "m")
 
 
+@pytest.mark.long
 def test_an_experiment_is_executed_with_it(installed: dict[str, str], tmp_path: Path) -> None:
     config = tmp_path / "config.py"
     config.write_text(CONFIG.format(results=str(tmp_path / "results")))

@@ -39,6 +39,7 @@ def robot_runner(environment: dict[str, str], *words: object) -> subprocess.Comp
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.long
 def test_it_is_discovered_once_it_is_installed(installed: dict[str, str]) -> None:
     listed = json.loads(robot_runner(installed, "plugins", "--json").stdout)["profilers"]
     (found,) = [each for each in listed if each["name"] == "Thermometer"]
@@ -47,6 +48,7 @@ def test_it_is_discovered_once_it_is_installed(installed: dict[str, str]) -> Non
     assert found["findings"] == []
 
 
+@pytest.mark.long
 def test_it_is_tried_by_its_name(installed: dict[str, str], tmp_path: Path) -> None:
     (tmp_path / "temp").write_text("41500\n")
     answer = robot_runner(

@@ -53,6 +53,7 @@ def built_as_the_ide_does(folder: Path) -> Path:
     return folder / "sketch.elf"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(
     not CORE.is_dir(), reason="the Arduino core is not installed (Debian: apt install arduino-core-avr)"
 )
@@ -65,6 +66,7 @@ def test_the_sketch_works_when_it_is_built_with_the_arduino_core(built, tmp_path
     assert measured.problems == []
 
 
+@pytest.mark.long
 def test_the_memory_that_is_left_is_enough_for_the_stack(built, board, tmp_path):
     _, data, bss = map(int, execute("avr-size", built.firmware).splitlines()[1].split()[:3])
     with board(load=MISSION.words, volts=VOLTS) as meter:
@@ -81,6 +83,7 @@ def test_line_and_bus_have_the_speed_that_was_promised(board, tmp_path):
     assert facts["bus_hertz"] == pytest.approx(400_000, rel=0.01)
 
 
+@pytest.mark.long
 def test_another_rate_can_be_built_and_is_kept(built, tmp_path):
     quick = Build(build_firmware(tmp_path / "quick", flags="-DSAMPLE_RATE_HZ=400UL"), built.board)
     with executed(quick, clock=BoardClock(tmp_path / "clock"), load=MISSION.words, volts=VOLTS) as meter:
@@ -89,6 +92,7 @@ def test_another_rate_can_be_built_and_is_kept(built, tmp_path):
     assert (measured.quality["samples"]["got"], measured.problems) == (pytest.approx(1600, abs=2), [])
 
 
+@pytest.mark.long
 def test_a_battery_above_16_volts_can_be_measured_with_the_wide_range(built, tmp_path):
     wide = Build(build_firmware(tmp_path / "wide", flags="-DSENSOR_CONFIGURATION=0x3CCFU"), built.board)
     with executed(wide, clock=BoardClock(tmp_path / "clock"), load="0:0.5", volts=25.0) as meter:

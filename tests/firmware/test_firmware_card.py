@@ -33,6 +33,7 @@ def record(board, tmp_path, card, seconds: float, **settings) -> bytes:
     return truth.read_bytes()
 
 
+@pytest.mark.long
 @each_file_system
 def test_the_file_holds_what_went_up_the_line(board, tmp_path, bits, is_partitioned):
     card = make_card(tmp_path / "card", bits=bits, is_partitioned=is_partitioned)
@@ -42,6 +43,7 @@ def test_the_file_holds_what_went_up_the_line(board, tmp_path, bits, is_partitio
     assert len(sent) - len(kept) < 2 * 512  # what was not yet a whole block when the power went
 
 
+@pytest.mark.long
 @pytest.mark.skipif(
     not (shutil.which("mkfs.fat", path=PATH) and shutil.which("mcopy")),
     reason="no tools for FAT are installed (Debian: apt install dosfstools mtools)",
@@ -69,6 +71,7 @@ def tool(name: str, *words: object) -> None:
     subprocess.run([program, *map(str, words)], capture_output=True, timeout=30, check=True)
 
 
+@pytest.mark.long
 def test_each_switching_on_is_a_recording_behind_the_last(board, tmp_path):
     card = make_card(tmp_path / "card")
     for _ in range(3):
@@ -80,6 +83,7 @@ def test_each_switching_on_is_a_recording_behind_the_last(board, tmp_path):
     assert [each.times[0] for each in recordings] == pytest.approx([-(2.5e-3 + 8 * 532e-6)] * 3)
 
 
+@pytest.mark.long
 def test_the_marked_span_is_written_to_its_end_and_its_energy_is_right(board, tmp_path):
     card = make_card(tmp_path / "card")
     record(board, tmp_path, card, 8.0, marks="3,7")
@@ -90,6 +94,7 @@ def test_the_marked_span_is_written_to_its_end_and_its_energy_is_right(board, tm
     assert joules == pytest.approx(VOLTS * (0.685 * 2.3 + 0.946 * 1.7), rel=0.005)
 
 
+@pytest.mark.long
 def test_a_card_that_is_busy_for_a_quarter_of_a_second_costs_no_frame(board, tmp_path):
     card = make_card(tmp_path / "card")
     record(board, tmp_path, card, 5.0, card_busy="0.25,9")
@@ -98,6 +103,7 @@ def test_a_card_that_is_busy_for_a_quarter_of_a_second_costs_no_frame(board, tmp
     assert len(recording.times) > 850
 
 
+@pytest.mark.long
 def test_only_the_part_of_a_file_that_lies_on_end_is_written(board, tmp_path):
     card = make_card(tmp_path / "card", clusters=(5, 6, 40, 41, 7, 8))
     before = card.path.read_bytes()
@@ -115,6 +121,7 @@ def record_until_full(board, tmp_path, card) -> None:
     assert measured.problems == []  # the line goes on
 
 
+@pytest.mark.long
 def test_a_full_file_is_left_as_it_is(board, tmp_path):
     card = make_card(tmp_path / "card", clusters=(5, 6))
     record_until_full(board, tmp_path, card)
@@ -123,6 +130,7 @@ def test_a_full_file_is_left_as_it_is(board, tmp_path):
     assert card.content() == full
 
 
+@pytest.mark.long
 def test_a_card_without_the_file_is_left_alone_and_the_line_goes_on(board, tmp_path):
     card = make_card(tmp_path / "card", clusters=())
     before = card.path.read_bytes()
@@ -130,6 +138,7 @@ def test_a_card_without_the_file_is_left_alone_and_the_line_goes_on(board, tmp_p
     assert card.path.read_bytes() == before
 
 
+@pytest.mark.long
 def test_a_run_is_measured_from_a_card_that_is_copied_after_its_mission(board, tmp_path):
     card, copy = make_card(tmp_path / "card"), tmp_path / "INA219.BIN"
     with board(card=card.path, load=MISSION.words, volts=VOLTS, marks="2,7") as meter:

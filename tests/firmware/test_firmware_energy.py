@@ -30,6 +30,7 @@ def test_energy_is_right_and_no_sample_is_lost(board, tmp_path, load, seconds):
     assert measured.problems == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("skew", [-0.005, 0.005])
 def test_a_resonator_that_is_half_a_percent_off_hardly_matters(board, tmp_path, skew):
     with board(load=MISSION.words, volts=VOLTS, skew=skew) as meter:
@@ -38,6 +39,7 @@ def test_a_resonator_that_is_half_a_percent_off_hardly_matters(board, tmp_path, 
     assert measured.problems == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("load", [MISSION, SWING], ids=["stepped", "sinusoidal"])
 def test_energy_is_right_where_one_byte_in_a_hundred_is_corrupt(board, tmp_path, load):
     with board(load=load.words, volts=VOLTS, corrupt=0.01, seed=7) as meter:
@@ -54,6 +56,7 @@ def test_a_current_beyond_the_range_is_told_and_one_within_it_is_not(board, tmp_
     assert any(f"{saturated} samples were at the end of the sensor's range" in each for each in measured.problems)
 
 
+@pytest.mark.long
 def test_another_shunt_is_reckoned_with(board, tmp_path):
     with board(load=MISSION.words, volts=VOLTS, shunt=0.05) as meter:
         measured = measure(meter, tmp_path, 6.0, shunt_ohm=0.05)

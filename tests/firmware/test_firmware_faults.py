@@ -37,6 +37,7 @@ def test_a_board_that_was_reset_by_opening_its_port_measures_the_next_run(board,
     assert energies == pytest.approx([0.8 * VOLTS * 2.0] * 2, rel=1e-3)
 
 
+@pytest.mark.long
 def test_samples_that_the_sensor_did_not_give_use_up_their_numbers(board, tmp_path):
     with board(load=STEADY.words, volts=VOLTS, away="3,3.5") as meter:
         measured = measure(meter, tmp_path, 12.0)
@@ -56,6 +57,7 @@ def test_a_sensor_that_is_not_connected_yields_no_value_and_is_named(board, tmp_
     ]
 
 
+@pytest.mark.long
 def test_a_sensor_that_lost_its_power_is_configured_again(board, tmp_path):
     with board(load=STEADY.words, volts=VOLTS, faint="2.5") as meter:
         measured = measure(meter, tmp_path, 5.0)

@@ -87,6 +87,7 @@ def test_a_question_mark_is_answered_with_a_hello_before_the_next_sample(free_bo
     assert 0 < hellos[1].next_sequence < 200
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.01, 0.1])
 def test_every_corrupt_frame_is_detected_and_no_intact_one_is_lost(board, tmp_path, share):
     truth = tmp_path / "truth"

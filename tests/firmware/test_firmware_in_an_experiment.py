@@ -31,6 +31,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_an_experiment_fills_its_run_table_from_the_meter(free_board, tmp_path, capsys):
     config = tmp_path / "config.py"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
 from benchmarks.meter_faults import answer, board_faults
 
 
+@pytest.mark.long
 def test_each_fault_of_the_board_is_told_and_a_sound_board_is_not_doubted(built, tmp_path):
     answers = {}
     for number, fault in enumerate(board_faults(built)):

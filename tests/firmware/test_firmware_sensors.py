@@ -26,6 +26,7 @@ def profilers(**way) -> list[Ina219]:
     return [Ina219(name=name, address=address, **way) for name, address in addresses.items()]
 
 
+@pytest.mark.long
 def test_each_sensor_has_its_own_energy(three, tmp_path):
     with executed(three, clock=BoardClock(tmp_path / "clock"), load=LOAD.words, volts=VOLTS, sensors=3) as meter:
         plugins = profilers(port=meter.port)
@@ -38,6 +39,7 @@ def test_each_sensor_has_its_own_energy(three, tmp_path):
         assert measures[f"{name}.Energy"] == pytest.approx(joules / share, rel=0.025)
 
 
+@pytest.mark.long
 def test_a_sensor_that_is_not_there_is_told_and_the_others_go_on(three, tmp_path):
     with executed(three, clock=BoardClock(tmp_path / "clock"), load=LOAD.words, volts=VOLTS, sensors=2) as meter:
         plugins = profilers(port=meter.port)
@@ -50,6 +52,7 @@ def test_a_sensor_that_is_not_there_is_told_and_the_others_go_on(three, tmp_path
     assert "the power meter answered, its sensor did not: look at the four wires between them" in problems
 
 
+@pytest.mark.long
 def test_the_card_holds_each_sensor(three, tmp_path):
     card = make_card(tmp_path / "card")
     clock = BoardClock(tmp_path / "clock")

@@ -33,11 +33,13 @@ def error(board, tmp_path, load, **settings) -> float:
     return measured.error_of("Energy", load)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("load", [*IN_STEP_WITH_THE_SAMPLES, *IN_STEP_WITH_THE_SENSOR, *FAST], ids=name)
 def test_a_synchronous_load_is_measured_right(board, tmp_path, load):
     assert abs(error(board, tmp_path, load)) <= PROMISED
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("slowness", [-0.1, 0.1])
 @pytest.mark.parametrize("load", [IN_STEP_WITH_THE_SAMPLES[4], IN_STEP_WITH_THE_SAMPLES[9]], ids=name)
 def test_it_holds_for_the_slowest_and_the_quickest_sensor(board, tmp_path, load, slowness):

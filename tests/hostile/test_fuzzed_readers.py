@@ -176,6 +176,7 @@ def _of_document(document: Any, chance: random.Random) -> bytes:
     return written(with_value(document, way, chance.choice(list(ODD_VALUES.values())))).encode("utf-8", "surrogatepass")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", READERS)
 @settings(suppress_health_check=list(HealthCheck), max_examples=_EXAMPLES)
 @given(seed=st.integers(0, 2**32))

@@ -27,6 +27,7 @@ def chosen(every: list[Hostile], count: int) -> list[Hostile]:
     return [every[place * len(every) // count] for place in range(count)]
 
 
+@pytest.mark.long
 def test_the_original_is_read_by_every_command_that_is_called(
     original: Original, server: CallServer, tmp_path: Path
 ) -> None:
@@ -50,6 +51,7 @@ def test_hostile_folders(original: Original, server: CallServer, tmp_path: Path,
     assert tally.faults == {}
 
 
+@pytest.mark.long
 def test_escapes_in_every_file_come_to_no_terminal(original: Original, server: CallServer, tmp_path: Path) -> None:
     """Names, units, treatments, reasons and cells are shown all the same, so that a person sees what is there."""
     hostile = next(each for each in hostile_folders(original.study / original.folder) if "every file" in each.name)

@@ -27,6 +27,7 @@ def test_the_original_is_intact(original: Original, package_server: CallServer, 
     assert tally.faults == {}
 
 
+@pytest.mark.long
 def test_hostile_packages(
     original: Original, package_server: CallServer, tmp_path: Path, record_property: object
 ) -> None:
@@ -38,6 +39,7 @@ def test_hostile_packages(
     assert tally.faults == {}
 
 
+@pytest.mark.long
 def test_bombs_fill_no_memory(original: Original, package_server: CallServer, tmp_path: Path) -> None:
     """25 kB that unpack to 827 MB, and a directory that names a million files."""
     bombs = [

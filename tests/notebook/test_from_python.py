@@ -82,6 +82,7 @@ def wherever(request: pytest.FixtureRequest) -> Callable[[Callable[[], Any]], An
     return request.param
 
 
+@pytest.mark.long
 def test_rows_failures_and_findings_come_back(wherever: Any, tmp_path: Path) -> None:
     said: list[str] = []
     results = wherever(lambda: run_experiment(Study, folder=tmp_path, say=said.append))
@@ -106,6 +107,7 @@ def test_all_findings_are_raised(wherever: Any, tmp_path: Path) -> None:
         wherever(lambda: run_experiment(tmp_path / "nothing.py"))
 
 
+@pytest.mark.long
 def test_settings_are_recorded_as_deviations_and_stay_with_their_call(wherever: Any, tmp_path: Path) -> None:
     study = Study()
     settings = {"speed_up": 2.0, "operation_type": OperationType.AUTO, "robot": None}
@@ -262,6 +264,7 @@ def in_its_first_run(tmp_path: Path, *, threads: bool) -> Iterator[subprocess.Po
         yield process
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("threads", [False, True])
 def test_ctrl_c_ends_it_cleanly_with_and_without_threads(tmp_path: Path, threads: bool) -> None:
     with in_its_first_run(tmp_path, threads=threads) as process:
@@ -344,6 +347,7 @@ def test_where_what_takes_the_lines_fails_the_experiment_goes_on(wherever: Any, 
     assert (results.done_count, results.failed_count, results.todo_count) == (2, 2, 0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("only", ["r_1", "r_1,r_3", ["r_1"], ("Task=Good",)])
 def test_runs_are_chosen_as_on_the_command_line(wherever: Any, tmp_path: Path, only: Any) -> None:
     config = written_config(tmp_path, "def populate_run_data(self, context): return {'Energy': 1.0}")
@@ -365,6 +369,7 @@ def test_what_is_no_text_where_a_text_belongs_is_told(tmp_path: Path, asked: dic
         run_experiment(Study, folder=tmp_path, **asked)
 
 
+@pytest.mark.long
 def test_where_what_is_printed_cannot_be_shown_the_experiment_goes_on(tmp_path: Path) -> None:
     class Printing(Study):
         def before_run(self, context: Any) -> None:

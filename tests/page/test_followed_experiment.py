@@ -338,6 +338,7 @@ def test_samples_beyond_what_is_drawn_of_a_file_are_said_to_be_missing(
         assert (len(told["times"]), told["is_cut"]) == (times, is_cut)
 
 
+@pytest.mark.long
 def test_how_much_of_a_long_journal_is_read_is_told_until_it_is_whole(root: Path) -> None:
     with (root / "journal.jsonl").open("a", encoding="utf-8") as file:
         for _ in range(60_000):

@@ -67,6 +67,7 @@ def left_an_hour_later(browser: Browser) -> str:
     return text(browser, "#left")
 
 
+@pytest.mark.long
 def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
     browser: Browser, serve_page: Callable[..., ServedPage], executed_demo: Path, tmp_path: Path
 ) -> None:
@@ -90,7 +91,7 @@ def test_a_person_with_a_phone_follows_pauses_answers_and_continues_the_demo(
         browser.write("118")
         browser.press("#ask-form [type=submit]")
         browser.wait_for(seen("#error-0", "118 is above 13 V"))
-        assert "There is no answer to this" in text(browser, "#error-1")
+        assert "The question is not answered" in text(browser, "#error-1")
         browser.evaluate("document.getElementById('answer-0').select()")
         browser.write("11.8")
         browser.press("#answer-1-0")
@@ -151,6 +152,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 def test_of_two_runs_in_flight_a_viewer_chooses_whose_log_and_samples_are_shown(
     browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path
 ) -> None:
@@ -187,6 +189,7 @@ HOLDING_BACK = """(() => {
 })()"""
 
 
+@pytest.mark.long
 def test_samples_of_a_run_that_ended_before_its_first_ones_had_arrived_are_looked_at_once_more(
     browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -239,6 +242,7 @@ def test_who_may_only_look_has_no_buttons(
     assert kinds[-1] == "experiment_finished"
 
 
+@pytest.mark.long
 def test_a_page_goes_on_after_its_server_was_started_anew(
     browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -262,6 +266,7 @@ def test_a_page_goes_on_after_its_server_was_started_anew(
         assert text(browser, "#link") == "live"
 
 
+@pytest.mark.long
 def test_how_long_a_run_goes_on_is_told_by_the_clock_of_the_experiment(
     browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -296,6 +301,7 @@ def make_large(root: Path, runs: int) -> None:
     (root / "journal.jsonl").write_text("".join(f"{json.dumps(each, separators=(',', ':'))}\n" for each in records))
 
 
+@pytest.mark.long
 def test_10000_runs_are_shown_soon_and_scrolled_smoothly(
     browser: Browser,
     serve_page: Callable[..., ServedPage],
@@ -322,6 +328,7 @@ def test_10000_runs_are_shown_soon_and_scrolled_smoothly(
 HOSTILE = "<img src=x onerror=alert(1)>\"'</script>"
 
 
+@pytest.mark.long
 def test_hostile_names_are_text(browser: Browser, serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
     root = tmp_path / "<b onclick=alert(1)>x"
     make_large(root, 3)
@@ -392,6 +399,7 @@ NAMELESS = """(() => {
 })()"""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
 def test_it_is_legible_and_can_be_used_by_keyboard(
     browser: Browser, serve_page: Callable[..., ServedPage], executed_demo: Path, *, is_dark: bool

@@ -100,6 +100,7 @@ def test_other_sites_and_names_are_refused(page: ServedPage, one: str) -> None:
     assert page.act(f"{one}/pause", ["no object"]).status == 400
 
 
+@pytest.mark.long
 def test_a_folder_whose_name_is_no_text_is_shown_as_any(serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
     folder = tmp_path / os.fsdecode(b"caf\xe9")
     (folder / os.fsdecode(b"gar\xe7on")).mkdir(parents=True)
@@ -214,6 +215,7 @@ def test_what_is_wrong_is_said(words: list[str], problem: str, tmp_path: Path) -
     assert (answer.returncode, problem in answer.stderr, "fix:" in answer.stderr) == (2, True, True)
 
 
+@pytest.mark.long
 def test_a_port_in_use_and_a_missing_extra_are_said(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -231,6 +233,7 @@ def test_a_port_in_use_and_a_missing_extra_are_said(tmp_path: Path) -> None:
     assert (answer.returncode, "robot-runner[page]" in answer.stderr) == (2, True)
 
 
+@pytest.mark.long
 def test_a_page_beside_an_execution_ends_with_it(write_config: Callable[..., Path], tmp_path: Path) -> None:
     from tests.loopback_port import claim_port
 
@@ -254,6 +257,7 @@ def test_a_page_beside_an_execution_ends_with_it(write_config: Callable[..., Pat
     assert kinds.count("experiment_started") == 1, "it was executed without its page"
 
 
+@pytest.mark.long
 def test_new_links_make_the_old_ones_void(serve_page: Callable[..., ServedPage], tmp_path: Path) -> None:
     state = tmp_path / "state"
     with pytest.MonkeyPatch.context() as patch:

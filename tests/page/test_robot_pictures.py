@@ -68,6 +68,7 @@ def test_a_renderer_that_crashed_is_started_again(pictures):
     assert started == ["egl", "osmesa"] * 2
 
 
+@pytest.mark.long
 def test_where_no_way_works_that_is_said_and_not_tried_again(pictures):
     made, started, works = pictures
     works.clear()

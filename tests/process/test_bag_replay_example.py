@@ -18,6 +18,7 @@ EXAMPLE = Path(__file__).parents[2] / "examples" / "bag_replay"
 SECONDS, RATE = 2, 20
 
 
+@pytest.mark.long
 @over("ros1", soak=["dds"])
 def test_both_implementations_hear_the_same_bag_and_latency_and_cpu_are_measured(graph: str, tmp_path: Path) -> None:
     bag = tmp_path / "hall"

@@ -57,6 +57,7 @@ def planned(folder: Path) -> list[tuple[str, ...]]:
     return [tuple(text for name, text in row.items() if name not in left) for row in rows]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("design", FACTORS)
 def test_a_design_of_order_is_the_same_after_kills_and_in_its_replication(
     start: Callable[..., Any],

@@ -60,6 +60,7 @@ def test_a_full_disk_is_said_and_the_experiment_resumes_once_there_is_room(start
     assert attempts <= 6, "runs that were done before the disk was full are not executed again"
 
 
+@pytest.mark.long
 def test_a_disk_that_fails_while_the_robot_moves_stops_the_robot(start: Start, small_disk: Path) -> None:
     experiment = start(
         """
@@ -80,6 +81,7 @@ def test_a_disk_that_fails_while_the_robot_moves_stops_the_robot(start: Start, s
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 def test_a_folder_that_is_deleted_under_the_experiment_is_an_error_that_names_it(start: Start) -> None:
     experiment = start(
         """
@@ -109,6 +111,7 @@ def test_a_folder_that_may_not_be_written_is_refused_before_anything_is_executed
     assert "fix: " in refused.stderr
 
 
+@pytest.mark.long
 def test_a_results_folder_that_became_read_only_is_refused_and_left_alone(start: Start, tmp_path: Path) -> None:
     first = start("def populate_run_data(self, context): return {'Energy': 1}", "--only", "r_1")
     assert first.end() == 0, first.output
@@ -129,6 +132,7 @@ def test_a_results_folder_that_became_read_only_is_refused_and_left_alone(start:
     assert {path: path.read_bytes() for path in first.folder.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.long
 def test_a_torn_journal_and_a_missing_table_are_made_whole(start: Start) -> None:
     experiment = start("def populate_run_data(self, context): return {'Energy': 1.5}")
     assert experiment.end() == 0
@@ -140,6 +144,7 @@ def test_a_torn_journal_and_a_missing_table_are_made_whole(start: Start) -> None
     assert again.table == table
 
 
+@pytest.mark.long
 def test_a_corrupt_journal_is_refused_with_the_line(start: Start) -> None:
     experiment = start()
     assert experiment.end() == 0

@@ -64,6 +64,7 @@ def robot(domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tas
         yield made
 
 
+@pytest.mark.long
 def test_the_mission_of_the_paper_is_driven_and_measured_over_fast_dds(
     robot: TaskRobot, domain: int, start: Callable[..., Any], tmp_path: Path
 ) -> None:
@@ -87,6 +88,7 @@ def test_the_mission_of_the_paper_is_driven_and_measured_over_fast_dds(
     assert math.hypot(*robot.command) == 0.0
 
 
+@pytest.mark.long
 def test_a_robot_on_fast_dds_stands_still_after_a_kill_and_a_rival_of_its_commands_is_named(
     robot: TaskRobot, domain: int, start: Callable[..., Any], tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

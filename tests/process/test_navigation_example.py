@@ -24,6 +24,7 @@ PATIENCE = 120.0
 DIRECT, LONG = 1.1, 2.5
 
 
+@pytest.mark.long
 @over("dds", soak=["ros1"])
 def test_both_planners_arrive_and_success_and_path_length_are_measured(graph: str, tmp_path: Path) -> None:
     robot = graph if graph == "ros1" else f"{graph},clock=graph"

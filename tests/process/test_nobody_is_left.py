@@ -93,6 +93,7 @@ def again(start: Start, experiment: Any) -> Any:
     return second
 
 
+@pytest.mark.long
 def test_a_restart_waits_for_a_run_that_is_still_closing_and_says_so(start: Start) -> None:
     close = [
         "self.flag('may close').unlink()",
@@ -111,6 +112,7 @@ def test_a_restart_waits_for_a_run_that_is_still_closing_and_says_so(start: Star
     assert "closed at last" in kept.read_text()
 
 
+@pytest.mark.long
 def test_a_restart_ends_a_run_that_hangs_in_c_and_says_so(start: Start) -> None:
     first = moving(start, move=HANG, grace=1.0)
     kill(first, "orchestrator", "keeper")
@@ -130,6 +132,7 @@ def test_killed_with_its_keeper_the_run_ends_its_own_orphans(start: Start) -> No
     assert again(start, first).output.count("was killed") == 0
 
 
+@pytest.mark.long
 def test_orphans_of_a_run_that_was_killed_with_everybody_end_at_the_restart(start: Start) -> None:
     first = moving(start)
     kill(first, "orchestrator", "keeper", "run")
@@ -139,6 +142,7 @@ def test_orphans_of_a_run_that_was_killed_with_everybody_end_at_the_restart(star
     assert f"its run had ended; what was left of it was killed: {orphan}" in second.output
 
 
+@pytest.mark.long
 def test_orphans_of_a_run_whose_keeper_was_killed_are_ended(start: Start) -> None:
     experiment = moving(start)
     kill(experiment, "keeper")
@@ -147,6 +151,7 @@ def test_orphans_of_a_run_whose_keeper_was_killed_are_ended(start: Start) -> Non
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 def test_what_outlives_its_run_is_there_in_the_next_and_nothing_else_is(start: Start) -> None:
     experiment = start(
         """
@@ -177,6 +182,7 @@ def test_what_outlives_its_run_is_there_in_the_next_and_nothing_else_is(start: S
         os.kill(pid, signal.SIGKILL)
 
 
+@pytest.mark.long
 def test_a_program_that_is_dead_cannot_outlive_its_run(start: Start) -> None:
     experiment = start(
         """
@@ -191,6 +197,7 @@ def test_a_program_that_is_dead_cannot_outlive_its_run(start: Start) -> None:
     assert "cannot outlive the run: it is not alive" in experiment.output
 
 
+@pytest.mark.long
 def test_a_restart_beside_a_live_experiment_leaves_it_alone(start: Start) -> None:
     first = moving(start, close="print('closed')")
     second = start(config=first.config)

@@ -59,6 +59,7 @@ def keeps(experiment: Any, done: list[dict[str, str]]) -> bool:
     return [row for row in experiment.table if row["run_id"] in {row["run_id"] for row in done}] == done
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda number: number.name)
 def test_told_to_end_the_run_is_closed_and_marked_and_the_experiment_resumes(
     start: Start, number: signal.Signals
@@ -74,6 +75,7 @@ def test_told_to_end_the_run_is_closed_and_marked_and_the_experiment_resumes(
     assert resumes(experiment)
 
 
+@pytest.mark.long
 def test_a_second_ctrl_c_ends_at_once(start: Start) -> None:
     experiment = start(
         MOVING.replace("grace_in_s = 5", "grace_in_s = 90").replace(
@@ -93,6 +95,7 @@ def test_a_second_ctrl_c_ends_at_once(start: Start) -> None:
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_a_callback_of_the_orchestrator(start: Start) -> None:
     experiment = start(
         """
@@ -128,6 +131,7 @@ def test_killed_the_run_is_closed_within_a_second_and_the_experiment_resumes_and
     assert "moving off" in (experiment.folder / "earlier_attempts" / "r_2" / "1" / "log.txt").read_text()
 
 
+@pytest.mark.long
 def test_killed_while_the_run_hangs_in_c_nobody_is_left(start: Start) -> None:
     experiment = start(
         """
@@ -176,6 +180,7 @@ def at_terminal(config: Any, *wrapper: str) -> Iterator[tuple[Experiment, int]]:
         process.wait(timeout=PATIENCE)
 
 
+@pytest.mark.long
 def test_a_closed_terminal_ends_the_experiment_cleanly(write_config: Any) -> None:
     config = write_config(MOVING)
     with at_terminal(config) as (experiment, terminal):
@@ -187,6 +192,7 @@ def test_a_closed_terminal_ends_the_experiment_cleanly(write_config: Any) -> Non
     assert resumes(experiment)
 
 
+@pytest.mark.long
 def test_with_nohup_a_closed_terminal_ends_nothing(write_config: Any) -> None:
     with at_terminal(write_config(MOVING), "nohup") as (experiment, terminal):
         os.close(terminal)
@@ -196,6 +202,7 @@ def test_with_nohup_a_closed_terminal_ends_nothing(write_config: Any) -> None:
         assert experiment.process.wait(timeout=PATIENCE) == 130
 
 
+@pytest.mark.long
 def test_a_second_orchestrator_is_refused_and_told_who_holds_the_experiment(start: Start) -> None:
     experiment = start(MOVING)
     experiment.wait_for("moving")
@@ -206,6 +213,7 @@ def test_a_second_orchestrator_is_refused_and_told_who_holds_the_experiment(star
     assert experiment.end() == 130
 
 
+@pytest.mark.long
 def test_a_killed_keeper_fails_its_attempt_and_the_run_is_closed_and_the_experiment_goes_on(start: Start) -> None:
     experiment = start(
         """
@@ -229,6 +237,7 @@ def test_a_killed_keeper_fails_its_attempt_and_the_run_is_closed_and_the_experim
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 def test_a_killed_keeper_whose_run_hangs_in_c_costs_the_attempt_and_nobody_is_left(start: Start) -> None:
     experiment = start(
         """
@@ -280,6 +289,7 @@ def flag(self, name): return Path(__file__).parent / name
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("settings", "shared", "seconds"),
     [("shared = 9000", 9000, 0.0), ("shared, run_deadline_in_s = 30, 10", 30, 10.5)],
@@ -301,6 +311,7 @@ def test_a_mission_goes_on_while_its_orchestrator_is_suspended_and_what_it_said_
     assert [each["values"]["number"] for each in records] == list(range(shared))
 
 
+@pytest.mark.long
 def test_a_keeper_that_does_not_answer_is_given_up_and_its_run_is_ended(start: Start) -> None:
     experiment = start(
         """
@@ -322,6 +333,7 @@ def test_a_keeper_that_does_not_answer_is_given_up_and_its_run_is_ended(start: S
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 def test_there_is_one_keeper_and_one_run_and_between_two_runs_there_is_neither(start: Start) -> None:
     experiment = start(
         """
@@ -343,6 +355,7 @@ def test_there_is_one_keeper_and_one_run_and_between_two_runs_there_is_neither(s
     assert lines == [line for run in range(1, 5) for line in (f"before r_{run} 1", f"in r_{run} 3")]
 
 
+@pytest.mark.long
 def test_a_stop_signal_that_was_sent_to_the_keeper_ends_nothing(start: Start) -> None:
     experiment = start(
         """
@@ -387,6 +400,7 @@ def test_an_orphan_with_a_session_of_its_own_is_ended_with_its_run(start: Start)
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux hands orphans to a process that asks for them")
 def test_killed_the_orphans_of_the_run_are_ended_as_well(start: Start) -> None:
     moving = MOVING.replace('        self.flag("moving")', '        self.orphan()\n        self.flag("moving")')
@@ -398,6 +412,7 @@ def test_killed_the_orphans_of_the_run_are_ended_as_well(start: Start) -> None:
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 def test_what_happened_before_the_run_died_is_in_the_journal(start: Start) -> None:
     experiment = start(
         """

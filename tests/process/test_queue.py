@@ -136,6 +136,7 @@ def done_runs(folder: Path) -> Counter[str]:
     return Counter(each["run"] for each in records if each["kind"] == "attempt_finished" and each["status"] == "done")
 
 
+@pytest.mark.long
 def test_who_wants_a_claimed_robot_is_refused_with_a_name_or_waits_and_ctrl_c_leaves_it_in_the_queue(
     robot_runner: Callable[..., Any],
     config: Callable[..., Path],
@@ -150,7 +151,7 @@ def test_who_wants_a_claimed_robot_is_refused_with_a_name_or_waits_and_ctrl_c_le
     assert "robot-runner queue add" in refused.err
 
     waiting = start("run", path, "--wait", "--plain")
-    assert "the experiment 'by hand'" in line_with(waiting, "Waiting until it has ended")
+    assert "the experiment 'by hand'" in line_with(waiting, "Waiting for claims")
     waiting.send_signal(signal.SIGINT)
     assert waiting.wait() == 130
 
@@ -183,6 +184,7 @@ def test_who_wants_a_claimed_robot_is_refused_with_a_name_or_waits_and_ctrl_c_le
     assert "is empty" in robot_runner("queue").out
 
 
+@pytest.mark.long
 def test_two_runners_that_are_killed_at_random_execute_everything_once_and_lose_nothing(
     robot_runner: Callable[..., Any],
     config: Callable[..., Path],
@@ -228,6 +230,7 @@ def test_two_runners_that_are_killed_at_random_execute_everything_once_and_lose_
     request.node.user_properties.append(("faults", kills))
 
 
+@pytest.mark.long
 def test_what_is_damaged_changed_gone_or_not_to_be_kept_is_told_and_holds_up_nobody(
     robot_runner: Callable[..., Any], config: Callable[..., Path], start: Callable[..., subprocess.Popen[str]]
 ) -> None:

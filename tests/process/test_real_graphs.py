@@ -84,6 +84,7 @@ def written(folder: Path, tasks: list[str], profilers: str = "[]", **values: obj
     return path
 
 
+@pytest.mark.long
 @over("ros1", "ros2", soak=["dds"])
 def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, start: Start, tmp_path: Path) -> None:
     tasks = ["Computation", "Network"] if graph == "ros1" else ["Video", "Network"]
@@ -122,6 +123,7 @@ def test_the_experiment_of_the_paper_is_executed_on_a_real_graph(graph: str, sta
     assert (labels["Energy"], labels["Distance"], labels["CPU"]) == (True, True, False)
 
 
+@pytest.mark.long
 @over("dds", soak=["ros1", "ros2"])
 def test_two_robots_of_one_graph_take_turns_and_each_drives_its_own_runs(
     graph: str, start: Start, write_config: Callable[..., Path]
@@ -156,6 +158,7 @@ def test_two_robots_of_one_graph_take_turns_and_each_drives_its_own_runs(
     assert kinds[:2] == ["attempt_started"] * 2, "both drive at once"
 
 
+@pytest.mark.long
 @over("ros1", soak=["dds", "ros2"])
 def test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster(
     graph: str, start: Start, write_config: Callable[..., Path], tmp_path: Path
@@ -188,6 +191,7 @@ def test_an_experiment_lives_by_the_time_of_a_graph_that_goes_by_faster(
     assert (ended - began).total_seconds() < 15.0 + starved
 
 
+@pytest.mark.long
 @over("ros1", "dds", "ros2")
 def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
     graph: str, start: Start, tmp_path: Path
@@ -267,6 +271,7 @@ def seconds_to_standstill(graph: str, experiment: Any, looking: Any, doomed: str
     return stood - killed, wait.seconds
 
 
+@pytest.mark.long
 @over("ros1", "dds", "ros2")
 @pytest.mark.parametrize("doomed", ["the run", "all three"])
 def test_a_robot_without_a_watchdog_stands_still_within_a_second_whoever_is_killed(
@@ -289,6 +294,7 @@ DRIVEN = """
 """
 
 
+@pytest.mark.long
 @over("dds", soak=["ros1", "ros2"])
 def test_a_robot_that_a_config_drives_without_any_system_stands_still_within_a_second_of_a_kill(
     graph: str, start: Start, write_config: Callable[..., Path]
@@ -337,6 +343,7 @@ def test_a_robot_stands_still_within_a_second_in_each_of_a_hundred_kills(
 SECOND_ROBOT = {"pose": {"pose": {"position": {"x": 0.01}, "orientation": {"w": 1.0}}}}
 
 
+@pytest.mark.long
 @over("ros1", "dds", soak=["ros2"])
 def test_whoever_else_commands_the_robot_or_tells_its_odometry_fails_the_run_at_once(
     graph: str, start: Start, tmp_path: Path

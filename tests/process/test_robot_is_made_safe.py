@@ -75,6 +75,7 @@ def stood_still(experiment: Any, since: float, wait: ProcessorWait) -> bool:
     return is_in_time and abs(float((experiment.config.parent / "speed").read_text())) < 0.01
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP], ids=lambda n: n.name)
 def test_when_the_orchestrator_goes_the_robot_stands_still_within_a_second(moving: Any, number: signal.Signals) -> None:
     wait = ProcessorWait(moving.processes())

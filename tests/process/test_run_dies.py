@@ -49,6 +49,7 @@ def populate_run_data(self, context): return {{"Energy": 1.5}}
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_run_that_dies_fails_with_the_cause_and_the_others_are_executed(start: Start, name: str) -> None:
     fault, reason = FAULTS[name]
@@ -63,6 +64,7 @@ def test_a_run_that_dies_fails_with_the_cause_and_the_others_are_executed(start:
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 def test_a_grandchild_that_holds_everything_open_is_ended_with_its_run(start: Start) -> None:
     experiment = start(
         """
@@ -76,6 +78,7 @@ def test_a_grandchild_that_holds_everything_open_is_ended_with_its_run(start: St
     assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 def test_output_of_hundreds_of_megabytes_is_kept_and_does_not_hold_anything_up(start: Start) -> None:
     experiment = start(
         """
@@ -88,6 +91,7 @@ def test_output_of_hundreds_of_megabytes_is_kept_and_does_not_hold_anything_up(s
     assert (experiment.folder / "runs" / "r_1" / "log.txt").stat().st_size > 300_000_000
 
 
+@pytest.mark.long
 def test_thousands_of_measures_and_shared_values_do_not_block_the_run(start: Start) -> None:
     experiment = start(
         """
@@ -99,6 +103,7 @@ def test_thousands_of_measures_and_shared_values_do_not_block_the_run(start: Sta
     assert experiment.end() == 0
 
 
+@pytest.mark.long
 def test_a_failed_run_that_is_tried_again_keeps_every_attempt(start: Start) -> None:
     experiment = start(
         """

@@ -101,6 +101,7 @@ def succeeded(acts: dict[str, Callable[[], object]]) -> list[str]:
     return done
 
 
+@pytest.mark.long
 def test_nothing_of_a_new_experiment_can_be_read_or_altered(study: Path) -> None:
     finished = run(study)
     assert finished.returncode == 0, finished.stdout + finished.stderr
@@ -136,6 +137,7 @@ def hold_all(folder: Path) -> list[str]:
     return held
 
 
+@pytest.mark.long
 def test_a_stranger_who_locks_the_files_of_an_earlier_version_does_not_block(study: Path) -> None:
     folder = study / "results" / "private"
     folder.mkdir(parents=True)

@@ -77,6 +77,7 @@ def experiment(start: Start, write_config: Callable[..., Path], tmp_path: Path) 
     return begin
 
 
+@pytest.mark.long
 def test_each_run_has_its_treatment_and_whoever_is_killed_the_parameter_is_put_back(
     planner: Any, experiment: Callable[..., Any], tmp_path: Path
 ) -> None:

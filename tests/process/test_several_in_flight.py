@@ -78,6 +78,7 @@ def without_stamps(table: Iterable[dict[str, str]]) -> list[dict[str, str]]:
     return [{name: cell for name, cell in row.items() if not name.endswith("_at")} for row in table]
 
 
+@pytest.mark.long
 def test_told_to_end_all_that_are_in_flight_are_closed_and_the_experiment_resumes(
     start: Start, write_config: Callable[..., Path], robot_runner: Callable[..., Any]
 ) -> None:
@@ -110,6 +111,7 @@ def test_killed_the_orchestrator_leaves_no_run_and_each_log_is_its_own_runs(
         assert (again.folder / "runs" / f"r_{number}" / "log.txt").read_text() == f"r_{number}, attempt 2\n"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("whom", ["run", "keeper"])
 def test_one_that_dies_takes_no_other_with_it(start: Start, write_config: Callable[..., Path], whom: str) -> None:
     experiment = begun(start, write_config)
@@ -150,6 +152,7 @@ def populate_run_data(self, context): return {"Energy": context.run_seed / conte
 """
 
 
+@pytest.mark.long
 def test_killed_at_random_and_resumed_the_table_is_that_of_one_worker(
     start: Start, write_config: Callable[..., Path]
 ) -> None:

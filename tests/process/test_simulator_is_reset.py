@@ -89,6 +89,7 @@ def goes_on(graph: str) -> bool:
         link.close()
 
 
+@pytest.mark.long
 @over("ros1", soak=["dds"])
 def test_each_run_begins_where_the_first_did_and_the_simulator_is_left_going_on(
     graph: str, start: Callable[..., Any], tmp_path: Path

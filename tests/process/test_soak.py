@@ -127,6 +127,7 @@ def torture(start: Start, write_config: Callable[..., Any], *, kills: int, runs:
     return killed
 
 
+@pytest.mark.long
 def test_kills_at_random_moments_lose_nothing(
     start: Start, write_config: Callable[..., Any], request: pytest.FixtureRequest
 ) -> None:

@@ -262,6 +262,7 @@ def torture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callabl
         )
 
 
+@pytest.mark.long
 def test_twenty_runs_over_workers_that_come_and_go_yield_the_table_of_one_worker(
     torture: Callable[..., Counter[str]], request: pytest.FixtureRequest
 ) -> None:

@@ -83,6 +83,7 @@ def test_a_run_that_is_killed_has_its_systems_made_safe_by_the_process_that_stan
     assert "the run died before it had made Lamp safe; the process that stood by for this did it" in experiment.output
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("with_keeper", [True, False], ids=["and the keeper", "and not the keeper"])
 def test_where_the_standby_is_killed_with_the_run_the_orchestrator_has_the_systems_made_safe(
     lamp: Callable[..., Any], with_keeper: bool
@@ -95,6 +96,7 @@ def test_where_the_standby_is_killed_with_the_run_the_orchestrator_has_the_syste
     assert len(calls(experiment)) == 1
 
 
+@pytest.mark.long
 def test_where_the_run_and_all_who_watch_over_it_are_killed_the_process_that_stands_by_makes_its_systems_safe(
     lamp: Callable[..., Any],
 ) -> None:
@@ -106,6 +108,7 @@ def test_where_the_run_and_all_who_watch_over_it_are_killed_the_process_that_sta
     assert calls(experiment) == [[str(standby), "r_1", "Video"]]
 
 
+@pytest.mark.long
 def test_a_restart_waits_for_the_process_that_makes_the_systems_of_the_killed_run_safe(
     lamp: Callable[..., Any], start: Start
 ) -> None:
@@ -123,6 +126,7 @@ def test_a_restart_waits_for_the_process_that_makes_the_systems_of_the_killed_ru
     assert "its systems were still being made safe" in again.output
 
 
+@pytest.mark.long
 def test_a_system_that_nobody_could_make_safe_is_told_in_capitals(lamp: Callable[..., Any]) -> None:
     experiment = lamp(make_safe="raise OSError('the cable is out')")
     kill(experiment.run_process())
@@ -132,6 +136,7 @@ def test_a_system_that_nobody_could_make_safe_is_told_in_capitals(lamp: Callable
     assert "Stop it by hand" in output
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("mission", "code", "count"), [("pass", 0, 0), ("raise RuntimeError('a bump')", 1, 1)], ids=["done", "failed"]
 )
@@ -169,6 +174,7 @@ class Lamp(Lamp):
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_torn", [False, True], ids=["still stands", "was lost"])
 def test_what_the_standby_has_opened_beforehand_makes_safe_and_is_opened_anew_where_it_was_lost(
     start: Start, write_config: Callable[..., Path], is_torn: bool

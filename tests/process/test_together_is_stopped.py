@@ -44,6 +44,7 @@ BODY = """
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("how", "code"), [("SIGINT", 130), ("fail", 1), ("stop_mission", 0)])
 def test_whatever_ends_the_run_ends_all_missions_at_once(
     start: Callable[..., Any], write_config: Callable[..., Path], how: str, code: int

@@ -54,6 +54,7 @@ def states(experiment: Any) -> list[str]:
     return told
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_wait_ends_with_its_experiment_and_the_next_one_resumes(
     start: Start, write_config: Callable, robot_runner: Callable, number: signal.Signals

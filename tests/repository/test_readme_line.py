@@ -33,6 +33,7 @@ def clone(tmp_path):
 _HANG = 900
 
 
+@pytest.mark.long
 @pytest.mark.timeout(_HANG + 60)
 def test_a_newcomer_in_an_empty_home_ends_in_identical(clone, tmp_path):
     lines = re.findall(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import tomllib
@@ -73,5 +74,13 @@ def test_the_citation_names_this_version_and_the_paper() -> None:
 
 def test_a_person_and_ci_execute_the_same_command() -> None:
     commands = [line for line in (ROOT / ".ci" / "run").read_text().splitlines() if line and line[0] != "#"]
-    assert commands[-1] == "make test"
+    assert commands[-1] == "make test TESTS=all"
     assert (ROOT / ".ci" / "run").stat().st_mode & 0o111
+
+
+def test_a_choice_of_tests_that_is_not_known_is_refused() -> None:
+    command = ["sh", str(ROOT / "scripts" / "checks.sh"), "all"]
+    refused = subprocess.run(command, env={**os.environ, "TESTS": "long"}, capture_output=True, text=True, check=False)
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "TESTS=long is not known" in refused.stderr
+    assert "TESTS=all" in refused.stderr

@@ -91,6 +91,7 @@ def generated(name, **fields):
     return type(name, (), {**members, "__module__": "garden_msgs.action._dig"})
 
 
+@pytest.mark.long
 def test_the_classes_of_an_action_of_a_sourced_ros_2_are_found(monkeypatch):
     from robot_runner.ros.ros2_types import Ros2Types, message_class, service_class
 

@@ -64,6 +64,7 @@ def link(other):
         yield opened
 
 
+@pytest.mark.long
 def test_goals_of_a_foreign_server_are_sent_followed_and_cancelled(link):
     told = []
     assert link.actions() == {"/count": FIBONACCI}
@@ -77,6 +78,7 @@ def test_goals_of_a_foreign_server_are_sent_followed_and_cancelled(link):
     assert long.result(timeout=1.0).status is GoalStatus.CANCELED
 
 
+@pytest.mark.long
 def test_what_a_foreign_server_refuses_or_does_not_answer_is_named_in_time(link):
     with pytest.raises(GoalRejectedError, match="rejects the goal"):
         link.send_goal("count", FIBONACCI, {"order": 0})
@@ -88,6 +90,7 @@ def test_what_a_foreign_server_refuses_or_does_not_answer_is_named_in_time(link)
     assert stubborn.result(timeout=20.0).has_succeeded
 
 
+@pytest.mark.long
 def test_two_servers_of_one_name_are_refused(link):
     with closing(OtherNode()):
         deadline = time.monotonic() + 20.0
@@ -112,6 +115,7 @@ def test_a_foreign_client_is_served(link, other):
     assert facts[-1] == {"status": 4, "result": [1, 2, 3]}
 
 
+@pytest.mark.long
 def test_a_server_that_leaves_in_the_middle_is_an_error_at_once(link, other):
     goal = link.send_goal("count", FIBONACCI, {"order": 5000})
     threading.Timer(0.3, other.process.terminate).start()

@@ -91,6 +91,7 @@ def link(closing):
     return opened
 
 
+@pytest.mark.long
 def test_a_node_that_is_no_link_hears_is_heard_and_answers(other, link):
     node, mine = other(), link()
     assert mine.wait_for("chatter", STRING, timeout=60.0) == {"data": "hello"}
@@ -99,6 +100,7 @@ def test_a_node_that_is_no_link_hears_is_heard_and_answers(other, link):
     assert node.until(lambda fact: "velocity" in fact) == {"velocity": 0.25}
 
 
+@pytest.mark.long
 def test_a_service_that_nobody_can_understand_is_given_up_at_the_deadline(other, link):
     # It tells no identity, as those of Fast DDS, but expects the header of rmw_cyclonedds all the same.
     other(tells_service=False, gid_bytes=24, type_hashes=False)
@@ -153,6 +155,7 @@ def test_humble_is_told_by_its_want_of_type_hashes(other, link):
     assert node.until(lambda fact: "node" in fact and fact["node"] != "/lamp_node")
 
 
+@pytest.mark.long
 def test_a_link_that_has_opened_nothing_shows_no_node_and_is_nobody_else(other, link):
     idle, mine = link(), link()
     mine.subscribe("chatter", STRING, lambda _: None)
@@ -178,11 +181,13 @@ def _await(is_so, timeout=60.0):
         time.sleep(0.01)
 
 
+@pytest.mark.long
 def test_the_distribution_can_be_named(other, link):
     other(gid_bytes=24, type_hashes=False)
     assert "/lamp_node" in link(distro="humble").nodes()
 
 
+@pytest.mark.long
 def test_a_qos_that_the_publisher_does_not_offer_is_an_error_that_names_the_policy(other, link):
     other(reliable=False)
     mine = link()
@@ -193,6 +198,7 @@ def test_a_qos_that_the_publisher_does_not_offer_is_an_error_that_names_the_poli
     assert mine.wait_for("chatter", STRING, timeout=60.0) == {"data": "hello"}
 
 
+@pytest.mark.long
 def test_a_volatile_publisher_is_not_heard_transient_local(other, link):
     other()
     mine = link()

@@ -73,6 +73,7 @@ for link in links: link.close()
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("told", "sign"),
     [

@@ -200,6 +200,7 @@ link.close()
 """
 
 
+@pytest.mark.long
 def test_a_request_that_is_larger_than_what_a_pipe_holds_is_sent(node):
     asked = []
     no_results = b"\0\1\0\0" + bytes(4)

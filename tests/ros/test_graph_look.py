@@ -87,6 +87,7 @@ class GraphLook:
     def robot(self):
         raise NotImplementedError
 
+    @pytest.mark.long
     def test_the_robot_its_services_and_their_types_are_seen_before_anything_is_executed(self, robot, write_config):
         (alone,) = findings(write_config, robot)
         assert alone.startswith("! robot: no robot is on the graph")
@@ -113,6 +114,7 @@ class GraphLook:
             link.offer("task/stop", TRIGGER, lambda _: {})
             assert findings(write_config, robot, "BasicTurtlebot3(task_factor=None, task='Network')") == []
 
+    @pytest.mark.long
     def test_goals_and_messages_are_compared_with_their_definitions_even_if_their_node_is_started_later(
         self, robot, write_config
     ):
@@ -202,6 +204,7 @@ class TestOverRosbridge(GraphLook):
             (finding,) = findings(write_config, f"{server.url}?ros=1")
         assert finding.startswith("robot: whether the robot is on the graph was not seen: the graph cannot be listed")
 
+    @pytest.mark.long
     def test_a_robot_that_cannot_be_reached_is_refused_and_one_that_is_silent_is_not_awaited(
         self, write_config, monkeypatch
     ):

@@ -38,6 +38,7 @@ def found(write_config):
     return check
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("way", ["dds", "rosbridge"])
 def test_what_a_node_would_not_take_is_found_with_every_treatment(way, found, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
@@ -73,6 +74,7 @@ def test_what_a_node_would_not_take_is_found_with_every_treatment(way, found, mo
         assert "plugin Lifecycle" not in found_now
 
 
+@pytest.mark.long
 def test_a_parameter_that_nobody_has_set_is_doubted_on_ros_1(found):
     with closing(RosbridgeServer(generation=1)) as server:
         server.publish("/odom", "std_msgs/String", {"data": ""})

@@ -216,6 +216,7 @@ def test_a_bag_whose_compressed_bytes_are_damaged_is_an_error_and_no_traceback(t
         list(opened.messages(list(opened.topics.values()), Encoding.ROS1))
 
 
+@pytest.mark.long
 def test_a_type_that_nobody_knows_is_named_and_the_rest_can_be_played(tmp_path, play):
     import sqlite3
 
@@ -335,6 +336,7 @@ def test_a_node_hears_the_bag_over_ros_1(tmp_path, master_uri, scans, kind):
     _check_heard(heard, measures)
 
 
+@pytest.mark.long
 @quiet_about_rospy
 @pytest.mark.skipif(shutil.which("rosbag") is None, reason="rosbag is not installed")
 def test_rosbag_play_plays_it_and_its_end_ends_the_mission(tmp_path, master_uri, scans):
@@ -347,6 +349,7 @@ def test_rosbag_play_plays_it_and_its_end_ends_the_mission(tmp_path, master_uri,
     assert not context.broker.findings
 
 
+@pytest.mark.long
 def test_the_player_of_ros_2_gets_its_words_and_its_failure_is_told(tmp_path, monkeypatch, scans):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     domain = claim_domain()

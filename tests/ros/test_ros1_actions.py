@@ -61,6 +61,7 @@ def link(other, master_uri):
         yield opened
 
 
+@pytest.mark.long
 @quiet_about_rospy
 def test_goals_of_actionlib_are_sent_followed_cancelled_and_refused(link):
     assert {name: kind for name, kind in link.actions().items() if name in {"/tally", "/picky"}} == {
@@ -81,6 +82,7 @@ def test_goals_of_actionlib_are_sent_followed_cancelled_and_refused(link):
         link.send_goal("picky", COUNTING, {"goal": 1})
 
 
+@pytest.mark.long
 @quiet_about_rospy
 def test_a_client_of_actionlib_is_served(link, other):
     def execute(execution):
@@ -100,6 +102,7 @@ def test_a_client_of_actionlib_is_served(link, other):
     assert fact["state"] == PREEMPTED
 
 
+@pytest.mark.long
 @quiet_about_rospy
 def test_a_server_that_is_killed_in_the_middle_is_an_error_soon(link, other):
     goal = link.send_goal("tally", COUNTING, {"goal": 5000})

@@ -153,6 +153,7 @@ class TestGraph:
             link.wait_for("odometri", "nav_msgs/Odometry", timeout=0.1)
         assert "did you mean '/odometry'?" in caught.value.fix
 
+    @pytest.mark.long
     def test_a_publisher_of_another_type_that_comes_later_is_not_heard(self, opened, master_uri, caplog, tmp_path):
         link = opened()
         heard = []
@@ -176,6 +177,7 @@ class TestGraph:
         assert heard == []
         assert "/other publishes std_msgs/Int32" in caplog.text
 
+    @pytest.mark.long
     def test_transforms_are_heard_by_the_name_that_their_type_had_before_tf2(self, opened, master_uri, tmp_path):
         link, buffer = opened(), TransformBuffer()
         program = f"""
@@ -287,6 +289,7 @@ class TestProcess:
         link.offer("bell", "std_srvs/Trigger", lambda _: {})
     """
 
+    @pytest.mark.long
     def test_it_takes_no_signals_prints_nothing_and_writes_no_logs(self, master_uri, tmp_path):
         printed = execute(
             master_uri,
@@ -344,6 +347,7 @@ class TestProcess:
             server.unregisterPublisher("/move_base", "/lamp", master_uri)
         assert other in kept
 
+    @pytest.mark.long
     def test_a_run_s_process_cannot_use_the_orchestrator_s_node(self, master_uri):
         printed = execute(
             master_uri,

@@ -96,6 +96,7 @@ def test_a_real_master_says_who_does_what_and_what_is_set(master_uri):
     assert master.state().nodes == tuple(sorted(master.state().nodes))
 
 
+@pytest.mark.long
 @needs_ros1
 def test_the_check_of_a_config_asks_for_the_master_and_opens_nothing(master_uri):
     assert link_findings(f"ros1:master={master_uri}") == []

@@ -90,6 +90,7 @@ def _check(measures, context, published):
     assert measures["Nodes"] >= 1
 
 
+@pytest.mark.long
 def test_topics_bag_and_graph_over_dds(tmp_path, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     options = {"domain": str(claim_domain()), "distro": "jazzy"}
@@ -104,6 +105,7 @@ def test_topics_bag_and_graph_over_dds(tmp_path, monkeypatch):
     assert graph["stop"]["topics"] == {"/odom": "nav_msgs/Odometry"}
 
 
+@pytest.mark.long
 @quiet_about_rospy
 @pytest.mark.skipif(shutil.which("rosbag") is None, reason="rosbag is not installed")
 def test_a_bag_of_ros_own_recorder_has_the_mission_from_its_beginning_or_says_what_it_lacks(tmp_path, master_uri):
@@ -157,6 +159,7 @@ sys.stdin.readline()
 """
 
 
+@pytest.mark.long
 @quiet_about_rospy
 def test_large_messages_that_had_not_arrived_by_the_window_s_end_are_no_0_losses(tmp_path, master_uri):
     environment = os.environ | ros1_environment(master_uri, tmp_path)

@@ -21,6 +21,7 @@ VALUES = st.recursive(
 )
 
 
+@pytest.mark.long
 @given(VALUES)
 def test_what_is_written_as_cbor_is_read(value):
     assert frames.read(dumps(value)) == value

@@ -217,11 +217,13 @@ def _check_delays(robot, folder):
     )
 
 
+@pytest.mark.long
 def test_the_latency_of_a_node_with_a_known_delay_over_dds(tmp_path, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     _check_delays(f"dds:domain={claim_domain()},distro=jazzy", tmp_path)
 
 
+@pytest.mark.long
 @quiet_about_rospy
 def test_the_latency_of_a_node_with_a_known_delay_over_ros_1(tmp_path, master_uri):
     _check_delays(f"ros1:master={master_uri}", tmp_path)

@@ -29,6 +29,7 @@ def test_without_an_environment_it_does_nothing(clone):
     assert sorted(path.name for path in clone.iterdir()) == ["scripts"]
 
 
+@pytest.mark.long
 @needs_ros1
 def test_the_system_s_packages_come_last(clone):
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", clone / ".venv"], check=True, timeout=60)

@@ -84,6 +84,7 @@ def test_each_test_file_is_in_one_batch_and_no_batch_has_files_of_two_rooms() ->
     assert max(rooms.index(room) for room in ("firmware", "hostile", "page")) < rooms.index("core")
 
 
+@pytest.mark.long
 def test_what_fails_is_shown_and_the_rest_is_executed_and_counted(tmp_path: Path) -> None:
     write_tests(tmp_path, {"room/test_a.py": PASSES, "hall/test_b.py": FAILS, "shed/test_c.py": NEVER})
     answer = execute(tmp_path, "-m", "not soak")
@@ -97,6 +98,7 @@ def test_what_fails_is_shown_and_the_rest_is_executed_and_counted(tmp_path: Path
     assert re.fullmatch(r"1 failed, 1 passed, 1 deselected in \d+\.\d\ds", answer.stdout.splitlines()[-1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("files", "words", "status"),
     [
@@ -114,6 +116,7 @@ def test_only_tests_that_were_executed_and_passed_are_a_success(
     assert execute(tmp_path, *words).returncode == status
 
 
+@pytest.mark.long
 def test_skipped_tests_are_told_with_their_reason(tmp_path: Path) -> None:
     skipped = "import pytest\n\n\ndef test_it():\n    pytest.skip('no robot here')\n"
     write_tests(tmp_path, {"room/test_a.py": PASSES, "room/test_b.py": skipped})
@@ -123,6 +126,7 @@ def test_skipped_tests_are_told_with_their_reason(tmp_path: Path) -> None:
     assert answer.stdout.splitlines()[-1].startswith("1 passed, 1 skipped in ")
 
 
+@pytest.mark.long
 def test_what_needs_rclpy_is_executed_by_the_python_that_has_it_and_nothing_else_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -153,6 +157,7 @@ def test_without_such_a_python_this_one_has_all_tests(tmp_path: Path, monkeypatc
     assert [file.name for file in batch.files] == ["test_a.py"]
 
 
+@pytest.mark.long
 def test_what_is_made_once_is_made_by_one_process_for_all(tmp_path: Path) -> None:
     shutil.copy(ROOT / "tests" / "made_once.py", tmp_path)
     write_tests(tmp_path, {"room/test_a.py": SHARES, "hall/test_b.py": SHARES})
@@ -175,6 +180,7 @@ def test_it(number):
 """
 
 
+@pytest.mark.long
 def test_stop_signals_reach_what_tests_start_also_where_they_were_started_in_the_background(tmp_path: Path) -> None:
     write_tests(tmp_path, {"room/test_a.py": HEEDS})
     answer = execute(tmp_path, by=("sh", "-c", "trap '' INT HUP; exec \"$@\"", "sh"))

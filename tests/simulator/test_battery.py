@@ -55,6 +55,7 @@ def test_a_larger_load_lowers_the_terminal_voltage_over_the_inner_resistance():
     assert drop > 0
 
 
+@pytest.mark.long
 def test_a_robot_that_is_on_for_five_minutes_has_lost_a_thirtieth_of_its_charge():
     simulation = Simulation(seed=3)
     states = []

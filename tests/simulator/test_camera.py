@@ -69,6 +69,7 @@ def test_its_information_is_that_of_a_pinhole(simulation):
     assert 2 * np.degrees(np.arctan(centre / focal)) == pytest.approx(62.2)
 
 
+@pytest.mark.long
 @needs_rendering
 def test_on_a_graph_it_renders_only_while_somebody_else_looks(simulation):
     link = FakeRobotLink(FakeClock(), is_simulated=True)

@@ -44,6 +44,7 @@ def test_a_robot_that_may_drain_its_battery_goes_on():
     assert robot.cut_off is None
 
 
+@pytest.mark.long
 def test_when_it_is_does_not_depend_on_how_often_somebody_looks():
     def cut_off(pieces):
         simulation, robot = made(seed=4)
@@ -98,6 +99,7 @@ def test_a_link_that_only_listened_is_closed_in_peace():
     link.close()
 
 
+@pytest.mark.long
 def test_the_battery_says_that_it_is_dead():
     simulation, robot = made()
     robot.drive(0.05, 0.0)

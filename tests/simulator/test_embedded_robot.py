@@ -38,6 +38,7 @@ def test_a_pace_that_no_clock_can_keep_is_refused(pace):
         simulation_options({"real_time_factor": pace})
 
 
+@pytest.mark.long
 def test_the_simulator_is_imported_once_for_all_forked_runs(program, tmp_path):
     """Each run's process is forked from the orchestrator, which has imported MuJoCo before the first."""
     config = tmp_path / "imports.py"

@@ -106,6 +106,7 @@ def test_nothing_arrives_twice_or_before_its_time(simulation):
     assert meter.arrived() == []
 
 
+@pytest.mark.long
 @settings(max_examples=settings.default.max_examples // 5)
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=12))
 def test_the_stream_does_not_depend_on_when_it_is_read(milliseconds):
@@ -147,6 +148,7 @@ def test_opening_the_port_again_restarts_the_device(simulation):
     assert split(bytes_of(again))[1][:2] == (0x11, 0)
 
 
+@pytest.mark.long
 def test_numbers_and_hellos_go_on_after_the_wrap(simulation):
     meter = simulation.turtlebot3().open_power_meter()
     simulation.clock.sleep(65520 / 200)

@@ -231,7 +231,8 @@ def test_physics_that_diverges_is_said_and_leaves_no_log_in_the_working_director
 
 
 @pytest.mark.parametrize(
-    ("kilobytes", "problem"), [(60, "some had no effect"), (20, "does not take the model"), (1000, None)]
+    ("kilobytes", "problem"),  # MuJoCo before 4 takes the model with 20, and leaves out contacts
+    [(60, "some had no effect"), (20, "does not take the model|some had no effect"), (1000, None)],
 )
 def test_contacts_for_which_there_is_no_memory_are_not_left_out_in_silence(simulate, kilobytes, problem):
     boxes = "".join(

@@ -63,6 +63,7 @@ def test_a_sample_is_the_mean_since_the_one_before():
     assert sample.memory == pytest.approx(23.9)
 
 
+@pytest.mark.long
 def test_noise_is_seeded():
     def cpus(seed):
         return [sample.cpu for sample in sampled(None, rest, seconds=20.0, seed=seed)]
@@ -73,6 +74,7 @@ def test_noise_is_seeded():
     assert stdev(cpus(1)) == pytest.approx(1.5, abs=0.3)
 
 
+@pytest.mark.long
 def test_runs_differ_more_than_their_many_samples_would_make_them():
     means = [mean(sample.cpu for sample in sampled(None, rest, seconds=15.0, seed=seed)) for seed in range(12)]
     assert mean(means) == pytest.approx(11.0, abs=0.4)

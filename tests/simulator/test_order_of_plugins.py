@@ -49,6 +49,7 @@ def values(folder, profilers):
     return published, told, context.window
 
 
+@pytest.mark.long
 def test_the_order_of_plugins_changes_no_value(tmp_path):
     model = {"constant": 7.6, "cpu": 0.02, "motion:forward": 2.5}
     makers = (Ina219, PsUtil, Battery, lambda: RosTopics({"odom": 30.0}), lambda: PowerModel(coefficients=model))
@@ -59,6 +60,7 @@ def test_the_order_of_plugins_changes_no_value(tmp_path):
     assert found[2] == found[0]
 
 
+@pytest.mark.long
 def test_a_slow_neighbour_changes_no_value_wherever_it_is_listed(tmp_path):
     orders = list(permutations((Ina219, PsUtil, Slow)))
     found = [values(tmp_path / str(place), [make() for make in order]) for place, order in enumerate(orders)]
@@ -70,6 +72,7 @@ def test_a_slow_neighbour_changes_no_value_wherever_it_is_listed(tmp_path):
     assert found[0][0]["Energy.task"] > 0
 
 
+@pytest.mark.long
 def test_what_a_neighbour_does_after_the_mission_changes_no_value(tmp_path):
     quick, _, _ = values(tmp_path / "quick", [Ina219(), PsUtil(), Battery(), Slow(after=0.0)])
     slow, _, _ = values(tmp_path / "slow", [Ina219(), PsUtil(), Battery(), Slow(after=7.3)])
@@ -85,6 +88,7 @@ def test_a_later_mission_is_another_one_of_the_same_energy(tmp_path):
     assert later["Duration"] == pytest.approx(at_once["Duration"], abs=0.01)
 
 
+@pytest.mark.long
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 4_000_000))
 def test_it_does_not_matter_at_which_microsecond_a_meter_is_opened(tmp_path, microseconds):

@@ -57,6 +57,7 @@ def levels(missions, task, phase):
     return [level for mission in missions[task] for level in mission.phases[phase]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("task", "phase", "level"),
     [

@@ -21,6 +21,7 @@ def pixels(png: bytes) -> tuple[int, int, bytes]:
     return width, height, zlib.decompress(png[start : start + length])
 
 
+@pytest.mark.long
 def test_the_robot_is_seen_where_it_is() -> None:
     if ctypes.util.find_library("EGL") is None and ctypes.util.find_library("OSMesa") is None:
         pytest.skip("neither EGL nor OSMesa is installed (Debian: apt install libegl1 libgl1-mesa-dri)")

@@ -140,9 +140,8 @@ def drive_for_three_seconds(simulation, robot):
     robot.drive(0.0, 0.0)
 
 
-@pytest.mark.parametrize("extreme", [{"floor_friction": 1e-9}, {"servo_settling_time": 0.001}])
-def test_physics_that_diverges_is_said(extreme):
-    simulation = Simulation(seed=1, parameters=Turtlebot3Parameters(**extreme))
+def test_physics_that_diverges_is_said():
+    simulation = Simulation(seed=1, parameters=Turtlebot3Parameters(floor_friction=1e-9))  # in each release of MuJoCo
     robot = simulation.turtlebot3()
     with pytest.raises(LinkError, match="the physics of the simulated robot diverged"):
         drive_for_three_seconds(simulation, robot)

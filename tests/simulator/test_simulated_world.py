@@ -73,6 +73,7 @@ class TestSimulatedWorld(SystemContract):
         return SimulatedWorld()
 
 
+@pytest.mark.long
 def test_each_run_has_the_room_of_its_treatment(rooms: Path, write_config: Any, robot_runner: Any) -> None:
     config = write_config(head=_HEAD, table=_TABLE.format(rooms=["near.toml", "far.toml"]))
     answer = robot_runner("run", config)

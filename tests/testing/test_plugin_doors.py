@@ -26,6 +26,7 @@ def modules_after(statement: str) -> set[str]:
     return set(json.loads(answer.stdout))
 
 
+@pytest.mark.long
 @each_door
 def test_every_name_that_a_door_promises_is_behind_it(door):
     module = importlib.import_module(door)
@@ -58,6 +59,7 @@ def test_a_star_imports_all_that_a_door_promises():
     assert set(importlib.import_module("robot_runner").__all__) <= names.keys()
 
 
+@pytest.mark.long
 def test_type_checkers_see_what_a_door_promises_and_nothing_else(tmp_path):
     pytest.importorskip("mypy")
     (tmp_path / "study.py").write_text(

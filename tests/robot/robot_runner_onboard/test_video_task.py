@@ -41,6 +41,7 @@ def frames_of(path: Path) -> list[tuple[int, ...]]:
     return shapes
 
 
+@pytest.mark.long
 def test_five_megapixels_are_recorded_frame_by_frame(tmp_path: Path) -> None:
     path, orders = tmp_path / "new" / "video.avi", Orders(3)
     said = record(

@@ -229,6 +229,7 @@ def test_a_person_can_release_a_robot_that_the_watchdog_holds(alice):
     listening.close()
 
 
+@pytest.mark.long
 def test_a_node_that_is_ended_ends_its_task(master_uri, tmp_path, alice):
     environment = ros1_environment(master_uri, tmp_path)
     carol = open_ros1_link({"master": master_uri}, SystemClock(), "/carol")

@@ -44,6 +44,7 @@ def test_each_package_names_what_its_modules_import_of_ros(package):
     assert imported <= named
 
 
+@pytest.mark.long
 @needs_ros1
 @pytest.mark.skipif(
     not (shutil.which("catkin_make") and shutil.which("roslaunch")),

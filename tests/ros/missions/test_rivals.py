@@ -81,6 +81,7 @@ def _failures(graph: str, missions: list[str], tmp_path: Path, write_config: Any
     return list(first.values())
 
 
+@pytest.mark.long
 @quiet_about_rospy
 def test_a_rival_on_ros1(master_uri: str, tmp_path: Path, write_config: Any) -> None:
     told = _failures(f"ros1:master={master_uri}", ["drive", "lamp"], tmp_path, write_config)
@@ -89,6 +90,7 @@ def test_a_rival_on_ros1(master_uri: str, tmp_path: Path, write_config: Any) -> 
     assert sum("commands the robot on '/gus/lamp': {'data': 'off'}" in each for each in told) == 1
 
 
+@pytest.mark.long
 def test_a_rival_over_dds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, write_config: Any) -> None:
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     graph = f"dds:domain={claim_domain()}"

@@ -276,6 +276,7 @@ class RobotRunnerConfig(ExperimentConfig):
 """
 
 
+@pytest.mark.long
 def test_a_simulator_goes_on_after_the_experiment_was_killed_between_two_runs(tmp_path, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     robot = f"dds:domain={claim_domain()}"

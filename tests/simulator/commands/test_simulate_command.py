@@ -14,6 +14,7 @@ from robot_runner.cli.guard import REFUSED
 from robot_runner.cli.main import main
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_over_dds_it_is_ready_and_ends_cleanly(number, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
