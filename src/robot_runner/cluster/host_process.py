@@ -104,7 +104,7 @@ class Outgoing:
             self._send()
 
     def send_if_due(self) -> None:
-        """Send what has come, some time after the last time."""
+        """Send the records, unless some were sent a moment ago."""
         if self._records and time.monotonic() >= self._due:
             self._send()
 

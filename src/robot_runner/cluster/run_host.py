@@ -362,7 +362,7 @@ def main(requests: int, writer: int, folder: Path) -> None:
             tell("ready", {})
             host.serve()
     except RobotRunnerError as error:
-        # The path of the config, as who reads that knows it.
+        # The config's own path, and not that of the copy on the worker.
         problems = [str(finding) for finding in error.findings if finding.is_error]
         tell("refused", {"problems": [each.replace(f"{folder / SOURCE}{os.sep}", "") for each in problems]})
     except Exception as error:  # noqa: BLE001 - whatever it is, the worker has to know why no run is executed

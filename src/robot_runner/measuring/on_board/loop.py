@@ -173,7 +173,7 @@ class Processes:
         found = [place for place, one in enumerate(self.selectors) if is_match(one[0], one[1], pid, names, words)]
         stat = first_bytes(f"/proc/{pid}/stat").rpartition(b")")[2].split()
         parents = self.matched.get(stat[1].decode(), []) if stat else []
-        # Whoever a subject has started belongs to it, also where sudo took the mark away.
+        # A process that a subject has started belongs to it, also where sudo removed the mark.
         return found + [at for at in parents if self.selectors[at][0] == "subject" and at not in found]
 
 
