@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +17,9 @@ import pytest
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
+
+    from robot_runner.measuring.host import UtilisationSample
 
 _PROGRAM = """\
 import os, time
@@ -55,6 +58,11 @@ class Busy(NamedTuple):
         """What the kernel says that the process has used, with its children that have ended."""
         fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
         return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+
+    def wait_for_children(self, seconds: float) -> None:
+        """Wait until children that ended have used so much: a counter of the kernel may lag by four of its ticks."""
+        while self.cpu_seconds < seconds - 4 / os.sysconf("SC_CLK_TCK"):
+            wait(0.05)
 
 
 @contextmanager
@@ -106,6 +114,12 @@ def busy_family(subject: str, *around: str, program: str = _FAMILY) -> Iterator[
             yield Busy(-1, process.pid)
         finally:
             os.killpg(process.pid, signal.SIGKILL)
+
+
+def counted_seconds(samples: Sequence[UtilisationSample], place: int = 0) -> float:
+    """Return the CPU time, s, that samples tell of the processes of one selector."""
+    shares = [(late.time - soon.time) * (late.processes[place].cpu or 0.0) for soon, late in pairwise(samples)]
+    return sum(shares) / 100 * (os.cpu_count() or 1)
 
 
 def wait(seconds: float) -> None:
