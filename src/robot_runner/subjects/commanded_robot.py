@@ -11,6 +11,8 @@ from robot_runner.core.links.connect import connect_robot, is_simulated, robot_n
 from robot_runner.core.links.robot import Advertiser
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.links.robot import RobotLink
 
@@ -29,10 +31,14 @@ class CommandedRobot:
     Args:
         context: of the run; where it has no robot, or the embedded one, which other programs cannot reach, nothing is
             done.
+
+    Attributes:
+        tell: told each topic on which velocities are published, and its type.
     """
 
     def __init__(self, context: RobotRunnerContext) -> None:
         self._context = context
+        self.tell: Callable[[str, str], object] = lambda *_: None
         self._link: RobotLink | None = None
         self._topics: dict[str, str] = {}
         self._lock = threading.Lock()
@@ -53,6 +59,7 @@ class CommandedRobot:
             for topic, message_type in self._commanded_topics(link):
                 link.advertise(topic, message_type)
                 self._topics[topic] = message_type
+                self.tell(topic, message_type)
 
     def halt(self) -> None:
         """Command zero wherever velocities were published."""

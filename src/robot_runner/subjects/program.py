@@ -118,7 +118,7 @@ class Program(Subject):
             raise PluginError(problem, where=context.owner, fix="Allow it more time (timeout_s).")
         if ended.code is None or not self.may_end(ended):
             fix = "Look at its output, or list the exit code among exit_codes."
-            raise PluginError(self._death(program, ended), where=context.owner, fix=fix)
+            raise PluginError(program.death(self.name, ended), where=context.owner, fix=fix)
         self._awaited_since = program.begun_at
         return ended.code
 

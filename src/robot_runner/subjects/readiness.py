@@ -21,6 +21,21 @@ if TYPE_CHECKING:
 _SHOWN = 80
 
 
+def checked_ready(plugin: str, ready: object) -> Condition | str | re.Pattern[str] | None:
+    """Return what a plugin's `ready` was given.
+
+    Raises:
+        PluginError: it is no condition, text or pattern.
+    """
+    if ready is None or isinstance(ready, Condition):
+        return ready
+    text = ready.pattern if isinstance(ready, re.Pattern) else ready
+    if isinstance(ready, str | re.Pattern) and isinstance(text, str) and text:  # a pattern of bytes finds none
+        return ready
+    fix = "Give a condition, a text that stands in its output, or re.compile(...)."
+    raise PluginError(f"ready is {ready!r}", where=plugin, fix=fix)
+
+
 class TextInOutput(Condition):
     """A text, or what a pattern finds, stands in one line that a subject has written.
 
@@ -79,23 +94,25 @@ class Ready(Condition):
     """A subject can be used, and has not died meanwhile.
 
     Args:
+        name: the subject's.
         start: which start of it.
-        condition: what is awaited; None for nothing but that it goes on.
+        wanted: what is awaited, as `checked_ready` returns it; None for nothing but that it goes on.
         may_end: whether it may have ended so by itself.
-        death: what is said of another end.
     """
 
     def __init__(
         self,
+        name: str,
         start: Start,
-        condition: Condition | None,
+        wanted: Condition | str | re.Pattern[str] | None,
         *,
         may_end: Callable[[Ended], bool],
-        death: Callable[[Ended], str],
     ) -> None:
+        condition = TextInOutput(name, start, wanted) if isinstance(wanted, str | re.Pattern) else wanted
+        self._name = name
         self._start = start
         self._condition = condition
-        self._may_end, self._death = may_end, death
+        self._may_end = may_end
         self.every_s = self.every_s if condition is None else min(self.every_s, condition.every_s)
 
     def __str__(self) -> str:
@@ -109,7 +126,9 @@ class Ready(Condition):
             ended = self._start.ended()
             seen = look_again()
             if ended is not None and not (seen.holds and self._may_end(ended)):
-                raise PluginError(self._death(ended), where=context.owner, fix="Execute it by hand to see why.")
+                raise PluginError(
+                    self._start.death(self._name, ended), where=context.owner, fix="Execute it by hand to see why."
+                )
             return seen
 
         return look

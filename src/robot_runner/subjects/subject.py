@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import signal
 import threading
 import time
 from abc import abstractmethod
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
 from robot_runner.core.events.condition import Condition
 from robot_runner.core.events.measure import Measure, Origin
+from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.input_files import InputFile
@@ -24,12 +25,21 @@ from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
 from robot_runner.subjects.commanded_robot import CommandedRobot
+from robot_runner.subjects.halting import CommandedTopics, Halting, halted_late
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
-from robot_runner.subjects.readiness import Ready, TextInOutput
-from robot_runner.subjects.supervised_program import Start, SupervisedProgram, Task, user_cache
+from robot_runner.subjects.readiness import Ready, checked_ready
+from robot_runner.subjects.supervised_program import (
+    Start,
+    SupervisedProgram,
+    Task,
+    last_start,
+    named_signal,
+    user_cache,
+)
 from robot_runner.subjects.surroundings import Surroundings, is_known, word
 
 if TYPE_CHECKING:
+    import re
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
@@ -95,10 +105,6 @@ class Subject(System):
             if not isinstance(value, int | float) or not value > 0:
                 fix = f"Give {parameter} a number of seconds above 0."
                 raise PluginError(f"{parameter} is {value!r}", where=self.name, fix=fix)
-        text = ready.pattern if isinstance(ready, re.Pattern) else ready
-        if ready is not None and not isinstance(ready, Condition) and not (isinstance(text, str) and text):
-            fix = "Give a condition, a text that stands in its output, or re.compile(...)."
-            raise PluginError(f"ready is {ready!r}", where=self.name, fix=fix)
         self.per = per
         self.surroundings = Surroundings.of(
             self.name, folder=folder, environment=environment or {}, setup=setup, host=host, ssh_config=ssh_config
@@ -106,9 +112,9 @@ class Subject(System):
         if isinstance(reads, str | os.PathLike):
             raise PluginError(f"reads is {reads!r}", where=self.name, fix=f"Give a list: [{str(reads)!r}].")
         self.reads = tuple(word(self.name, each) for each in reads)
-        self.ready = ready
+        self.ready = checked_ready(self.name, ready)
         self.ready_timeout_s = ready_timeout_s
-        self.stop_signal = _signal(self.name, stop_signal)
+        self.stop_signal = named_signal(self.name, stop_signal)
         self.grace_s = grace_s
         self.measures = type(self).measures if self._is_of_run else ()
         self._program: SupervisedProgram | None = None
@@ -116,6 +122,8 @@ class Subject(System):
         self._ended: Ended | None = None
         self._watch: threading.Thread | None = None
         self._robot: CommandedRobot | None = None
+        self._halting: Halting | None = None
+        self._remark = ""
         self._is_ending = threading.Event()
 
     @property
@@ -175,17 +183,33 @@ class Subject(System):
             yield from self.program_findings(where)
 
     def before_experiment(self, context: ExperimentContext) -> None:
-        """Start it, where it goes on through all runs."""
+        """Start it, where it goes on through all runs.
+
+        Raises:
+            PluginError: it cannot be started; or all of an earlier execution was killed, and the robot that it had
+                commanded cannot be stopped now either.
+        """
         if self.per == "experiment":
-            self._begin(context, _free(self._shared_folder(context)))
+            self._remark = halted_late(last_start(self._shared_folder(context)), self.name)
+            self._begin_for_all_runs(context)
 
     def before_run(self, context: RobotRunnerContext) -> None:
-        """Start it again where it should go on through all runs and has died since."""
+        """Start it again where it should go on through all runs and has died since.
+
+        Raises:
+            PluginError: it cannot be started, or the robot that it had commanded cannot be stopped.
+        """
+        remark, self._remark = self._remark, ""
+        if remark:
+            context.warn(remark, fix="Look where the robot stands.")
         if self.per != "experiment" or self._program is None or (ended := self._program.ended()) is None:
             return
-        context.warn(f"{self._death(self._program, ended)}; it was started again before this run")
+        context.warn(f"{self._program.death(self.name, ended)}; it was started again before this run")
         self._program.stop()
-        self._begin(context, _free(self._shared_folder(context)))
+        halting, self._halting = self._halting, None
+        if halting is not None:
+            halting.finish()
+        self._begin_for_all_runs(context)
 
     def start_run(self, context: RobotRunnerContext) -> None:
         """Start it, wait until it is ready, and watch over it from then on, unless the mission is to do that.
@@ -271,13 +295,29 @@ class Subject(System):
             self._end()
 
     def after_experiment(self) -> None:
-        """End it with everything that it started, where it went on through all runs."""
+        """End it with everything that it started, where it went on through all runs, and have the robot stand still.
+
+        Raises:
+            PluginError: the robot that it commanded cannot be stopped.
+        """
+        halting, self._halting = self._halting, None
+        if halting is not None:
+            halting.prepare()
         self._end()
+        if halting is not None:
+            halting.finish()
 
     def populate_run_data(self, context: RobotRunnerContext) -> None:
         """Publish how long it took to be ready."""
         if self._is_of_run:
             context.publish("StartupTime", self._startup_time, origin=Origin.MEASURED)  # a program of this machine
+
+    def _begin_for_all_runs(self, context: ExperimentContext) -> None:
+        folder = self._shared_folder(context)
+        last = last_start(folder)
+        start = self._begin(context, folder / str(1 if last is None else int(last.folder.name) + 1))
+        if context.robot is not None and not is_simulated(context.robot):
+            self._halting = Halting(start, self.name)
 
     def _begin(
         self, context: ExperimentContext, folder: Path, begun: Callable[[int], object] = lambda _: None
@@ -305,21 +345,20 @@ class Subject(System):
 
     def _attached(self, context: RobotRunnerContext) -> Start:
         """Return the start of a subject that goes on through all runs; another process has started it."""
-        starts = _numbered(self._shared_folder(context))
-        if not starts:
+        start = last_start(self._shared_folder(context))
+        if start is None:
             raise PluginError("the subject was not started", where=self.name, fix="Start the experiment again.")
-        return Start(starts[-1])
+        if self._robot is not None and context.robot is not None:
+            self._robot.tell = partial(CommandedTopics(start).add, context.robot)
+        return start
 
     def _shared_folder(self, context: ExperimentContext) -> Path:
         return ExperimentFolder(context.experiment_folder).subjects / self.name
 
     def _await_ready(self, context: RobotRunnerContext, start: Start) -> None:
         """Wait until it is ready, in real time, as it knows nothing of a simulation's clock."""
-        condition = self.ready
-        if isinstance(condition, str | re.Pattern):
-            condition = TextInOutput(self.name, start, condition)
         real = replace(context, clock=machine_clock(context))
-        ready = Ready(start, condition, may_end=self.may_end, death=lambda ended: self._death(start, ended))
+        ready = Ready(self.name, start, self.ready, may_end=self.may_end)
         ready.wait(real, timeout_s=self.ready_timeout_s)
 
     def _watch_over(self, context: RobotRunnerContext, start: Start, is_ending: threading.Event) -> None:
@@ -335,7 +374,7 @@ class Subject(System):
             if robot is not None:
                 robot.halt()
             if not self.may_end(ended):
-                context.fail(self._death(start, ended))
+                context.fail(start.death(self.name, ended))
             return
 
     def _end(self) -> None:
@@ -344,10 +383,6 @@ class Subject(System):
             self._ended = program.stop()
             if self._robot is not None:
                 self._robot.halt()
-
-    def _death(self, start: Start, ended: Ended) -> str:
-        said = start.last_lines()
-        return f"{self.name} has died: {ended.how}{f'; it wrote last: {said}' if said else ''}"
 
     def _facts(self, context: RobotRunnerContext, start: Start) -> dict[str, Any]:
         """Return what the journal keeps of it in a run."""
@@ -362,23 +397,3 @@ class Subject(System):
             "startup_s": round(self._startup_time or 0.0, 3),
             **self.surroundings.facts(),
         }
-
-
-def _signal(plugin: str, wanted: object) -> signal.Signals:
-    """Return a signal that a config names."""
-    for each in signal.Signals:
-        if wanted == each:
-            return each
-    name = str(wanted).upper().removeprefix("SIGNAL.")
-    fix = did_you_mean(f"signal.{name}", [f"signal.{each.name}" for each in signal.Signals])
-    raise PluginError(f"stop_signal is {wanted!r}, which is none of the module `signal`", where=plugin, fix=fix)
-
-
-def _numbered(folder: Path) -> list[Path]:
-    found = [path for path in folder.glob("*") if path.name.isdigit()]
-    return sorted(found, key=lambda path: int(path.name))
-
-
-def _free(folder: Path) -> Path:
-    """Return the folder of the next start of a subject."""
-    return folder / str(1 + max((int(path.name) for path in _numbered(folder)), default=0))

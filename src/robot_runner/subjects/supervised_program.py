@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from robot_runner.core.errors import PluginError, StorageError
+from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
 from robot_runner.core.words import listed, one_line
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
@@ -139,7 +139,7 @@ class Start:
 
     def ended(self) -> Ended | None:
         """Return how it ended, or None where it goes on."""
-        supervised = self._is_supervised()  # before its last words are read, which it writes before it leaves
+        supervised = self.is_supervised()  # before its last words are read, which it writes before it leaves
         told = self._told("ended")
         if told:
             code = told["ended"]
@@ -168,7 +168,13 @@ class Start:
                 return one_line(" | ".join(lines[-_TAIL_LINES:]))
         return ""
 
-    def _is_supervised(self) -> bool:
+    def death(self, name: str, ended: Ended) -> str:
+        """Return what is said of an end that nobody asked for; `name` is the plugin's."""
+        said = self.last_lines()
+        return f"{name} has died: {ended.how}{f'; it wrote last: {said}' if said else ''}"
+
+    def is_supervised(self) -> bool:
+        """Whether its supervisor is there, which is until all that it started has ended."""
         try:
             with self.events.open("rb") as file:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -293,6 +299,26 @@ class SupervisedProgram(Start):
             return PluginError(f"{host} cannot be reached: {gist(lost)}", where=self._name, fix=remedy(host, lost))
         problem = f"{self._task.command[0]!r} was not started: {ended.how if ended else 'its supervisor is silent'}"
         return PluginError(problem, where=self._name, fix="Execute it by hand to see why.")
+
+
+def last_start(folder: Path) -> Start | None:
+    """Return the last of the starts in a folder, which are numbered from 1; None where there is none."""
+    starts = [path for path in folder.glob("*") if path.name.isdigit()]
+    return Start(max(starts, key=lambda path: int(path.name))) if starts else None
+
+
+def named_signal(plugin: str, wanted: object) -> signal.Signals:
+    """Return a signal that a config names, as a member of `signal.Signals` or by its name.
+
+    Raises:
+        PluginError: there is no such signal.
+    """
+    for each in signal.Signals:
+        if wanted == each:
+            return each
+    name = str(wanted).upper().removeprefix("SIGNAL.")
+    fix = did_you_mean(f"signal.{name}", [f"signal.{each.name}" for each in signal.Signals])
+    raise PluginError(f"stop_signal is {wanted!r}, which is none of the module `signal`", where=plugin, fix=fix)
 
 
 def user_cache() -> Path:

@@ -84,7 +84,7 @@ def test_a_robot_is_told_to_stand_still_again_and_again_as_it_may_not_be_discove
     experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
     folder = experiment.config_path.parent
     monkeypatch.setattr(standby_module, "connect_robot", lambda _context: Told(folder))
-    monkeypatch.setattr(standby_module, "_TELLING", 0.5)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.5)
     with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), ("/bob/cmd_vel", "geometry_msgs/Twist")):
         told = (folder / "told").read_text(encoding="utf-8").splitlines()
     # The last one first, as a run closes what it opened; and once more at least, however busy the machine is.
@@ -101,7 +101,7 @@ def test_a_robot_is_told_so_again_and_again_also_where_a_system_cannot_be_made_s
     experiment = prepare_or_refuse(write_config("", head=torn, table=TABLE))
     folder = experiment.config_path.parent
     monkeypatch.setattr(standby_module, "connect_robot", lambda _context: Told(folder))
-    monkeypatch.setattr(standby_module, "_TELLING", 0.5)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.5)
     with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), care=Care.OUT_OF_REACH):
         told = (folder / "told").read_text(encoding="utf-8").splitlines()
     assert len(told) > 2, "it is tried twice, and once each time without saying so again"
@@ -115,8 +115,8 @@ def test_a_robot_is_told_until_it_is_reached_and_one_that_never_is_may_be_moving
     experiment = prepare_or_refuse(write_config("", head=HEAD, table=TABLE))
     robot = Told(folder := experiment.config_path.parent, is_reached_after=late)
     monkeypatch.setattr(standby_module, "connect_robot", lambda _context: robot)
-    monkeypatch.setattr(standby_module, "_TELLING", 0.2)
-    monkeypatch.setattr(standby_module, "_REACHING", 60.0 if care is Care.MADE_SAFE else 0.5)
+    monkeypatch.setattr(commanded_topics, "_TELLING", 0.2)
+    monkeypatch.setattr(commanded_topics, "_REACHING", 60.0 if care is Care.MADE_SAFE else 0.5)
     with after_death(experiment, ("/alice/cmd_vel", "geometry_msgs/Twist"), care=care):
         told = (folder / "told").read_text(encoding="utf-8").splitlines()
     assert told[0].endswith("and is not heard")

@@ -18,7 +18,7 @@ from contextlib import ExitStack, closing, suppress
 from copy import copy as shallow_copy
 from typing import TYPE_CHECKING, NoReturn
 
-from robot_runner.core.errors import ExecutionError, Finding, LinkError, StorageError
+from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
@@ -27,8 +27,8 @@ from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
 from robot_runner.core.execution.systems_state import Care, SystemsState
+from robot_runner.core.links.commanded_topics import keep_commanding_zero
 from robot_runner.core.links.connect import connect_robot, is_simulated, join_beforehand, preload_robot
-from robot_runner.core.links.robot import Advertiser
 from robot_runner.core.plugin import System
 from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, remove
 from robot_runner.core.storage.layout import print_to_log
@@ -48,11 +48,6 @@ if TYPE_CHECKING:
 #: one is switched off; telling the robot to stand still takes 4 to 12 s; and where something fails, all of it is done
 #: twice.
 _LONGEST = 40.0
-#: For how long and how often a robot is told to stand still, s: it may be discovered only now, on Fast DDS up to 3.2 s
-#: after this process has joined, and one message may be lost.
-_TELLING, _PERIOD = 4.0, 0.1
-#: For how long where its subscription is not reached by then, s: on a busy machine, ROS 1 has taken more than 4 s.
-_REACHING = 10.0
 #: How long it may take to die once it was killed, s.
 _DYING = 5.0
 #: Enough for any process's id.
@@ -206,24 +201,8 @@ class _Connection:
         Raises:
             LinkError: a subscriber of a topic is not reached.
         """
-        began = time.monotonic()
-        while commanded:
-            time.sleep(_PERIOD)
-            seconds = time.monotonic() - began
-            missed = (
-                [] if seconds < _TELLING else [topic for topic, kind in commanded if not self._reaches(topic, kind)]
-            )
-            for topic, message_type in commanded:  # once more where it is reached: what was told before is lost
-                self.stop(topic, message_type)
-            if missed and seconds > _REACHING:
-                problem = f"the robot's subscription is not reached within {seconds:.0f} s"
-                raise LinkError(problem, where=missed[0], fix="See that it stands still.")
-            if seconds >= _TELLING and not missed:
-                return
-
-    def _reaches(self, topic: str, message_type: str) -> bool:
-        link = connect_robot(self.contexts(CONFIG_OWNER))
-        return not isinstance(link, Advertiser) or link.advertise(topic, message_type)
+        if commanded:
+            keep_commanding_zero(connect_robot(self.contexts(CONFIG_OWNER)), commanded)
 
     def close(self) -> None:
         """Close it."""

@@ -1,0 +1,242 @@
+"""Commands zero, from a process of its own, where a program that goes on through all runs has driven a robot.
+
+In a run, its link does so. Nobody would between two runs, after the last one, and once the orchestrator, which opens no
+link, has been killed: the process waits for the end of the program, however that comes. It joins the robot's graph only
+then, so that it is no part of what is measured, or just before, where the program is about to be ended.
+
+    in    a line, or the end of the input: the program is about to be ended, so join now
+    out   a line once that is done
+"""
+
+from __future__ import annotations
+
+import json
+import select
+import subprocess
+import sys
+import time
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from robot_runner.core.errors import LinkError, PluginError, RobotRunnerError
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.resources import Resources
+from robot_runner.core.links.commanded_topics import keep_commanding_zero
+from robot_runner.core.links.connect import resolved_robot
+from robot_runner.core.links.robot import Advertiser
+from robot_runner.subjects.supervised_program import Start
+
+if TYPE_CHECKING:
+    from robot_runner.core.links.robot import RobotLink
+
+#: How often we look whether the program has ended, s.
+_LOOK = 0.1
+#: How long it may take to join a graph, s, and how long all of it from the program's end on: an unreachable robot is
+#: looked for twice.
+_JOINING, _LONGEST = 10.0, 40.0
+
+
+class CommandedTopics:
+    """Where one start of a program was seen to command a robot, and whether that was taken back: a file beside it.
+
+    Args:
+        start: the start of the program.
+    """
+
+    def __init__(self, start: Start) -> None:
+        self._path = start.folder / "commanded.jsonl"
+
+    def add(self, robot: str, topic: str, message_type: str) -> None:
+        """Say that velocities are commanded there; `robot` is how its graph is reached."""
+        with suppress(OSError):  # a disk that is full: the run's link stops it at the end of the run in any case
+            self._write({"robot": robot, "topic": topic, "type": message_type})
+
+    def end(self, problem: str) -> None:
+        """Say that zero was commanded, or why it was not."""
+        self._write({"problem": problem})
+
+    def by_robot(self) -> dict[str, list[tuple[str, str]]]:
+        """Return topics and their types, by the robot that they command."""
+        found: dict[str, list[tuple[str, str]]] = {}
+        for line in self._lines():
+            if "robot" in line:
+                topics = found.setdefault(line["robot"], [])
+                if (command := (line["topic"], line["type"])) not in topics:
+                    topics.append(command)
+        return found
+
+    def problem(self) -> str | None:
+        """Return why zero was not commanded; empty where it was, or had not to be, and None where nobody knows yet."""
+        ends = [line["problem"] for line in self._lines() if "problem" in line]
+        return ends[-1] if ends else None if self.by_robot() else ""
+
+    def _write(self, line: dict[str, str]) -> None:
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+    def _lines(self) -> list[dict[str, str]]:
+        lines: list[dict[str, str]] = []
+        with suppress(OSError):
+            for line in self._path.read_text(encoding="utf-8").splitlines():
+                with suppress(ValueError):  # who wrote it was killed
+                    lines.append(json.loads(line))
+        return lines
+
+
+class Halting:
+    """Has a process command zero once a start of a program has ended; it outlives the process that made this.
+
+    Args:
+        start: of the program.
+        name: of the plugin that started it, for messages.
+    """
+
+    def __init__(self, start: Start, name: str) -> None:
+        self._start = start
+        self._name = name
+        self._commanded = CommandedTopics(start)
+        self._begin()
+
+    def _begin(self) -> None:
+        self._process = subprocess.Popen(  # noqa: S603 - our own module
+            [sys.executable, "-P", "-m", __name__, str(self._start.folder)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # what a terminal interrupts is not its end
+        )
+
+    def prepare(self) -> None:
+        """Have it join the robot's graph before the program is ended, so that the robot stands still at once."""
+        if self._commanded.by_robot():
+            assert self._process.stdin is not None and self._process.stdout is not None  # noqa: S101, PT018 - pipes
+            with suppress(OSError):  # it was killed; `finish` starts another
+                self._process.stdin.write(b"\n")
+                self._process.stdin.flush()
+                select.select([self._process.stdout], [], [], _JOINING)
+
+    def finish(self) -> None:
+        """Wait until zero was commanded, once the program has ended; where the process was killed, start another.
+
+        Raises:
+            PluginError: it could not be commanded.
+        """
+        problem: str | None = None
+        for attempt in range(2):
+            if attempt:
+                self._begin()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_LONGEST)
+            self._process.kill()
+            self._process.communicate()
+            if (problem := self._commanded.problem()) is not None:
+                break
+        if problem != "":
+            reason = problem or "the process that was to do it died twice"
+            raise PluginError(
+                f"THE ROBOT MAY BE MOVING: {self._name} has ended, and zero could not be commanded: {reason}",
+                where=self._name,
+                fix="Stop it by hand. A watchdog on the robot stops it when the laptop falls silent.",
+            )
+
+
+def halted_late(start: Start | None, name: str) -> str:
+    """Command zero where a start of an earlier execution commanded a robot and nobody has taken that back.
+
+    Returns:
+        that this was done; empty where there was nothing to do.
+
+    Raises:
+        PluginError: it could not be commanded.
+    """
+    if start is None or CommandedTopics(start).problem() is not None:
+        return ""
+    Halting(start, name).finish()
+    return f"an earlier execution was killed while {name} commanded the robot; it was commanded to stand still now"
+
+
+class _CommandedRobots:
+    """The robots that the program commanded, as links of this process."""
+
+    def __init__(self, commanded: CommandedTopics, resources: Resources) -> None:
+        self._commanded = commanded
+        self._resources = resources
+        self._links: dict[str, RobotLink] = {}
+
+    def join(self) -> None:
+        """Be a publisher beside the program, as far as that is possible."""
+        for robot, topics in self._commanded.by_robot().items():
+            with suppress(RobotRunnerError):
+                link = self._link(robot)
+                for topic, message_type in topics:
+                    if isinstance(link, Advertiser):
+                        link.advertise(topic, message_type)
+
+    def command_zero(self) -> None:
+        """Command it once, wherever that is possible."""
+        for robot, topics in self._commanded.by_robot().items():
+            with suppress(RobotRunnerError):
+                link = self._link(robot)
+                for topic, message_type in topics:
+                    link.publish(topic, message_type, {})
+
+    def stop(self) -> None:
+        """Command zero until every robot is reached.
+
+        Raises:
+            RobotRunnerError: one is not reached, and its graph is there.
+        """
+        for robot, topics in self._commanded.by_robot().items():
+            had_joined = robot in self._links
+            link = self._link(robot)
+            try:
+                keep_commanding_zero(link, topics)
+            except LinkError:
+                # A program that brought the graph takes it along; what was connected by then has been told.
+                if not had_joined or _is_there(link):
+                    raise
+
+    def _link(self, robot: str) -> RobotLink:
+        if robot not in self._links:
+            kind, name = resolved_robot(robot)
+            self._links[robot] = kind.open_robot(
+                name, resources=self._resources, clock=SystemClock(), seed=1, namespace=name.namespace
+            )
+            self._resources.open(f"robot {robot}", lambda: self._links[robot])
+        return self._links[robot]
+
+
+def _is_there(link: RobotLink) -> bool:
+    try:
+        return bool(link.topics())
+    except LinkError:
+        return False
+
+
+def _halt_after(start: Start) -> None:
+    """Wait for the end of a start, and command zero wherever it commanded."""
+    commanded = CommandedTopics(start)
+    with closing(Resources()) as resources:
+        robots = _CommandedRobots(commanded, resources)
+        asked = [0]
+        while start.ended() is None:
+            if select.select(asked, [], [], _LOOK)[0]:
+                asked = []
+                robots.join()
+                with suppress(OSError):  # nobody listens any more
+                    sys.stdout.write("\n")
+                    sys.stdout.flush()
+        while start.is_supervised():  # what the program has started may go on for a moment
+            robots.command_zero()
+            time.sleep(_LOOK)
+        if commanded.by_robot():
+            try:
+                robots.stop()
+                commanded.end("")
+            except Exception as error:  # noqa: BLE001 - whatever it is, a person has to know that nobody stopped the robot
+                commanded.end(error.problem if isinstance(error, RobotRunnerError) else repr(error))
+
+
+if __name__ == "__main__":
+    _halt_after(Start(Path(sys.argv[1])))

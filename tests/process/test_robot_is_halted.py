@@ -1,0 +1,134 @@
+"""Software that goes on through all runs drives a robot without a watchdog: whoever dies, the robot stands still."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from tests.process.conftest import kill_together, wait_until
+from tests.ros.dds_domain import LOOPBACK, claim_domain
+
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.dds_link import open_dds_link
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.process.conftest import Experiment
+
+#: A planner that drives at once, and stops nobody when it ends.
+PLANNER = """
+import sys, time
+from robot_runner.core.events.context import SystemClock
+from robot_runner.ros.dds_link import open_dds_link
+
+link = open_dds_link({"domain": sys.argv[1], "distro": "jazzy"}, SystemClock())
+while True:
+    link.publish("/cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+    print("drives", flush=True)
+    time.sleep(0.05)
+"""
+CONFIG = """
+from pathlib import Path
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins.systems import Program
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "trial"
+    results_output_path = Path(__file__).parent / "results"
+    robot = "dds:domain={domain},distro=jazzy"
+    time_between_runs_in_ms = 600_000
+    plugins = [Program(
+        [sys.executable, str(Path(__file__).with_name("planner.py")), "{domain}"],
+        name="Planner", per="experiment", ready="drives", ready_timeout_s=60,
+    )]
+
+    def launch_mission(self, context):
+        context.clock.sleep(0.1)
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Map", ["hall", "kitchen"])])
+"""
+
+
+class Robot:
+    """Hears what it is commanded, and carries out the last of it for ever."""
+
+    def __init__(self, domain: int) -> None:
+        self._heard: list[float] = []
+        self.link = open_dds_link({"domain": str(domain), "distro": "jazzy"}, SystemClock())
+        self.link.subscribe("/cmd_vel", "geometry_msgs/Twist", lambda twist: self._heard.append(twist["linear"]["x"]))
+
+    def moves(self) -> bool:
+        """Whether the last that it was commanded, since the last call and before, is to drive."""
+        return bool(self._heard) and self._heard[-1] > 0
+
+    def stood_still(self) -> bool:
+        """Whether it was commanded to stand still since the last call."""
+        heard, self._heard = self._heard, self._heard[-1:]
+        return 0.0 in heard[1:]
+
+
+def halting(experiment: Experiment) -> list[int]:
+    """Return the process that commands zero once the program has ended."""
+    named = b"robot_runner.subjects.halting"
+    return [pid for pid in experiment.processes() if named in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+@pytest.mark.parametrize(
+    "killed",
+    [
+        "the orchestrator",
+        pytest.param("the program", marks=pytest.mark.long),
+        pytest.param("the process that halts", marks=pytest.mark.long),
+        pytest.param("the orchestrator and the process that halts", marks=pytest.mark.long),
+    ],
+)
+def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs_whoever_is_killed(
+    start: Callable[..., Experiment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed: str
+) -> None:
+    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
+    domain = claim_domain()
+    (tmp_path / "planner.py").write_text(PLANNER)
+    config = tmp_path / "config.py"
+    config.write_text(CONFIG.format(domain=domain))
+    robot = Robot(domain)
+    with closing(robot.link):
+        experiment = start(config=config)
+        wait_until(
+            lambda: (experiment.folder / "run_table.csv").exists() and "Done" in experiment.statuses, "a run is done"
+        )
+        robot.stood_still()
+        wait_until(robot.moves, "the program drives it on between two runs")
+        if killed == "the program":
+            events = experiment.folder / "subjects" / "Planner" / "1" / "events.jsonl"
+            os.kill(json.loads(events.read_text().splitlines()[0])["started"], signal.SIGKILL)
+            wait_until(lambda: not robot.moves(), "it stands still")
+            experiment.send(signal.SIGINT)
+        elif killed == "the process that halts":
+            kill_together(halting(experiment))
+            experiment.send(signal.SIGINT)
+        else:
+            alone = killed == "the orchestrator"
+            kill_together([experiment.process.pid, *([] if alone else halting(experiment))])
+        experiment.end()
+        experiment.nobody_is_left()
+        if killed == "the orchestrator and the process that halts":  # nobody is left who could: the next execution does
+            assert robot.moves()
+            experiment = start(config=config)
+            wait_until(robot.stood_still, "it is commanded to stand still before the program is started again")
+            wait_until(
+                lambda: not experiment.processes() or experiment.statuses.count("Done") == 2, "both runs are done"
+            )
+            assert experiment.end() == 0
+            said = (
+                "an earlier execution was killed while Planner commanded the robot; it was commanded to stand still now"
+            )
+            assert said in experiment.output
+            experiment.nobody_is_left()
+        assert not robot.moves()
