@@ -5,35 +5,39 @@ from __future__ import annotations
 import json
 import os
 import signal
-from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from tests.process.conftest import kill_together, wait_until
-from tests.ros.dds_domain import LOOPBACK, claim_domain
+from tests.ros.real_graph import over
+from tests.ros.ros1_master import RUDE
 
-from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+from robot_runner.core.links.connect import open_robot
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from tests.process.conftest import Experiment
 
-#: A planner that drives at once, and stops nobody when it ends.
-PLANNER = """
-import sys, time
-from robot_runner.core.events.context import SystemClock
-from robot_runner.ros.dds_link import open_dds_link
+    from robot_runner.core.links.robot import RobotLink
 
-link = open_dds_link({"domain": sys.argv[1], "distro": "jazzy"}, SystemClock())
-while True:
-    link.publish("/cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
-    print("drives", flush=True)
-    time.sleep(0.05)
+pytestmark = [*map(pytest.mark.filterwarnings, RUDE)]
+
+#: A planner that drives at once, and stops nobody when it is killed: whoever leaves a graph in order stops the robot.
+PLANNER = """
+import os, signal, sys, time
+from robot_runner.core.links.connect import open_robot
+
+signal.signal(signal.SIGTERM, lambda *_: os._exit(0))
+with open_robot(sys.argv[1]) as (link, _):
+    while True:
+        link.publish("/cmd_vel", "geometry_msgs/Twist", {"linear": {"x": 0.2}})
+        print("drives", flush=True)
+        time.sleep(0.05)
 """
 CONFIG = """
+import sys
 from pathlib import Path
 from robot_runner import ExperimentConfig, Factor, RunTableModel
 from robot_runner.plugins.systems import Program
@@ -41,10 +45,10 @@ from robot_runner.plugins.systems import Program
 class RobotRunnerConfig(ExperimentConfig):
     experiment_name = "trial"
     results_output_path = Path(__file__).parent / "results"
-    robot = "dds:domain={domain},distro=jazzy"
+    robot = "{robot}"
     time_between_runs_in_ms = 600_000
     plugins = [Program(
-        [sys.executable, str(Path(__file__).with_name("planner.py")), "{domain}"],
+        [sys.executable, str(Path(__file__).with_name("planner.py")), robot],
         name="Planner", per="experiment", ready="drives", ready_timeout_s=60,
     )]
 
@@ -59,10 +63,9 @@ class RobotRunnerConfig(ExperimentConfig):
 class Robot:
     """Hears what it is commanded, and carries out the last of it for ever."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, link: RobotLink) -> None:
         self._heard: list[float] = []
-        self.link = open_dds_link({"domain": str(domain), "distro": "jazzy"}, SystemClock())
-        self.link.subscribe("/cmd_vel", "geometry_msgs/Twist", lambda twist: self._heard.append(twist["linear"]["x"]))
+        link.subscribe("/cmd_vel", "geometry_msgs/Twist", lambda twist: self._heard.append(twist["linear"]["x"]))
 
     def moves(self) -> bool:
         """Whether the last that it was commanded, since the last call and before, is to drive."""
@@ -80,6 +83,7 @@ def halting(experiment: Experiment) -> list[int]:
     return [pid for pid in experiment.processes() if named in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
+@over("dds", "ros1", "ros2")
 @pytest.mark.parametrize(
     "killed",
     [
@@ -90,15 +94,13 @@ def halting(experiment: Experiment) -> list[int]:
     ],
 )
 def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs_whoever_is_killed(
-    start: Callable[..., Experiment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, killed: str
+    graph: str, start: Callable[..., Experiment], tmp_path: Path, killed: str
 ) -> None:
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    domain = claim_domain()
     (tmp_path / "planner.py").write_text(PLANNER)
     config = tmp_path / "config.py"
-    config.write_text(CONFIG.format(domain=domain))
-    robot = Robot(domain)
-    with closing(robot.link):
+    config.write_text(CONFIG.format(robot=graph))
+    with open_robot(graph) as (link, _):
+        robot = Robot(link)
         experiment = start(config=config)
         wait_until(
             lambda: (experiment.folder / "run_table.csv").exists() and "Done" in experiment.statuses, "a run is done"
