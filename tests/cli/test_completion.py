@@ -57,6 +57,7 @@ def test_commands_options_plugins_and_configs_are_completed(shell: pexpect.spawn
     completed(shell, "robot-runner smo", "robot-runner smoke")
     completed(shell, "robot-runner check study.py --pro", "robot-runner check study.py --probe")
     completed(shell, "robot-runner try BasicT", "robot-runner try BasicTurtlebot3")
+    completed(shell, "robot-runner queue ad", "robot-runner queue add")
     completed(shell, "robot-runner stu", "robot-runner study.py")
     completed(shell, "robot-runner study.py --work", "robot-runner study.py --workers")
     completed(shell, "robot-runner run --set robot=sim", "robot-runner run --set robot=simulated")

@@ -7,6 +7,7 @@ import signal
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 from unittest.mock import Mock
 
 import pytest
@@ -16,7 +17,11 @@ import robot_runner
 from robot_runner.cluster import cluster_places
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import ExecutionError
+from robot_runner.core.execution.left_over import RunsElsewhere, runs_elsewhere
 from robot_runner.core.storage.claim_locks import HeldClaims
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
 
 SIMULATED = """
 import beside
@@ -239,6 +244,7 @@ def test_runs_of_an_orchestrator_that_was_killed_are_waited_for_before_any_is_be
     assert killed.advance() == []
     assert len(killed.all) == 1, "nobody was killed before"
     (probe,) = experiment.folder.root.iterdir()
+    assert runs_elsewhere(experiment.folder) == [RunsElsewhere("cluster tcp://scheduler:8786", 33.0)], "also told here"
     probe.with_name(f"{probe.name}-answered").touch()
     for _ in range(2):  # whoever interrupts the wait has the next one wait as well
         places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
@@ -288,3 +294,79 @@ def test_nobody_loses_patience_while_a_worker_loads_the_experiment(
     with pytest.raises(ExecutionError, match=r"no worker has been there for 10 s .*the worker's disk is full"):
         places.advance()
     places.close()
+
+
+@pytest.fixture
+def lacking(watched: Watched, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lacking]:
+    """Places of one worker, where a run claims a robot that it does not offer; the clock is moved by hand."""
+    clock = Lacking()
+    monkeypatch.setattr(cluster_places, "PipedProcess", lambda module: Mock(replies=clock.replies))
+    monkeypatch.setattr(cluster_places, "time", Mock(monotonic=lambda: clock.now))
+    experiment = prepare_or_refuse(watched.config, {})
+    experiment.folder.root.mkdir(parents=True)
+    clock.places = cluster_places.ClusterPlaces(experiment, "tcp://scheduler:8786")
+    yield clock
+    clock.places.close()
+
+
+class Lacking:
+    """What the gateway tells, and when it is."""
+
+    places: cluster_places.ClusterPlaces
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.told: list[Any] = [("settings", {"lease": 30.0, "patience": 60.0}), ("joined", WORKER)]
+
+    def replies(self) -> tuple[list[Any], bool]:
+        told, self.told = self.told, []
+        return told, True
+
+    def after(self, seconds: float, *told: tuple[str, Any], is_idle: bool = True) -> Sequence[str]:
+        """Let time pass and the gateway tell something, then try to begin a run that claims the robot."""
+        self.now += seconds
+        self.told = [*self.told, *told]
+        said = self.places.advance(is_idle=is_idle)
+        assert all(each.claimed(["robot:alice"], {}) is None for each in self.places.all)
+        return said
+
+
+def joining(number: int) -> list[tuple[str, Any]]:
+    address = f"tcp://worker:{number}"
+    return [("joining", {"address": address}), ("joined", WORKER | {"address": address, "worker": str(number)})]
+
+
+def test_that_no_worker_offers_a_claim_is_said_once_workers_have_had_their_time_to_join(lacking: Lacking) -> None:
+    assert lacking.after(0) == []
+    assert lacking.after(8, *joining(2)) == [], "another one has just come, and further ones may"
+    assert lacking.after(8, joining(3)[0]) == []
+    assert lacking.after(60, is_idle=False) == [], "one loads the experiment"
+    assert lacking.after(1, joining(3)[1]) == []
+    assert lacking.places.due == lacking.now + 10
+    [said] = lacking.after(10)
+    assert "claim robot:alice: no worker offers it as a resource" in said
+    assert lacking.after(10) == [], "said once"
+
+
+def test_an_experiment_ends_whose_runs_claim_what_no_worker_offers_within_its_patience(lacking: Lacking) -> None:
+    lacking.after(0)
+    lacking.after(50)
+    lacking.after(50, is_idle=False)  # a run that claims nothing is prepared, or executed
+    lacking.after(1)
+    lacking.after(59)
+    with pytest.raises(ExecutionError, match="no worker that offers robot:alice has been there for 60 s") as ended:
+        lacking.after(1)
+    assert "--resources robot:alice=1" in ended.value.fix
+    assert "as a resource" not in ended.value.problem, "said once is enough"
+
+
+def test_an_experiment_goes_on_where_a_worker_offers_what_was_claimed(lacking: Lacking) -> None:
+    lacking.after(0)
+    lacking.after(59)
+    offering = WORKER | {"address": "tcp://two:1", "worker": "2", "resources": ["robot:alice"]}
+    lacking.told = [("joined", offering)]
+    lacking.places.advance()
+    one, two = lacking.places.all
+    assert (one.claimed(["robot:alice"], {}), two.claimed(["robot:alice"], {})) == (None, frozenset({"robot:alice"}))
+    lacking.now += 600
+    assert lacking.places.advance(is_idle=True) == []

@@ -30,7 +30,26 @@ def _facts(tmp_path: Path) -> dict[str, Any]:
 
 
 def _worker(tmp_path: Path) -> Any:
-    return SimpleNamespace(local_directory=str(tmp_path), periodic_callbacks={"profile": Mock(), "heartbeat": Mock()})
+    callbacks = {name: Sampling() for name in ("profile", "profile-cycle", "heartbeat")}
+    return SimpleNamespace(
+        local_directory=str(tmp_path), periodic_callbacks=callbacks, loop=Mock(add_callback=lambda called: called())
+    )
+
+
+class Sampling:
+    """What Dask's worker calls again and again, as long as it is started."""
+
+    def __init__(self) -> None:
+        self.is_started = True
+
+    def is_running(self) -> bool:
+        return self.is_started
+
+    def stop(self) -> None:
+        self.is_started = False
+
+    def start(self) -> None:
+        self.is_started = True
 
 
 def test_what_a_killed_orchestrator_left_on_a_worker_is_removed_long_after_its_lease(
@@ -81,7 +100,17 @@ def test_a_worker_that_cannot_load_the_experiment_says_why_before_it_gets_any_ru
 def test_dask_does_not_sample_a_worker_that_executes_runs(tmp_path: Path) -> None:
     """Two hundredths of a core, which a profiler of the machine would take for the run's."""
     worker = _worker(tmp_path)
+    worker.periodic_callbacks["profile-cycle"].stop()
     on_worker.join(_facts(tmp_path), worker)
-    assert worker.periodic_callbacks["profile"].stop.called
-    assert not worker.periodic_callbacks["heartbeat"].stop.called
+    on_worker.join(_facts(tmp_path) | {"session": "another", "id": "89ab"}, worker)
+    assert _sampled(worker) == ["heartbeat"]
     on_worker.leave("0123")
+    until(lambda: not (tmp_path / "robot-runner-4567").exists(), "the one has left", 10)
+    assert _sampled(worker) == ["heartbeat"], "as long as another experiment is there"
+    on_worker.leave("another")
+    until(lambda: "profile" in _sampled(worker), "it goes on as before", 10)
+    assert _sampled(worker) == ["profile", "heartbeat"], "but for what was not sampled before"
+
+
+def _sampled(worker: Any) -> list[str]:
+    return [name for name, callback in worker.periodic_callbacks.items() if callback.is_running()]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 import zipfile
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.made_once import made_once
 from tests.replication.small_experiment import execute, home, write_config
 
 from robot_runner.replication.packing import Packed, pack
@@ -16,21 +18,31 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="session")
 def ada(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the home folder of who executes and packs."""
-    return tmp_path_factory.mktemp("house") / "ada"
+    """Return the home folder of who executed the experiment and packed it, once for all tests."""
+    return made_once(tmp_path_factory, "replication", _execute_and_pack) / "house" / "ada"
 
 
 @pytest.fixture(scope="session")
 def experiment(ada: Path) -> Path:
     """Return the folder of an executed experiment; nobody may change it."""
-    return execute(write_config(ada / "study"))
+    return ada / "study" / "results" / "small"
 
 
 @pytest.fixture(scope="session")
-def packed(experiment: Path, ada: Path, tmp_path_factory: pytest.TempPathFactory) -> Packed:
+def packed(ada: Path) -> Packed:
     """Return the package of the experiment; nobody may change it."""
+    found = pickle.loads((ada.parents[1] / "packed.pickle").read_bytes())  # noqa: S301 - of our own, see below
+    assert isinstance(found, Packed)
+    return found
+
+
+def _execute_and_pack(folder: Path) -> None:
+    ada = folder / "house" / "ada"
+    experiment = execute(write_config(ada / "study"))
+    (folder / "packages").mkdir()
     with home(ada):
-        return pack(experiment, tmp_path_factory.mktemp("packages") / "small.zip")
+        packed = pack(experiment, folder / "packages" / "small.zip")
+    (folder / "packed.pickle").write_bytes(pickle.dumps(packed))
 
 
 @pytest.fixture

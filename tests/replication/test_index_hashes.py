@@ -101,6 +101,7 @@ def test_nobody_answers_where_there_is_no_index(set_up_pip):
     assert set(answer.lacking.values()) == {"no package index answers, or it has none of them"}
 
 
+@pytest.mark.long
 def test_an_index_that_is_silent_is_not_waited_for(set_up_pip):
     with socket.create_server(("127.0.0.1", 0)) as silent:
         set_up_pip(f"http://127.0.0.1:{silent.getsockname()[1]}/")

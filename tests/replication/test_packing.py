@@ -155,6 +155,16 @@ def test_keys_links_and_what_is_half_written_stay_behind(copied, tmp_path):
     assert "`robot.pem`" in _text(packed.path, "README.md")
 
 
+def test_what_only_an_execution_needs_is_not_packed(tmp_path):
+    folder = two_tasks(tmp_path / "made", (1.0,), (3.0,))
+    before = [each.name for each in choose_contents(folder.files, ["r_1", "r_2"]).files]
+    mark = ".probe-0123456789abcdef"
+    for name in (".lock", ".alive_2", ".pause", ".stop", mark, f"{mark}-fedcba9876543210"):
+        (folder.root / name).touch()
+    chosen = choose_contents(folder.files, ["r_1", "r_2"])
+    assert ([each.name for each in chosen.files], chosen.left_out) == (before, ())
+
+
 def test_raw_data_are_packed_or_listed_whatever_their_names(tmp_path):
     folder = two_tasks(tmp_path / "made", (1.0,), (3.0,))
     run = folder.files.run("r_1")

@@ -38,6 +38,17 @@ def _reason_findings(reason: str) -> Iterator[Finding]:
         yield Finding.error("--reason", f"the reason holds control characters: {text!r}", "Leave them out.")
 
 
+def refuse_without_journal(folder: ExperimentFolder) -> None:
+    """Let only an experiment pass that has its journal: a new one would look as if nothing had been executed.
+
+    Raises:
+        StorageError: it is missing.
+    """
+    if not folder.journal.exists():
+        fix = "Restore it from a backup; or have the run table count without it: robot-runner run CONFIG --table file"
+        raise StorageError("journal.jsonl is missing", where=str(folder.root), fix=fix)
+
+
 def exclude_runs(folder: ExperimentFolder, expressions: Sequence[str], reason: str) -> tuple[str, ...]:
     """Leave runs out of the analysis; those that are still to do are not executed either.
 
@@ -108,6 +119,7 @@ def _correcting(folder: ExperimentFolder) -> Iterator[_Table]:
     """
     read_manifest(folder.manifest)  # says where there is no experiment
     with ExperimentLock(folder.lock):
+        refuse_without_journal(folder)
         for path in (folder.run_table, folder.schema):
             if not path.exists():
                 fix = "Execute the experiment once more with its config (robot-runner run): it is made anew."

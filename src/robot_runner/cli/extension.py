@@ -12,6 +12,7 @@ from secrets import randbits
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.cli.excluding import refuse_without_journal
 from robot_runner.core.config.plugin_checks import check_treatments
 from robot_runner.core.design.asking import AdaptiveDesign, decides_order
 from robot_runner.core.design.batches import (
@@ -104,6 +105,8 @@ def extend_experiment(experiment: Experiment, request: ExtensionRequest) -> Exte
         DesignError: something cannot be added; `findings` lists everything that was found.
         StorageError: something cannot be read or written.
     """
+    if experiment.folder.manifest.exists():
+        refuse_without_journal(experiment.folder)
     if not any(read_journal(experiment.folder.journal, kinds={"experiment_started"})):
         problem = "the experiment has not begun: there is nothing to add to"
         fix = f"Change the config, and execute it: robot-runner {shown_config(experiment.config_path)}"

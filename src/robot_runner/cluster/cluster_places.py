@@ -11,10 +11,12 @@ import os
 import time
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.cluster.cluster_checks import cluster_settings
 from robot_runner.cluster.experiment_snapshot import snapshot_of
 from robot_runner.cluster.piped_process import PipedProcess
 from robot_runner.cluster.run_at_worker import RunAtWorker
 from robot_runner.core.errors import ExecutionError, Finding
+from robot_runner.core.execution.left_over import MARK_OF_ELSEWHERE, RunsElsewhere, forget_runs_elsewhere
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.plugin import THIS_MACHINE, System
 from robot_runner.core.storage import guarded_files
@@ -22,7 +24,6 @@ from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
-    from pathlib import Path
 
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.execution.places import Watch
@@ -33,12 +34,13 @@ if TYPE_CHECKING:
 _KILLING, _MAKING_SAFE = 2.0, 15.0
 #: Until the gateway tells what is set: its defaults, s.
 _LEASE, _PATIENCE = 30.0, 300.0
+_NOT_OFFERED = "no worker offers it as a resource, and a run needs it for itself"
 #: How long the gateway may take to say goodbye to the workers, s.
 _GOODBYE = 20.0
+#: How long no other worker is to have come until it is said that none offers what a run claims, s.
+_JOINING = 10.0
 #: How many reasons the error has why there is no worker.
 _MOST_KNOWN = 8
-#: How a file begins by which workers find out whether they see the experiment's folder; so do their answers.
-_PROBE = ".probe-"
 
 
 class ClusterPlaces:
@@ -65,10 +67,14 @@ class ClusterPlaces:
         self._began = time.monotonic()
         self._alone_since: float | None = self._began
         self._joining: set[str] = set()
+        self._lacking: set[str] = set()
+        self._changed = self._began
+        self._idle_since: float | None = None
         self._is_gone = False
         self._end_of_gateway = "the process that speaks to the cluster has ended"
-        self._probe = experiment.folder.root / f"{_PROBE}{self._session}"
-        self._was_killed = any(experiment.folder.root.glob(f"{_PROBE}*"))  # an orchestrator that had taken it down
+        # By which workers find out whether they see the folder, too; so do their answers.
+        self._probe = experiment.folder.root / f"{MARK_OF_ELSEWHERE}{self._session}"
+        self._was_killed = any(experiment.folder.root.glob(f"{MARK_OF_ELSEWHERE}*"))  # who would have taken it down
         facts = self._facts()
         self._gateway = PipedProcess("robot_runner.cluster.gateway")
         self.ask("facts", facts)
@@ -88,16 +94,30 @@ class ClusterPlaces:
         """When runs of before have ended in any case, or the end of the patience, where there is no worker."""
         if self._said or (self._is_gone and not self._runs):
             return 0.0
-        return self._free_at if time.monotonic() < self._free_at else self._patience_end
+        if time.monotonic() < self._free_at:
+            return self._free_at
+        ends = (self._patience_end, self._lack_end, self._changed + _JOINING if self._is_lack_untold else None)
+        return min((each for each in ends if each is not None), default=None)
 
-    def advance(self) -> Sequence[str]:
+    def advance(self, *, is_idle: bool = False) -> Sequence[str]:
         """Take note of workers that have joined, were refused, or are gone.
 
         Raises:
-            ExecutionError: there has been none for too long, or the gateway has died.
+            ExecutionError: there has been none for too long, or none that offers what is claimed; or the gateway has
+                died.
         """
         self.take_replies()
+        now = time.monotonic()
+        self._idle_since = (self._idle_since or now) if is_idle else None
+        if self._is_lack_untold and now >= self._changed + _JOINING:
+            for claim in sorted(self._lacking):
+                self._say(f"claim {claim}", _NOT_OFFERED, f"Start one that has it: {self._started_with(claim)}")
         said, self._said = self._said, []
+        if self._lack_end is not None and now >= self._lack_end:
+            claims = sorted(self._lacking)
+            commands = " and ".join(f"`{self._started_with(each)}`" for each in claims)
+            fix = f"Start {commands}, and start the experiment again: it resumes."
+            raise self._refusal(f"no worker that offers {listed(claims)} has been there for {self._patience:g} s", fix)
         if self._is_gone and not self._runs:
             raise self._refusal(self._end_of_gateway, "Start the experiment again: it resumes.")
         if self._patience_end is not None and time.monotonic() >= self._patience_end:
@@ -112,7 +132,7 @@ class ClusterPlaces:
         self._gateway.wait(_GOODBYE)
         self._gateway.close()
         if time.monotonic() >= self._free_at:  # else the next one has to wait as well
-            self._remove_probes()
+            forget_runs_elsewhere(self._experiment.folder)
 
     def ask(self, kind: str, fields: Mapping[str, Any]) -> None:
         """Send a request to the gateway; where it is gone, its end tells."""
@@ -127,11 +147,25 @@ class ClusterPlaces:
         self._runs.pop(token, None)
 
     def miss(self, claims: Collection[str]) -> None:
-        """Take down that a worker does not offer what a run claims; that is said where no other one does."""
+        """Take down that a worker does not offer what a run claims; what no other one offers is told in time."""
         offered = {each for place in self._places if not place.is_aside for each in place.worker["resources"]}
-        for claim in sorted(set(claims) - offered):
-            fix = f"Start one that has it: dask worker {self._address} --nthreads 1 --resources {claim}=1"
-            self._say(f"claim {claim}", "no worker offers it as a resource, and a run needs it for itself", fix)
+        self._lacking |= set(claims) - offered
+
+    def _started_with(self, claim: str) -> str:
+        return f"dask worker {self._address} --nthreads 1 --resources {claim}=1"
+
+    @property
+    def _is_lack_untold(self) -> bool:
+        """Whether no worker offers what a run claims, and none is about to join, and that is to be told yet."""
+        told = {where for where, problem in self._asides if problem == _NOT_OFFERED}
+        return not (self._joining or {f"claim {each}" for each in self._lacking} <= told)
+
+    @property
+    def _lack_end(self) -> float | None:
+        """When a worker has been lacking for too long that offers what is claimed, while nothing else could be done."""
+        if self._idle_since is None or self._joining or not self._lacking:
+            return None
+        return max(self._idle_since, self._changed, self._free_at) + self._patience
 
     @property
     def longest_end(self) -> float:
@@ -208,6 +242,8 @@ class ClusterPlaces:
         self._places += [ClusterPlace(self, self._experiment, worker, slot) for slot in slots]
         self._joining.discard(worker["address"])
         self._alone_since = None
+        self._changed = time.monotonic()
+        self._lacking.clear()  # it is tried with this one
 
     def _set_aside(self, kind: str, fields: dict[str, Any]) -> None:
         for place in self._places:
@@ -215,6 +251,7 @@ class ClusterPlaces:
                 place.is_aside = True
                 fix = "" if kind == "gone" else "Mend this there, and start the worker again."
                 self._say(f"worker {place.worker['name']}", f"executes no more runs: {fields['because']}", fix)
+                self._changed = time.monotonic()
         if all(place.is_aside for place in self._places) and self._alone_since is None:
             self._alone_since = time.monotonic()
 
@@ -226,7 +263,8 @@ class ClusterPlaces:
     def _refusal(self, problem: str, fix: str) -> ExecutionError:
         alike: dict[tuple[str, str], list[str]] = {}
         for (where, each), mend in self._asides.items():
-            alike.setdefault((each, mend), []).append(where)
+            if each != _NOT_OFFERED:  # if that is why, it is the problem
+                alike.setdefault((each, mend), []).append(where)
         latest = list(alike.items())[-_MOST_KNOWN:]
         known = "; ".join(str(Finding.warning(listed(wheres), *each)) for each, wheres in latest)
         return ExecutionError(
@@ -235,18 +273,14 @@ class ClusterPlaces:
             fix=fix,
         )
 
-    def _remove_probes(self, *, but: Path | None = None) -> None:
-        """Remove the probe, what workers answered to it, and what an orchestrator left that was killed."""
-        root = self._experiment.folder.root
-        for path in root.glob(f"{_PROBE}*"):
-            if path != but:
-                guarded_files.remove(path, root)
-
     def _facts(self) -> dict[str, Any]:
-        experiment, content = self._experiment, os.urandom(64)
+        experiment = self._experiment
         snapshot = snapshot_of(experiment)  # or a refusal, before anything is left in the folder
+        longest = cluster_settings()["lease"] + self._closing
+        content = RunsElsewhere(f"cluster {self._address}", longest).content()
         guarded_files.replace(self._probe, content, experiment.folder.root)
-        self._remove_probes(but=self._probe)  # only now: there is one at each moment, in case this is killed as well
+        # Only now: there is one at each moment, in case this is killed as well.
+        forget_runs_elsewhere(experiment.folder, but=self._probe)
         runs = str(experiment.folder.runs.resolve())
         return {
             "address": self._address,

@@ -41,6 +41,8 @@ _CLOSING = 30.0
 _ABANDONED = 10
 
 _sessions: dict[str, _Session] = {}
+#: What samples the worker and was stopped, each with the event loop in which it is started again.
+_stopped: list[tuple[Any, Any]] = []
 
 
 def be_there() -> None:
@@ -65,7 +67,10 @@ def join(facts: Mapping[str, Any], dask_worker: Worker) -> dict[str, Any]:
     """
     leave(facts["session"])
     for name in _PROFILING & dask_worker.periodic_callbacks.keys():
-        dask_worker.periodic_callbacks[name].stop()
+        sampling = dask_worker.periodic_callbacks[name]
+        if sampling.is_running():
+            sampling.stop()
+            _stopped.append((dask_worker.loop, sampling))
     session = _sessions[facts["session"]] = _Session(facts, Path(dask_worker.local_directory))
     threading.Thread(target=_leave_once_abandoned, args=[session], daemon=True, name="robot-runner-session").start()
     return {"answer": session.answer, "digest": session.answer_digest}
@@ -126,7 +131,19 @@ def leave(session: str) -> None:
     """End the part that this worker takes in an experiment, with its run if there is one; nothing of it is left."""
     left = _sessions.pop(session, None)
     if left is not None:
-        threading.Thread(target=left.end, daemon=True, name="robot-runner-leave").start()
+        threading.Thread(target=_end, args=[left], daemon=True, name="robot-runner-leave").start()
+
+
+def _end(session: _Session) -> None:
+    session.end()
+    for loop in {loop for loop, _ in _stopped}:
+        loop.add_callback(_sample_again)
+
+
+def _sample_again() -> None:
+    """Have Dask sample this worker again, in its event loop, once it takes part in no experiment any more."""
+    while _stopped and not _sessions:
+        _stopped.pop()[1].start()
 
 
 def execute(order: dict[str, Any]) -> None:

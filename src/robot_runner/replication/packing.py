@@ -104,7 +104,6 @@ def pack(
     runs_folder = f"{files.runs_name}/" if files.runs_name else ""
     about = About.of_manifest(manifest, authors=asked.authors, licence=asked.licence, citation=asked.citation)
     recorded = record_environment(manifest, files.config)
-    environment, lacking = with_known_hashes(recorded, asking if asked.with_hashes else None)
     chosen, secrets = choose_contents(files, run_ids, asked.raw), _known_secrets(files, manifest)
     with written_beside(target) as archive:
         sealing = Sealing(
@@ -115,15 +114,15 @@ def pack(
             rows=rows,
             run_folders={f"{runs_folder}{each}/": each for each in run_ids},
             chosen=chosen,
-            environment=environment,
+            environment=recorded,
             redactor=Redactor.knowing(secrets, home=Path.home(), replaces_doubtful=asked.doubtful == "replace"),
             archive=archive,
             progress=progress,
         )
-        sealing.write()
-        refused = sealing.cleaning.refusals() if asked.doubtful == "refuse" else []
-        if refused:
-            raise PackageError.of_findings(refused)
+        sealing.write_files()
+        # Last, as it may take minutes: whatever cannot be is refused before.
+        environment, lacking = with_known_hashes(recorded, asking if asked.with_hashes else None)
+        sealing.describe(environment)
     unknown = environment.without_hash(sealing.wheels)
     about_hashes = findings_of_hashes(unknown, lacking) if asked.with_hashes else ()
     terms = () if LICENCE in archive.stored else (missing_text(about),)

@@ -107,12 +107,12 @@ class Sealing:
         self.left_out = list(self.chosen.left_out)
         self.cleaning = Cleaning(self.redactor, self.asked.keep, self.left_out)
 
-    def write(self) -> None:
-        """Write everything.
+    def write_files(self) -> None:
+        """Write the files of the experiment, and the wheels of what was installed from a folder of this machine.
 
         Raises:
             StorageError: a file cannot be read.
-            PackageError: the crate would not be valid.
+            PackageError: something in them may be a secret, where that is refused.
             OSError: the package cannot be written.
         """
         for file in self.chosen.files:
@@ -122,7 +122,8 @@ class Sealing:
             self._advance(end - self._done)  # what was replaced may be longer than what stood there
         for distribution in self.environment.local if self.asked.with_wheels else ():
             self._add_wheel(distribution)
-        self._add_descriptions()
+        if self.asked.doubtful == "refuse":
+            PackageError.refuse(self.cleaning.refusals())
 
     def _blocks(self, file: PackedFile, blocks: Iterator[bytes]) -> Iterator[bytes]:
         try:
@@ -155,7 +156,14 @@ class Sealing:
         stored = self.archive.add(f"{contents.WHEELS}/{wheel_name(distribution)}", [wheel.getvalue()])
         self.wheels[canonical(distribution.name)] = stored.sha256
 
-    def _add_descriptions(self) -> None:
+    def describe(self, environment: RecordedEnvironment) -> None:
+        """Add what describes the files, and the environment that they need, with the hashes that are known.
+
+        Raises:
+            PackageError: the crate would not be valid.
+            OSError: the package cannot be written.
+        """
+        self.environment = environment
         stored = self.archive.stored
         if table := stored.get(contents.TABLE):
             schema = contents.SCHEMA if contents.SCHEMA in stored else None

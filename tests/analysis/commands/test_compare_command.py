@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 from tests.analysis.comparison.combined_agreement import disagreements_of_combined
 from tests.analysis.experiment_folders import two_tasks
@@ -32,6 +34,13 @@ class TestCompare:
         assert answer.code == 0
         assert "Energy (J)  different" in answer.out
         assert "Different for Video" in answer.out
+
+    def test_a_copy_is_told_to_prove_nothing(self, robot_runner, tmp_path):
+        shutil.copytree(tmp_path / "original", tmp_path / "moved")
+        answer = robot_runner("compare", "original", "moved", "--bound", "1%")
+        assert answer.code == 0
+        assert "moved is original again" in answer.out
+        assert "proves nothing" in answer.out
 
     def test_without_a_bound_it_asks_for_one(self, robot_runner):
         answer = robot_runner("compare", "original", "replica")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -440,3 +441,42 @@ def test_proportions_are_equivalent_within_a_percentage_by_chance_in_few_of_the_
         and equivalent_proportions(answers[one], answers[other], within) < 0.05
     )
     assert 0.03 < rate < 0.06
+
+
+def copied(root):
+    return shutil.copytree(root, root.with_name(f"{root.name}_copied"))
+
+
+def test_a_copy_of_an_experiment_is_told_to_be_one(two_tasks):
+    original = two_tasks().root
+    comparison = compare(original, copied(original), bound="1%")
+    told = comparison.again
+    assert "two_tasks_1_copied is two_tasks_1 again: its runs were executed at the same moments" in told
+    assert told.endswith("That values agree proves nothing.")
+    assert told in repr(comparison_document(comparison, made=""))
+
+
+def test_a_copy_is_told_to_be_one_whatever_is_compared(make_folder):
+    rows = [("a", 10.0, 10.6), ("a", 14.0, 14.5), ("b", 18.0, 18.4), ("b", 25.0, 25.5)]
+    original = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J", "Model": "J"}).root
+    told = compare(original, copied(original), measures=["Energy=Model"]).again
+    assert "Compare measures of one experiment within one folder, where runs are pairs." in told
+
+
+def test_a_simulation_with_the_same_seed_is_told_to_be_the_same(two_tasks):
+    told = compare(two_tasks().root, two_tasks(day="2026-02-01").root, bound="1%").again
+    assert "every value is the same to the last digit, as of a copy, or a simulation with the same seed" in told
+    assert told.endswith("That values agree tells nothing of runs that differ by chance.")
+
+
+def test_a_measure_compared_with_itself_is_told(two_tasks):
+    root = two_tasks().root
+    told = compare(root, root, bound="1%").again
+    assert "it is the same folder" in told
+
+
+def test_measures_of_one_experiment_are_compared_without_such_a_word(make_folder):
+    rows = [("a", 10.0, 10.6), ("a", 14.0, 14.5), ("b", 18.0, 18.4), ("b", 25.0, 25.5)]
+    root = make_folder(factors={"Task": ["a", "b"]}, rows=rows, measures={"Energy": "J", "Model": "J"}).root
+    assert compare(root, root, measures=["Energy=Model"]).again == ""
+    assert compare(root, root, measures=["Energy=Model", "Energy"]).again

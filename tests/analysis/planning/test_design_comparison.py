@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from textwrap import dedent
 
+import pytest
+
 from robot_runner.analysis.planning.candidate_designs import RunTimes, candidates_of, most_repetitions
 from robot_runner.analysis.planning.design_comparison import Asked, compare_designs
 from robot_runner.analysis.planning.power_analysis import Assumptions
@@ -23,6 +25,7 @@ def compared(model, times, question, hard=()):
     return {each.name: each for each in found.designs}, found
 
 
+@pytest.mark.long
 def test_designs_are_compared_by_what_they_tell_and_find():
     times = RunTimes(lambda _: 95.0, 5.0, {"Floor": 600.0})
     designs, found = compared(RunTableModel(FACTORS, seed=7), times, asked(4 * 3600.0), ["Floor"])
@@ -55,6 +58,7 @@ def test_the_budget_decides_how_often_runs_are_repeated():
     assert "allow more time" in found.reasons[0]
 
 
+@pytest.mark.long
 def test_an_interaction_is_sought_among_designs_that_tell_it():
     times = RunTimes(lambda _: 60.0, 0.0, {})
     question = Asked(
@@ -86,6 +90,7 @@ CONFIG = dedent("""
 """)
 
 
+@pytest.mark.long
 def test_the_command_prints_and_refuses(tmp_path, robot_runner):
     (tmp_path / "study.py").write_text(CONFIG)
     config = tmp_path / "study.py"
@@ -104,3 +109,13 @@ def test_the_command_prints_and_refuses(tmp_path, robot_runner):
         assert problem in " ".join(refused.err.split()), refused.err
     shown = robot_runner("design", config, "--budget", "1h", "--run-time", "95s").out
     assert "Recommended: " in shown
+    assert "(--sd and --difference, or --pilot)" in shown, "it takes no --means"
+
+
+def test_a_factor_that_counts_repetitions_is_refused_with_their_number(tmp_path, robot_runner):
+    config = tmp_path / "study.py"
+    config.write_text(CONFIG.replace('Factor("Floor", ["wood", "carpet"])', 'Factor("Repetition", range(1, 16))'))
+    answer = robot_runner("design", config, "--budget", "2h", "--run-time", "60s")
+    assert answer.code == 2
+    assert "the factor 'Repetition' counts the repetitions" in answer.err
+    assert "Give repetitions=15 in its place" in answer.err

@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from robot_runner.core.errors import StorageError
-from robot_runner.core.execution.left_over import RunMark, end_left_over, left_over
+from robot_runner.core.execution.left_over import (
+    RunMark,
+    RunsElsewhere,
+    end_left_over,
+    left_over,
+    runs_elsewhere,
+)
 from robot_runner.core.execution.standby import await_standby
 from robot_runner.core.storage.layout import ExperimentFolder
 
@@ -86,3 +92,20 @@ def test_a_run_cannot_be_marked_where_the_file_system_offers_no_such_locks(
         RunMark(ExperimentFolder(tmp_path))
     assert "results_output_path" in refused.value.fix
     assert len(list(Path("/proc/self/fd").iterdir())) == opened
+
+
+def test_what_may_go_on_elsewhere_is_known_by_the_mark_that_was_left_for_it(tmp_path: Path) -> None:
+    folder = ExperimentFolder(tmp_path)
+    assert runs_elsewhere(folder) == []
+    mark = tmp_path / ".probe-0123456789abcdef"
+    mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 33.0).content())
+    mark.with_name(f"{mark.name}-fedcba9876543210").write_bytes(b"\xff what a worker answered to it")
+    assert runs_elsewhere(folder) == [RunsElsewhere("cluster tcp://scheduler:8786", 33.0)]
+
+
+@pytest.mark.parametrize(
+    "content", [b"\xff\x00", b"[]", b'{"where": 1, "seconds": 5}', b'{"where": "x", "seconds": 1e300}']
+)
+def test_a_mark_that_says_nothing_sensible_is_waited_for_as_long_as_usual(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / ".probe-0123456789abcdef").write_bytes(content)
+    assert runs_elsewhere(ExperimentFolder(tmp_path)) == [RunsElsewhere("another machine", 60.0)]

@@ -5,21 +5,22 @@ from __future__ import annotations
 import os
 import signal
 import threading
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from tests.conftest import written_config
 from tests.core.execution.conftest import Executed, RecordingObserver
 
-from robot_runner.analysis import load_results
-from robot_runner.analysis.report.material import Material
-from robot_runner.analysis.report.threats_section import threats_of
-from robot_runner.analysis.statistics.experiment_statistics import analyse
+from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.config.preparation import prepare_or_refuse
-from robot_runner.core.errors import ExecutionError
+from robot_runner.core.errors import ExecutionError, StorageError
 from robot_runner.core.execution.notices import AnswersRefused, AttemptStarted, WaitingForUser
+from robot_runner.core.execution.operator import Operator
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.recovery import Resumption
+from robot_runner.core.storage.journal import Journal
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.lock import send_continue
 from robot_runner.replication.explanation import explain_run
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from robot_runner.core.execution.notices import Notice
+    from robot_runner.core.execution.patience import Steps
 
 VOLTAGE = 'Question("voltage", float, unit="V", low=9, high=13)'
 TABLE = """\
@@ -116,6 +118,120 @@ def test_a_step_is_asked_for_before_the_runs_that_it_is_due_for(execute: Callabl
     assert executed.finished.done_count == 4
 
 
+TEN = TABLE.replace("repetitions=2", 'repetitions=5, blocks="Task"')
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("rule", "runs"),
+    [
+        ("every=4", ["r_1", "r_5", "r_9"]),
+        ('when_changes="Task"', ["r_1", "r_6"]),
+        ("first=True", ["r_1"]),
+        ('before={"Task": "Network"}, every=2', ["r_6", "r_8", "r_10"]),
+    ],
+)
+def test_steps_are_asked_for_at_the_same_runs_however_many_places_there_are(
+    execute: Callable, rule: str, runs: list[str]
+) -> None:
+    body = "workers = 3\n" + steps(f'OperatorStep("swap the battery", {rule}, ask=[{VOLTAGE}])')
+    executed, person = execute(body, "12\n", table=TEN)
+    assert [run for _, run in person.asked] == runs
+    assert [row["run_id"] for row in executed.table if row["voltage"]] == runs
+
+
+class Preparing:
+    """The operator alone, with runs that are prepared step by step, as runs at several places are."""
+
+    def __init__(self, folder: Path, *steps: OperatorStep) -> None:
+        self.records: list[dict[str, Any]] = []
+        progress = SimpleNamespace(
+            task_of=lambda run: SimpleNamespace(combination={}, repetition=1),
+            note=lambda kind, **facts: self.records.append({"kind": kind, **facts}),
+            runs_left=lambda _: 1,
+            run_count=9,
+            time_left=None,
+        )
+        experiment = SimpleNamespace(
+            parameters=SimpleNamespace(operator_steps=steps), folder=ExperimentFolder(folder), columns=None
+        )
+        self.operator = Operator(
+            SimpleNamespace(
+                experiment=experiment,
+                progress=progress,
+                observer=SimpleNamespace(user_input=None),
+                notify=lambda _: None,
+                is_interrupted=False,
+            )
+        )
+        self.folder = folder
+
+    def goes_on(self, prepared: Steps[bool]) -> bool:
+        """Go on with preparing a run until it waits; return whether it still does."""
+        return next(prepared, None) is not None
+
+    def prepare(self, number: int) -> Steps[bool]:
+        return self.operator.prepare(SimpleNamespace(run_id=f"r_{number}", number=number))
+
+    def begin(self, number: int) -> None:
+        self.records.append({"kind": "attempt_started", "run": f"r_{number}", "attempt": 1})
+        self.operator.hand_over(SimpleNamespace(run_id=f"r_{number}", measures={}), lambda *_: None)
+
+    @property
+    def done_before(self) -> list[str]:
+        return [each["run"] for each in self.records if each["kind"] == "operator_step"]
+
+    def answer(self, prepared: Steps[bool], number: int, step: str) -> None:
+        """Say that a step is done, and prepare its run to the end."""
+        send_continue(self.folder / ".control", {}, asked=(f"r_{number}", step))
+        assert not self.goes_on(prepared)
+
+
+def test_a_run_that_has_been_prepared_counts_though_it_has_not_begun(tmp_path: Path) -> None:
+    at = Preparing(tmp_path, OperatorStep("swap", every=2))
+    first, second = at.prepare(1), at.prepare(2)
+    assert at.goes_on(first)
+    assert at.goes_on(second), "it waits until the battery is swapped, and is not asked for another one"
+    at.answer(first, 1, "swap")
+    assert not at.goes_on(second)
+    at.begin(1)
+    third = at.prepare(3)  # while the second one rests
+    assert at.goes_on(third)
+    at.answer(third, 3, "swap")
+    for number in (2, 3):
+        at.begin(number)
+    assert not at.goes_on(at.prepare(4))
+    assert at.done_before == ["r_1", "r_3"]
+    at.begin(4)
+    for after in (at, resumed(at)):
+        assert after.goes_on(after.prepare(5)), "two runs have begun since: the second was prepared before"
+
+
+def test_a_run_waits_for_the_step_that_came_before_it_and_not_for_one_that_comes_after(tmp_path: Path) -> None:
+    at = Preparing(tmp_path, OperatorStep("swap", every=1, before=lambda run: True), OperatorStep("look", first=True))
+    first, second, third = at.prepare(1), at.prepare(2), at.prepare(3)
+    assert all(map(at.goes_on, (first, second, third)))
+    send_continue(tmp_path / ".control", {}, asked=("r_1", "swap"))
+    assert at.goes_on(first), "the other step comes before it, too"
+    at.answer(first, 1, "look")
+    assert at.goes_on(third), "people are asked in the order of the runs"
+    assert at.goes_on(second)
+    at.answer(second, 2, "swap")
+    assert at.goes_on(third)
+    at.answer(third, 3, "swap")
+    assert at.done_before == ["r_1", "r_1", "r_2", "r_3"]
+
+
+def resumed(at: Preparing) -> Preparing:
+    """Return the operator of a session that knows what is in the journal."""
+    with Journal(ExperimentFolder(at.folder).journal) as journal:
+        for record in at.records:
+            if record["kind"] in {"operator_step", "attempt_started"}:
+                facts = {name: value for name, value in record.items() if name not in {"kind", "flush"}}
+                journal.append(record["kind"], **facts)
+    return Preparing(at.folder, OperatorStep("swap", every=2))
+
+
 def test_a_step_for_a_changed_treatment_is_left_out_while_it_stays(execute: Callable) -> None:
     table = TABLE.replace("repetitions=2", 'repetitions=2, blocks="Task"')
     _, person = execute(steps('OperatorStep("mount the camera", when_changes=["Task"])'), table=table)
@@ -152,24 +268,6 @@ def test_an_answer_is_a_measure_of_its_run_and_a_note_stays_in_the_journal(execu
     explained = explain_run(executed.folder, "r_2", ["voltage"])
     assert ("Done before", "swap the battery (remark: it slipped)") in explained.facts
     assert ("From", "a person, who was asked before the run") in explained.values[0].facts
-
-
-@pytest.mark.long
-def test_nothing_is_said_of_what_nobody_was_asked(execute: Callable) -> None:
-    body = f"""
-    {steps(f'OperatorStep("swap the battery", every=3, ask=[{VOLTAGE}])')}
-    def populate_run_data(self, context):
-        return {{"Energy": None if context.run_id == "r_2" else 1.0}}
-    """
-    executed, _ = execute(body, "11\n")
-    assert [row["voltage"] for row in executed.table] == ["11.0", "", "", "11.0"]
-    results = load_results(executed.folder)
-    told = results.quality[["run_id", "measure", "quality"]]
-    assert [each for each in told.itertuples(index=False, name=None) if each[2] != "good"] == [
-        ("r_2", "Energy", "missing")
-    ]
-    threats = [each.title for each in threats_of(Material(results, analyse(results)))]
-    assert [each for each in threats if "missing" in each] == ["Energy has missing values"]
 
 
 @pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
@@ -317,3 +415,12 @@ def test_a_condition_that_raises_later_names_step_and_run(execute: Callable) -> 
         execute(body)
     assert ended.value.where == "operator step 'mount it', r_2"
     assert "before raised ZeroDivisionError" in ended.value.problem
+
+
+def test_a_record_of_a_step_that_somebody_has_damaged_is_named(tmp_path: Path) -> None:
+    at = Preparing(tmp_path, OperatorStep("swap", every=2))
+    at.records.append({"kind": "operator_step", "run": "r_1", "step": "swap", "treatments": {}, "ahead": 7})
+    at.records[-1] |= {"answers": {}, "notes": {}}
+    later = resumed(at)
+    with pytest.raises(StorageError, match="ahead"):
+        next(later.prepare(2))

@@ -179,6 +179,7 @@ def test_a_run_ends_whose_first_stop_request_comes_right_before_it_sleeps(execut
     assert "arm closed\narm made safe" in executed.log("r_1")
 
 
+@pytest.mark.long
 def test_a_mission_on_the_simulated_robot_ends_from_a_topic_and_from_a_thread(execute: Execute) -> None:
     topic = """
     from robot_runner.plugins import connect_robot

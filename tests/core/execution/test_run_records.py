@@ -6,9 +6,11 @@ import json
 import os
 import sys
 import threading
+import time
 from typing import Any
 
 import pytest
+from tests.waiting import PATIENCE
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.run_records import FINISHED, RecordReader, RecordWriter
@@ -44,9 +46,12 @@ def taken(report: RecordWriter, reading: int) -> list[tuple[str, dict[str, Any]]
     reader, arrived = RecordReader(reading), []
     end = threading.Thread(target=report, args=(FINISHED, {}))
     end.start()
+    deadline = time.monotonic() + PATIENCE
     while not arrived or arrived[-1][0] != FINISHED:
+        assert time.monotonic() < deadline, f"after {len(arrived)} records there came no more"
         arrived += reader.read()[0]
-    end.join()
+    end.join(PATIENCE)
+    assert not end.is_alive()
     return arrived
 
 

@@ -10,8 +10,10 @@ from unittest.mock import Mock
 import pytest
 
 from robot_runner.core.config.preparation import prepare
+from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.experiment_status import read_status
-from robot_runner.core.execution.notices import AttemptStarted
+from robot_runner.core.execution.left_over import RunsElsewhere
+from robot_runner.core.execution.notices import AttemptStarted, FindingsNoticed
 from robot_runner.core.execution.side_by_side import SideBySide
 
 if TYPE_CHECKING:
@@ -279,3 +281,66 @@ def test_where_the_end_of_one_run_fails_the_others_are_ended_all_the_same() -> N
     with pytest.raises(OSError, match="no disk"):
         side._let_go()
     assert set(ended) == {"first", "second", "third"}
+
+
+KILLED_ELSEWHERE = RunsElsewhere("cluster tcp://scheduler:8786", 0.4)
+
+
+def test_runs_that_may_go_on_elsewhere_are_told_of_and_awaited_before_one_is_begun_here(
+    execute: Callable[..., Any], tmp_path: Path
+) -> None:
+    mark = tmp_path / "results" / "trial" / ".probe-0123456789abcdef"
+    mark.parent.mkdir(parents=True)
+    mark.write_bytes(KILLED_ELSEWHERE.content())
+    mark.with_name(f"{mark.name}-fedcba9876543210").touch()
+    executed = execute("")
+    assert executed.finished.done_count == 4
+    told = [str(each) for notice in executed.notices if isinstance(notice, FindingsNoticed) for each in notice.findings]
+    assert told[0].startswith(
+        "cluster tcp://scheduler:8786: an earlier execution was killed; its runs may go on there for 0.4 s, and none "
+        "is begun before that"
+    )
+    began, first = (
+        datetime.fromisoformat(executed.journal(kind)[0]["at"]) for kind in ("experiment_started", "attempt_started")
+    )
+    assert (first - began).total_seconds() >= 0.4
+    assert not list(mark.parent.glob(".probe-*"))
+
+
+def test_who_interrupts_that_wait_has_the_next_session_wait_as_well(
+    execute: Callable[..., Any], tmp_path: Path
+) -> None:
+    mark = tmp_path / "results" / "trial" / ".probe-0123456789abcdef"
+    mark.parent.mkdir(parents=True)
+    mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 600.0).content())
+    executed = execute("def before_experiment(self): import os, signal; os.kill(os.getpid(), signal.SIGINT)")
+    assert executed.finished.interrupted
+    assert not executed.journal("attempt_started")
+    assert mark.exists()
+
+
+def test_nobody_waits_where_nothing_is_left_to_execute(execute: Callable[..., Any]) -> None:
+    folder = execute("").folder
+    mark = folder / ".probe-0123456789abcdef"
+    mark.write_bytes(RunsElsewhere("cluster tcp://scheduler:8786", 600.0).content())
+    assert execute("").finished.done_count == 4
+
+
+def test_places_that_come_and_go_are_told_where_nothing_is_in_flight_as_none_of_them_suits() -> None:
+    run, place, told = Mock(run_id="r_1"), Mock(is_aside=False), []
+
+    def advance(*, is_idle: bool = False) -> list[str]:
+        told.append(is_idle)
+        if len(told) > 2:
+            raise ExecutionError("nobody offers it", where="cluster", fix="")
+        return []
+
+    place.claimed.return_value = None
+    parameters = Mock(robots={}, cluster="tcp://scheduler:8786", gates=[], operator_steps=[], hosts={})
+    ongoing = Mock(is_ending=False, experiment=Mock(parameters=parameters))
+    ongoing.experiment.model.design_facts = {}
+    ongoing.progress.pending.return_value = iter([run])
+    places = Mock(all=[place], descriptors=[0], due=None, advance=advance)
+    with pytest.raises(ExecutionError, match="nobody offers it"):
+        SideBySide(ongoing, places, lambda _: frozenset()).execute(is_cleared=False)
+    assert told == [True] * 3

@@ -99,6 +99,24 @@ class TestPack:
         assert fix in answer.err or "0000-0002-1825-0097" in answer.err
 
     @pytest.mark.long
+    @pytest.mark.parametrize("words", [("--raw", "Ina"), ("--to", "nowhere/a.zip"), ("--base-image", "a b")])
+    def test_what_cannot_be_is_refused_before_the_index_is_asked(self, robot_runner, monkeypatch, words):
+        monkeypatch.setattr(index_hashes, "locked_hashes", lambda _: {})
+        monkeypatch.setattr(index_hashes, "ask_index", lambda *_: pytest.fail("the index was asked"))
+        answer = robot_runner("pack", "small", *words)
+        assert answer.code == 2
+        assert "Asking the package index" not in answer.err
+
+    @pytest.mark.long
+    def test_a_line_that_may_be_a_secret_is_refused_before_the_index_is_asked(self, robot_runner, study, monkeypatch):
+        monkeypatch.setattr(index_hashes, "locked_hashes", lambda _: {})
+        monkeypatch.setattr(index_hashes, "ask_index", lambda *_: pytest.fail("the index was asked"))
+        (study / "notes.txt").write_text("the token is wanderlust and opens the door\n", encoding="utf-8")
+        answer = robot_runner("pack", "small", "--no-wheels")
+        assert answer.code == 2
+        assert "this line has" in answer.err
+
+    @pytest.mark.long
     def test_the_bar_is_shown_on_a_terminal(self, terminal, study):
         with (study / "runs" / "r_1" / "PsUtil" / "long.csv").open("wb") as file:
             for _ in range(20):

@@ -302,3 +302,32 @@ def _rewrite(package, name, before, after, *, with_sums=True):
         for entry in old.namelist():
             new.writestr(entry, {name: changed, "SHA256SUMS": sums}.get(entry, old.read(entry)))
     beside.replace(package)
+
+
+def test_what_differs_when_it_goes_on_is_answered_with_options_that_it_takes(
+    robot_runner, write_config, tmp_path, monkeypatch
+):
+    write_config(
+        """
+import os
+pace = float(os.environ["PACE"])
+def populate_run_data(self, context): return {"Energy": self.pace}
+"""
+    )
+    monkeypatch.setenv("PACE", "1")
+    assert robot_runner("run", "config.py").code == 0
+    words = ("replicate", tmp_path / "results" / "trial", "--yes", "--without-verdict", "--to", "again")
+    assert robot_runner(*words).code == 0
+    monkeypatch.setenv("PACE", "2")
+    refused = robot_runner(*words)
+    assert refused.code == 2
+    assert "pace: the value was 1.0 and is 2.0" in refused.err
+    assert "fix: Have it be as it was when this replication was begun, or begin another: --to FOLDER." in refused.err
+    assert "--accept-changes" not in refused.err
+    monkeypatch.setenv("PACE", "1")
+    (tmp_path / "again" / "trial" / "journal.jsonl").unlink()
+    refused = robot_runner(*words)
+    assert refused.code == 2
+    assert "the journal has no end of them" in refused.err
+    assert "fix: Restore run table and journal from a backup, or begin another replication: --to FOLDER." in refused.err
+    assert "--table" not in refused.err

@@ -85,6 +85,7 @@ def _comparison(arguments: Namespace) -> DesignComparison:
     hard = _hard(arguments.hard)
     from robot_runner.analysis.planning.candidate_designs import candidates_of  # noqa: PLC0415 - slow, and an extra
     from robot_runner.analysis.planning.design_comparison import Asked, compare_designs  # noqa: PLC0415 - as above
+    from robot_runner.analysis.planning.planned_study import counting_factor, counts_repetitions  # noqa: PLC0415 - as above
     from robot_runner.analysis.planning.power_analysis import Assumptions  # noqa: PLC0415 - as above
     from robot_runner.analysis.results import load_results  # noqa: PLC0415 - as above
 
@@ -92,6 +93,8 @@ def _comparison(arguments: Namespace) -> DesignComparison:
     if isinstance(model, ListedRunTableModel):
         fix = "Describe the design with factors and repetitions."
         raise AnalysisError("the runs are listed one by one", where=arguments.config, fix=fix)
+    if (counting := counting_factor(model)) is not None:
+        raise counts_repetitions(counting, arguments.config)
     names = [factor.name for factor in model.factors]
     for name in hard:
         if name not in names:

@@ -206,7 +206,7 @@ def _print(comparison: Comparison, console: UserConsole) -> None:
         print_folded(
             console, "  ! ", "no bound was stated, so nothing can be called equivalent: --bound 5%", style="yellow"
         )
-    for note in comparison.notes:
+    for note in filter(None, (comparison.again, *comparison.notes)):
         print_folded(console, "  ! ", one_line(note), style="bold yellow")
 
 

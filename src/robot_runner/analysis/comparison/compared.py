@@ -321,6 +321,7 @@ class Comparison:
         differing: circumstances that differ: what, in the first, in the second.
         notes: what a reader has to know, such as combinations that only one of them has.
         together: what runs have in common, such as a day, where runs that have it count together.
+        again: why the second holds the runs of the first again, so that it proves nothing if they agree; else empty.
     """
 
     first: Side
@@ -332,6 +333,7 @@ class Comparison:
     differing: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
     together: tuple[str, ...] = ()
+    again: str = ""
 
     @property
     def verdict(self) -> Verdict:

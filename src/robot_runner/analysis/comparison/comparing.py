@@ -28,6 +28,7 @@ from robot_runner.analysis.comparison.equivalence import (
     spread_of,
     why_not_testable,
 )
+from robot_runner.analysis.comparison.harmonising import SAME_VALUES, sameness
 from robot_runner.analysis.comparison.matching import (
     are_answers,
     are_texts,
@@ -133,7 +134,20 @@ def compare(
         differing_circumstances(ours, theirs),
         tuple(dict.fromkeys(notes)),
         matching.together,
+        _again(called, given, chosen),
     )
+
+
+def _again(called: tuple[str, ...], experiments: tuple[Results, ...], chosen: Sequence[tuple[str, str]]) -> str:
+    """Return what is to be said of an experiment that is compared with itself, but for two measures of one table."""
+    is_of_one_name = any(one == other for one, other in chosen)
+    why = sameness(*experiments)
+    if not why or (not is_of_one_name and experiments[0].folder == experiments[1].folder):
+        return ""
+    advice = "" if is_of_one_name else " Compare measures of one experiment within one folder, where runs are pairs."
+    # Of a simulation, it tells that it was computed again; a copy tells nothing.
+    tells = "tells nothing of runs that differ by chance" if why == SAME_VALUES else "proves nothing"
+    return f"{called[1]} is {called[0]} again: {why}. That values agree {tells}.{advice}"
 
 
 def _notes_on_searches(called: tuple[str, ...], experiments: tuple[Results, ...]) -> Iterator[str]:

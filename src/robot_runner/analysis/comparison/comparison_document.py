@@ -240,6 +240,8 @@ def _probability(which: str) -> Field:
 
 def _brief(comparison: Comparison) -> Iterator[Block]:
     yield Cards(tuple(map(_card, comparison.measures)))
+    if comparison.again:
+        yield Remarks((Remark("The same runs", comparison.again, Tone.WARNING, "Runs"),))
     for measure in comparison.measures:
         badges = origin_badges(measure.first_origin, measure.second_origin)
         yield Paragraph(measure.conclusion, lead=measure.name, badges=badges)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 #: Attempts that two experiments share, as a part of the smaller one: a copy that went on, or lost runs, is a copy.
 _COPIED = 0.5
 _PAIR = 2
+#: Why an experiment is another one again whose runs were executed at other moments.
+SAME_VALUES = "every value is the same to the last digit, as of a copy, or a simulation with the same seed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +102,13 @@ class Experiment:
 def repeated(experiments: Sequence[Experiment]) -> Iterator[Finding]:
     """Yield an error for each experiment that was given before, or whose runs are those of another."""
     for one, other in combinations(experiments, _PAIR):
-        if why := _sameness(one.results, other.results):
+        if why := sameness(one.results, other.results):
             fix = "Leave one of them out: it would count twice, and is no replication."
             yield Finding.error(other.name, f"this is {one.name} again: {why}", fix)
 
 
-def _sameness(one: Results, other: Results) -> str:
+def sameness(one: Results, other: Results) -> str:
+    """Return why the second experiment is the first again; empty where it is not."""
     if one.folder == other.folder:
         return "it is the same folder"
     stamps = ["run_id", "attempt", "started_at"]
@@ -113,11 +116,7 @@ def _sameness(one: Results, other: Results) -> str:
     smaller = min(map(len, attempts))
     if smaller and len(attempts[0] & attempts[1]) >= _COPIED * smaller:
         return "its runs were executed at the same moments, so that one is a copy of the other"
-    return (
-        "every value is the same to the last digit, as of a copy, or a simulation with the same seed"
-        if _has_same_values(one, other)
-        else ""
-    )
+    return SAME_VALUES if _has_same_values(one, other) else ""
 
 
 def _has_same_values(one: Results, other: Results) -> bool:

@@ -228,7 +228,7 @@ def _refuse_bounds(study: Study, measures: Sequence[str]) -> None:
         problem = (
             f"the plan leaves out values of {enumerated(bound)} beyond bounds, and nothing says how large they are"
         )
-        raise AnalysisError(problem, where="power", fix="Give their means: --means FILE, or --pilot FOLDER.")
+        raise AnalysisError(problem, where="power", fix="Give their means: --pilot FOLDER, or (of power) --means FILE.")
 
 
 def means_file(study: Study, path: Path, spreads: Mapping[str, float]) -> dict[str, AssumedMeasure]:

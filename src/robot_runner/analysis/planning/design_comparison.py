@@ -291,8 +291,8 @@ def _notes(asked: Asked) -> Iterator[str]:
     assumed = asked.assumptions
     if assumed.pilot is None and assumed.means is None and not assumed.spreads:
         yield (
-            "Nothing is assumed of the values (--sd and --difference, --means or --pilot): the power is that for ends "
-            "of a factor that differ by one standard deviation."
+            "Nothing is assumed of the values (--sd and --difference, or --pilot): the power is that for ends of a "
+            "factor that differ by one standard deviation."
         )
     if not assumed.blocks:
         yield (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from robot_runner.core.design.analysis_plan import AnalysisPlan
+    from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.run_table_model import RunTableModel
 
 #: When a run was measured.
@@ -80,8 +81,11 @@ class Study:
     def of_model(cls, name: str, model: RunTableModel, plan: AnalysisPlan | None, units: Mapping[str, str]) -> Self:
         """Return the study that a config plans.
 
+        A factor that only counts repetitions (as in the paper's Listing 1) is none here: its treatments are these.
+
         Raises:
-            AnalysisError: its runs are listed one by one, so that there are no repetitions to choose.
+            AnalysisError: its runs are listed one by one, so that there are no repetitions to choose; or a design of
+                its own has a factor that counts them.
             DesignError: it is too large to be planned.
         """
         if isinstance(model, ListedRunTableModel):
@@ -89,18 +93,25 @@ class Study:
             raise AnalysisError("the runs are listed one by one", where=f"{name}.create_run_table", fix=fix)
         model.plan()
         facts = {} if model.is_full_factorial else dict(model.design_facts)
-        studied = [factor for factor in model.factors if factor.name not in _block_columns(model)]
+        counting = counting_factor(model)
+        if counting is not None and not model.is_full_factorial:  # which cannot be repeated then
+            raise counts_repetitions(counting, name)
+        counted_by = counting.name if counting is not None else REPETITION
+        no_factors = {*_block_columns(model), counted_by}
+        studied = [factor for factor in model.factors if factor.name not in no_factors]
         arranged = None if model.is_full_factorial else _arranged(model, [factor.name for factor in studied])
-        found = [each.values() for each in model.combinations_of(model.factors)]
+        found = [[each[factor.name] for factor in studied] for each in model.combinations_of(model.factors)]
+        if plan is not None and plan.blocks == counted_by:
+            plan = replace(plan, blocks=REPETITION)
         return cls(
             name,
             {factor.name: tuple(factor.texts) for factor in studied},
-            tuple(tuple(map(treatment_text, each)) for each in found)
+            tuple(dict.fromkeys(tuple(map(treatment_text, each)) for each in found))
             if arranged is None
             else tuple(dict.fromkeys(run.cell for run in arranged(model.repetitions))),
-            model.blocks,
+            REPETITION if model.blocks == counted_by else model.blocks,
             model.shuffle,
-            model.repetitions,
+            model.repetitions if counting is None else len(counting.treatments),
             plan,
             units,
             facts=facts,
@@ -225,6 +236,17 @@ class Study:
         if self.arranged is not None:
             return self.arranged(repetitions)
         return [ArrangedRun(cell, number, {}) for number in range(1, repetitions + 1) for cell in self.cells]
+
+
+def counting_factor(model: RunTableModel) -> Factor | None:
+    """Return the factor that only counts repetitions, as results know it by its name; None where there is none."""
+    return next((each for each in model.factors if each.name.casefold() == REPETITION.casefold()), None)
+
+
+def counts_repetitions(factor: Factor, where: str) -> AnalysisError:
+    """Return the error of such a factor where a design is to have other numbers of repetitions."""
+    fix = f"Give repetitions={len(factor.treatments)} in its place; where it is a block, call it otherwise."
+    return AnalysisError(f"the factor {factor.name!r} counts the repetitions", where=where, fix=fix)
 
 
 def _block_columns(model: RunTableModel) -> set[str]:

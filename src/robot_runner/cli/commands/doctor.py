@@ -11,11 +11,13 @@ import importlib.metadata
 import inspect
 import os
 import platform
+import queue
 import re
 import shutil
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import groupby
@@ -24,7 +26,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.console import is_on_path, output, print_folded, print_json
+from robot_runner.cli.console import complaints, is_on_path, output, print_folded, print_json
 from robot_runner.cli.findings import installed_here
 from robot_runner.cli.guard import SOME_FAILED
 from robot_runner.cli.parser import add_json
@@ -44,8 +46,9 @@ if TYPE_CHECKING:
 
 #: It can be used; it is not here, or has to be told something; it is here and cannot be used.
 READY, ABSENT, BROKEN = "ready", "absent", "broken"
-#: All of it together, s: a driver that is well answers in a moment.
-_DEADLINE_S = 20.0
+#: All of it together, s: a driver that is well answers in a moment. And what is silent then, asked once more: on a
+#: machine that is busy, importing a client library takes as long.
+_DEADLINES_S = (20.0, 40.0)
 _MARKS = {READY: ("✓", "green"), ABSENT: ("○", "dim"), BROKEN: ("✗", "bold red")}
 
 
@@ -56,7 +59,8 @@ def add_arguments(parser: Parser) -> None:
 
 def execute(arguments: Namespace) -> int:
     """Ask about everything, and tell it."""
-    found = list(asked(questions(), deadline_s=_DEADLINE_S))
+    console = complaints()
+    found = list(asked(questions(), tell=lambda text: console.print(text, style="dim")))
     if arguments.json:
         print_json({"found": [asdict(each) for each in found]})
     else:
@@ -120,29 +124,61 @@ def questions() -> list[Question]:
     ]
 
 
-def asked(wanted: Sequence[Question], *, deadline_s: float) -> Iterator[Diagnosis]:
-    """Yield what is found, in order; all is asked at once, and what has not answered after `deadline_s` is broken.
+def asked(
+    wanted: Sequence[Question],
+    *,
+    deadlines_s: tuple[float, float] = _DEADLINES_S,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Iterator[Diagnosis]:
+    """Yield what is found, in order; all is asked at once, and what has not answered in time once more.
 
     Each is asked in a thread of its own: drivers and daemons that hang are among what is looked for.
+
+    Args:
+        wanted: what is asked.
+        deadlines_s: how long answers may take at first, and those of what is asked once more; then it is broken.
+        tell: is told what is asked once more.
     """
-    answers: dict[int, Diagnosis] = {}
+    answers: queue.SimpleQueue[tuple[int, Diagnosis]] = queue.SimpleQueue()
+    found: dict[int, Diagnosis] = {}
 
     def ask(place: int, question: Question) -> None:
         try:
             state, detail, fix = question.ask()
         except Exception as error:  # noqa: BLE001 - of a stranger's plugin; the others are told all the same
             state, detail, fix = BROKEN, f"{type(error).__name__}: {error}", "Report it to who wrote it."
-        answers[place] = Diagnosis(question.area, question.name, state, detail, installed_here(fix))
+        answers.put((place, Diagnosis(question.area, question.name, state, detail, installed_here(fix))))
 
-    threads = [threading.Thread(target=ask, args=each, daemon=True) for each in enumerate(wanted)]
-    for thread in threads:
-        thread.start()
-    until = time.monotonic() + deadline_s
-    for place, (thread, question) in enumerate(zip(threads, wanted, strict=True)):
-        thread.join(max(0.0, until - time.monotonic()))
-        silent = f"no answer came within {deadline_s:g} s"
-        fix = "See whether its driver or daemon hangs."
-        yield answers.get(place) or Diagnosis(question.area, question.name, BROKEN, silent, fix)
+    first, second = deadlines_s
+    for is_second, deadline_s in enumerate(deadlines_s):
+        silent = [(place, question) for place, question in enumerate(wanted) if place not in found]
+        if is_second and silent:
+            names = enumerated([question.name for _, question in silent])
+            tell(f"{names} did not answer within {first:g} s{_busy()}: asked once more, for {second:g} s at most")
+        for each in silent:
+            threading.Thread(target=ask, args=each, daemon=True).start()
+        until = time.monotonic() + deadline_s
+        # What was asked before may answer yet, and whichever answer comes first counts.
+        while len(found) < len(wanted) and (left := until - time.monotonic()) > 0:
+            with suppress(queue.Empty):
+                found.setdefault(*answers.get(timeout=left))
+    for place, question in enumerate(wanted):
+        yield found.get(place) or _silent(question, deadlines_s)
+
+
+def _silent(question: Question, deadlines_s: tuple[float, float]) -> Diagnosis:
+    first, second = deadlines_s
+    busy, fix = _busy(), "See whether its driver or daemon hangs."
+    if busy:
+        fix = f"Ask again once the machine is less busy. {fix}"
+    problem = f"no answer came within {first:g} s, nor in {second:g} s more{busy}"
+    return Diagnosis(question.area, question.name, BROKEN, problem, fix)
+
+
+def _busy() -> str:
+    """Return that more waits for a core of this machine than it has; empty where that is not so."""
+    load, cores = os.getloadavg()[0], os.cpu_count() or 1
+    return f" (this machine is busy: load {load:.1f} on {cores} cores)" if load > cores else ""
 
 
 # The program itself, and the programs that it calls.

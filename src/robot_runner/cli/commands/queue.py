@@ -42,7 +42,14 @@ _WHERE = "robot-runner queue"
 
 def add_arguments(parser: Parser) -> None:
     """Add what the command takes."""
-    parser.add_argument("action", metavar="ACTION", nargs="?", default="list", help="add, list, drop or run")
+    parser.add_argument(
+        "action",
+        metavar="ACTION",
+        nargs="?",
+        default="list",
+        help="add, list, drop or run",
+        completer=lambda **_: action_parsers(),
+    )
     parser.add_argument("words", metavar="WORDS", nargs=argparse.REMAINDER, help="what the action takes, as above")
 
 
@@ -89,7 +96,7 @@ def _add(arguments: Namespace, parser: Parser) -> int:
     with quiet_loading():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set), looks_at_graph=False)
     experiment = preparation.experiment
-    show_findings([*preparation.findings, *refused])
+    show_findings([*run.under_given_names(preparation.findings, arguments), *refused])
     if experiment is None or refused:
         return REFUSED
     config = str(Path(arguments.config).absolute())

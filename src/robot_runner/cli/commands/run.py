@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.errors import Finding
 
+#: Options that stand for a static parameter.
+_SHORTCUTS = ("cluster", "workers")
 #: The options that choose runs, and what becomes of those that are chosen.
 _CHOICES = {
     "--only": "execute these runs alone",
@@ -97,9 +99,20 @@ def add_arguments(parser: Parser) -> None:
 
 def apply_shortcuts(arguments: Namespace) -> None:
     """Take options that stand for a static parameter as what is set."""
-    for name in ("cluster", "workers"):
+    for name in _SHORTCUTS:
         if (given := getattr(arguments, name)) is not None:
             arguments.set = [*arguments.set, f"{name}={given}"]
+
+
+def under_given_names(findings: Sequence[Finding], arguments: Namespace) -> tuple[Finding, ...]:
+    """Return findings about what such an option set under the option's name: the config is not where to mend it."""
+
+    def named(finding: Finding) -> Finding:
+        name = finding.where.rpartition(".")[2]
+        is_given = name in _SHORTCUTS and getattr(arguments, name) is not None
+        return replace(finding, where=f"--{name} {getattr(arguments, name)}") if is_given else finding
+
+    return tuple(map(named, findings))
 
 
 def execute(arguments: Namespace) -> int:
@@ -123,11 +136,12 @@ def _prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
     apply_shortcuts(arguments)
     with no_byte_code():
         preparation = prepare(Path(arguments.config), parse_assignments(arguments.set))
+    findings = under_given_names(preparation.findings, arguments)
     if preparation.experiment is None:
-        show_findings(preparation.findings)
-        return REFUSED, _refused(preparation.findings)
+        show_findings(findings)
+        return REFUSED, _refused(findings)
     with _page(arguments, preparation.experiment):
-        execution = _execute(arguments, preparation.experiment, preparation.findings)
+        execution = _execute(arguments, preparation.experiment, findings)
     settings = [word for each in shown_assignments(arguments.set) for word in ("--set", each)]
     command = command_line(arguments.config, *settings)
     with read_or_not():
@@ -139,7 +153,7 @@ def _prepare_and_execute(arguments: Namespace) -> tuple[int, dict[str, Any]]:
 @contextmanager
 def _page(arguments: Namespace, experiment: Experiment) -> Iterator[None]:
     """Serve a live page meanwhile, where it is asked for, and say where."""
-    if not (arguments.page or arguments.page_at):
+    if not arguments.page and arguments.page_at is None:
         yield
         return
     with page_beside(experiment.folder.root, arguments.page_at) as told:

@@ -77,8 +77,9 @@ class LocalPlaces:
     def __init__(self, places: Iterable[Place]) -> None:
         self.all: Sequence[Place] = tuple(places)
 
-    def advance(self) -> Sequence[str]:
+    def advance(self, *, is_idle: bool = False) -> Sequence[str]:
         """Say nothing: slots neither come nor go."""
+        del is_idle
         return ()
 
     def close(self) -> None:

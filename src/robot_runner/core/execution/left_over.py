@@ -6,23 +6,35 @@ A keeper ends all that its run started. Where the keeper was killed, two marks t
 - programs that they start have an environment variable with that folder.
 
 So the run itself, the orchestrator, or the next one that executes the experiment can do the keeper's work.
+
+Of runs that other machines execute, a mark in the folder tells as long as the execution lasts: where, and for how long
+they may go on once nobody looks after them.
 """
 
 from __future__ import annotations
 
 import errno
 import fcntl
+import json
 import os
+import re
 import signal
 import sys
 import time
 from contextlib import suppress
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
-from robot_runner.core.storage.guarded_files import MissingFileError, open_descriptor, read_text, remove
+from robot_runner.core.storage.guarded_files import (
+    MissingFileError,
+    open_descriptor,
+    read_bytes,
+    read_text,
+    remove,
+)
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
 from robot_runner.core.storage.outliving import ancestors, is_spared, outliving, process_stat, processes
 
@@ -37,6 +49,11 @@ _VARIABLE = "ROBOT_RUNNER_RUN_OF"
 _LOOK, _DYING = 0.05, 5.0
 #: Enough for any process's id.
 _DIGITS = 20
+#: How the mark of runs elsewhere is called, with the session of their execution; what answers it has a longer name.
+MARK_OF_ELSEWHERE = ".probe-"
+_ELSEWHERE = re.compile(r"\.probe-[0-9a-f]{16}")
+#: More than such a mark holds, bytes; how long is awaited what says nothing sensible, and at most, s.
+_MOST_BYTES, _USUAL, _LONGEST = 4096, 60.0, 86400.0
 
 
 class RunMark:
@@ -146,6 +163,53 @@ def await_left_over(folder: ExperimentFolder, grace: float) -> Finding | None:
     waited = f"{runs} waited for ({seconds:.1f} s)" if was_alive else "its run had ended"
     left = f"; what was left of it was killed: {', '.join(map(str, killed))}" if killed else ""
     return Finding.warning(str(folder.root), f"an earlier execution was killed; {waited}{left}")
+
+
+@dataclass(frozen=True, slots=True)
+class RunsElsewhere:
+    """What other machines may go on with once the execution was killed that has ordered it.
+
+    Attributes:
+        where: as findings name it.
+        seconds: how long after nobody looks after them any more.
+    """
+
+    where: str
+    seconds: float
+
+    def content(self) -> bytes:
+        """Return what the mark holds: the facts, and a number that nobody can guess."""
+        return json.dumps({**asdict(self), "number": os.urandom(32).hex()}).encode()
+
+    @property
+    def finding(self) -> Finding:
+        """What is said of them, where they are waited for."""
+        problem = (
+            f"an earlier execution was killed; its runs may go on there for {self.seconds:g} s, and none is begun "
+            "before that"
+        )
+        fix = f"Where you know that none of them goes on, remove {MARK_OF_ELSEWHERE}* from the folder beforehand."
+        return Finding.warning(self.where, problem, fix)
+
+
+def runs_elsewhere(folder: ExperimentFolder) -> list[RunsElsewhere]:
+    """Return what may go on elsewhere: there is one for each execution over other machines that did not end."""
+    return [_elsewhere(path, folder) for path in sorted(folder.root.iterdir()) if _ELSEWHERE.fullmatch(path.name)]
+
+
+def _elsewhere(mark: Path, folder: ExperimentFolder) -> RunsElsewhere:
+    with suppress(StorageError, ValueError, RecursionError):
+        match json.loads(read_bytes(mark, folder.root, limit=_MOST_BYTES)):
+            case {"where": str(where), "seconds": int() | float() as seconds} if 0 <= seconds <= _LONGEST:
+                return RunsElsewhere(where, float(seconds))
+    return RunsElsewhere("another machine", _USUAL)
+
+
+def forget_runs_elsewhere(folder: ExperimentFolder, *, but: Path | None = None) -> None:
+    """Remove the marks, but one, and what other machines have answered to them."""
+    for path in folder.root.glob(f"{MARK_OF_ELSEWHERE}*"):
+        if path != but:
+            remove(path, folder.root)
 
 
 def _wait(is_so: Callable[[], bool], seconds: float) -> bool:

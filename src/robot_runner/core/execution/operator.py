@@ -20,7 +20,7 @@ from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import take_request
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from robot_runner.core.config.operator_steps import Question
@@ -39,10 +39,17 @@ _MOST_BYTES = 64 * 1024
 
 @dataclass(slots=True)
 class _Done:
-    """When a step was done last: for which treatments, and which runs have begun since."""
+    """When a step was done last.
+
+    Attributes:
+        treatments: which it was done for, by factor.
+        begun_since: the runs that have begun since.
+        ahead: those that came before it, and had not begun when it was done.
+    """
 
     treatments: Mapping[str, str]
     begun_since: set[str] = field(default_factory=set)
+    ahead: set[str] = field(default_factory=set)
 
 
 class _History:
@@ -59,22 +66,38 @@ class _History:
         for record in read_journal(journal, kinds={"attempt_started", "attempt_finished", "operator_step"}):
             match record["kind"]:
                 case "operator_step":
-                    history.take(record["run"], record["step"], record["treatments"], record["answers"])
+                    history.expect(record["step"], record["treatments"], record.get("ahead", ()))
+                    history.take(record["run"], record["answers"])
                 case "attempt_started":
                     history.begin(record["run"])
-                case _ if record["is_last"] and record["status"] != "interrupted":
-                    history.answers.pop(record["run"], None)  # executed again, it is asked about anew
+                case _ if record["is_last"]:
+                    history.end(record["run"], is_interrupted=record["status"] == "interrupted")
         return history
 
-    def take(self, run_id: str, step: str, treatments: Mapping[str, str], answers: Mapping[str, MeasureValue]) -> None:
-        """Take down that a step was done."""
-        self._done[step] = _Done(treatments)
+    def expect(self, step: str, treatments: Mapping[str, str], ahead: Iterable[str]) -> None:
+        """Take down that a step is done for some treatments, after runs that are yet to begin."""
+        self._done[step] = _Done(treatments, ahead=set(ahead))
+
+    def take(self, run_id: str, answers: Mapping[str, MeasureValue]) -> None:
+        """Take down what was answered about a run."""
         self.answers.setdefault(run_id, {}).update(answers)
 
     def begin(self, run_id: str) -> None:
-        """Take down that a run has begun."""
+        """Take down that a run begins."""
         for done in self._done.values():
-            done.begun_since.add(run_id)
+            if run_id not in done.ahead:
+                done.begun_since.add(run_id)
+
+    def end(self, run_id: str, *, is_interrupted: bool) -> None:
+        """Take down that a run has ended: if it is executed again, it begins anew, and is asked about anew."""
+        for done in self._done.values():
+            done.ahead.discard(run_id)
+        if not is_interrupted:
+            self.answers.pop(run_id, None)
+
+    def ahead_of(self, step: str, yet_to_begin: Iterable[str]) -> list[str]:
+        """Return which of some runs came before a step was done last."""
+        return [run_id for run_id in yet_to_begin if run_id in self._done[step].ahead]
 
     def is_due(self, step: OperatorStep, treatments: Mapping[str, str]) -> bool:
         """Return whether a step is to be done before a run with these treatments of its factors."""
@@ -96,6 +119,9 @@ class Operator:
         self._progress = ongoing.progress
         self._keyboard = _Keyboard(ongoing.observer.user_input)
         self._is_asking = False
+        self._in_line: set[int] = set()
+        self._being_done: dict[tuple[str, str], None] = {}
+        self._has_begun: dict[str, bool] = {}
         self._notify = ongoing.notify
         self._history: _History | None = None
         self._reads: dict[str, dict[tuple[str, str], None]] = {}
@@ -103,17 +129,36 @@ class Operator:
     def prepare(self, run: PendingRun, *, is_retry: bool = False) -> Steps[bool]:
         """Have the steps done that are due before a run, or before another attempt at it; returns whether any was.
 
+        Which ones are due is decided at once, so that with several places they are those that one place would have:
+        runs count in the order in which they come, also where one rests while the next is prepared elsewhere.
+
         Raises:
             ExecutionError: a function of the config that says when a step is due raised.
         """
+        if not self._steps or self._ongoing.is_interrupted:
+            return False
+        steps = [step for step in self._steps if step.is_for_each_attempt or not is_retry]
+        due = [step for step in steps if self._is_due(step, run)]
+        before, ahead = list(self._being_done), self._yet_to_begin()
+        for step in due:
+            self._known().expect(step.name, _treatments(step, self._progress.task_of(run).combination), ahead)
+            self._being_done[step.name, run.run_id] = None
+        if run.run_id not in self._has_begun:  # else it is another attempt at it
+            self._known().begin(run.run_id)
+            self._has_begun[run.run_id] = False
         has_asked = False
-        for step in self._steps:
-            if is_retry and not step.is_for_each_attempt:
-                continue
-            if not self._ongoing.is_interrupted and self._is_due(step, run):
+        for step in steps:
+            if step in due and not self._ongoing.is_interrupted:
                 yield from self._have_done(step, run)
                 has_asked = True
+            elif not step.is_for_each_attempt:
+                yield from self._await_done([each for each in before if each[0] == step.name])
         return has_asked
+
+    def _await_done(self, awaited: Sequence[tuple[str, str]]) -> Steps[None]:
+        """Wait until a step has been done that is being done before runs that came earlier."""
+        while not self._ongoing.is_interrupted and any(each in self._being_done for each in awaited):
+            yield Pause(_LISTEN)
 
     def ask_to_start(self, run: PendingRun) -> Steps[None]:
         """Wait until somebody says that a run may start (SEMI), or until an interruption."""
@@ -129,11 +174,15 @@ class Operator:
             report("read", {"factor": factor, "owner": owner})
         if not self._steps:
             return
-        self._known().begin(task.run_id)
+        self._has_begun[task.run_id] = True
         for name, value in self._known().answers.get(task.run_id, {}).items():
             fields = {"name": name, "value": value, "owner": OPERATOR_OWNER, "origin": Origin.ENTERED.value}
             task.measures[name] = fields
             report("measure", fields)
+
+    def _yet_to_begin(self) -> list[str]:
+        """Return the runs that were prepared, and have not begun."""
+        return [run_id for run_id, has_begun in self._has_begun.items() if not has_begun]
 
     def _known(self) -> _History:
         if self._history is None:
@@ -166,17 +215,25 @@ class Operator:
             else:
                 measures[columns.column_for(OPERATOR_OWNER, question.name).name] = value
         treatments = _treatments(step, self._progress.task_of(run).combination)
-        self._known().take(run.run_id, step.name, treatments, measures)
+        self._known().take(run.run_id, measures)
         facts = {"run": run.run_id, "step": step.name, "treatments": treatments, "answers": measures, "notes": notes}
+        if ahead := self._known().ahead_of(step.name, self._yet_to_begin()):
+            facts["ahead"] = ahead
         self._progress.note("operator_step", flush=True, **facts)
+        self._being_done.pop((step.name, run.run_id), None)
 
     def _ask(self, run: PendingRun, step: OperatorStep | None = None) -> Steps[dict[str, MeasureValue] | None]:
         """Wait until a person says that a step is done, or that a run may start; None after an interruption.
 
-        The person is asked about one run at a time; another one that is about to begin elsewhere waits meanwhile.
+        The person is asked about one run at a time; others that are about to begin elsewhere wait meanwhile, and come
+        in the order of the runs.
         """
-        while self._is_asking:
-            yield Pause(_LISTEN)
+        self._in_line.add(run.number)
+        try:
+            while self._is_asking or run.number > min(self._in_line):
+                yield Pause(_LISTEN)
+        finally:
+            self._in_line.discard(run.number)
         self._is_asking = True
         try:
             return (yield from self._asked(run, step))

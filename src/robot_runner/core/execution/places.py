@@ -151,11 +151,14 @@ class Places(Protocol):
     def due(self) -> float | None:
         """When `advance` is to be called at the latest, on the monotonic clock (s); None for no such moment."""
 
-    def advance(self) -> Sequence[str]:
+    def advance(self, *, is_idle: bool = False) -> Sequence[str]:
         """Take note, without waiting, of places that have come or gone; return in words what a person should know.
 
+        Args:
+            is_idle: whether nothing is in flight or prepared anywhere, as no place that is there suits what is left.
+
         Raises:
-            ExecutionError: none is left, and none is to come.
+            ExecutionError: none is left, and none is to come; or for too long there has been none that suits.
         """
 
     def close(self) -> None:

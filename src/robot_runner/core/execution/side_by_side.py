@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.events.measure import ROBOT
 from robot_runner.core.execution.attempts import Attempts
+from robot_runner.core.execution.left_over import forget_runs_elsewhere, runs_elsewhere
 from robot_runner.core.execution.mission_knowledge import combination_key
+from robot_runner.core.execution.patience import Pause
 from robot_runner.core.execution.task import AttemptStatus
 from robot_runner.core.storage.cells import RunStatus
 
@@ -80,6 +82,8 @@ class SideBySide:
         Args:
             is_cleared: whether a callback has asked the user already whether the first run may start.
         """
+        if not self._begun:
+            self._await_elsewhere()
         self._left = self._progress.pending(self._begun)
         self._may_begin = True
         if self._ongoing.experiment.parameters.robots:
@@ -97,6 +101,25 @@ class SideBySide:
                     self._await_place()
         finally:
             self._let_go()
+
+    def _await_elsewhere(self) -> None:
+        """Wait for what other machines may go on with that a killed execution has ordered, where this one has others.
+
+        A robot would be commanded twice at a time, and a run that ends there would write into the folder of its name.
+        """
+        ongoing, folder = self._ongoing, self._ongoing.experiment.folder
+        if ongoing.experiment.parameters.cluster is not None:  # which awaits that itself, by a mark of its own
+            return
+        found = runs_elsewhere(folder)
+        if not found or next(iter(self._progress.pending(0)), None) is None:
+            return
+        for each in found:
+            ongoing.find(each.finding)
+        pause = Pause(max(each.seconds for each in found))
+        while not ongoing.patience.turn([pause]):
+            pass
+        if not ongoing.is_interrupted:
+            forget_runs_elsewhere(folder)
 
     def _choose(self) -> tuple[PendingRun, RunTask, Place, frozenset[str]] | None:
         """Return the first run that can begin now, with its place and its claims; None if there is none."""
@@ -204,12 +227,12 @@ class SideBySide:
                 fix="See to the robots or workers that were set aside, and start the experiment again: it resumes.",
             )
         self._ongoing.patience.turn([], self._places)
-        self._take_note_of_places()
+        self._take_note_of_places(is_idle=True)
 
-    def _take_note_of_places(self) -> None:
+    def _take_note_of_places(self, *, is_idle: bool = False) -> None:
         if not (self._places.descriptors or self._places.due is not None):
             return
-        for problem in self._places.advance():
+        for problem in self._places.advance(is_idle=is_idle):
             self._attempts.tell_of_place(problem)
         there = [each for each in self._places.all if not each.is_aside]
         if there != self._there:

@@ -214,6 +214,7 @@ class _OperatorStep(Record):
     treatments: dict[str, Scalar]
     answers: dict[str, Scalar]
     notes: dict[str, Scalar]
+    ahead: NotRequired[list[str]]
 
 
 class _BoundParameter(TypedDict):

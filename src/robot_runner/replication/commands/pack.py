@@ -141,7 +141,11 @@ def execute(arguments: Namespace) -> int:
         def show(done: int, total: int) -> None:
             bar()(done, total)
 
-        packed = pack(folder, target, packing, show, _say_asking)
+        def ask(count: int) -> None:
+            stack.close()  # everything is packed by then
+            _say_asking(count)
+
+        packed = pack(folder, target, packing, show, ask)
     signature = sign(target, key) if key else None
     if arguments.json:
         print_json({**_as_json(packed), "signature": str(signature) if signature else None})

@@ -19,6 +19,7 @@ import os
 import re
 import sys
 from contextlib import contextmanager, nullcontext, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +33,8 @@ from robot_runner.cli.screens.byte_progress import byte_progress
 from robot_runner.cli.screens.ending import print_verdict
 from robot_runner.cli.target import only_package
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.errors import did_you_mean
+from robot_runner.core.errors import PackageError, RobotRunnerError, did_you_mean
+from robot_runner.core.execution.recovery import ACCEPT
 from robot_runner.core.secret_names import shown_assignments
 from robot_runner.core.storage.input_files import kept_copies
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -60,6 +62,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from robot_runner.cli.parser import Parser
+    from robot_runner.core.errors import Finding
     from robot_runner.replication.differences import Difference
     from robot_runner.replication.replicating import Source
 
@@ -175,11 +178,33 @@ def _execute_here(arguments: Namespace, root: Path, target: Path) -> int:
     """Execute the experiment of the package in this very environment; return the exit code of its execution."""
     with _no_traces(), kept_copies(ExperimentFolder.found_at(root).config, working_files(root, target)):
         replication = prepare_replication(root, target, parse_assignments(arguments.set))
-        execution = execute_on_screen(replication.experiment, replication.findings, plain=arguments.plain)
+        with _own_remedies():
+            execution = execute_on_screen(replication.experiment, replication.findings, plain=arguments.plain)
     if execution.finished is not None:
         with read_or_not():
             print_verdict(output(), execution.finished, execution.progress)
     return execution.exit_code
+
+
+#: Remedies that name options of `robot-runner run`, and those that a replication has instead.
+_REMEDIES = {
+    ACCEPT: "Have it be as it was when this replication was begun, or begin another: --to FOLDER.",
+    "--table": "Restore run table and journal from a backup, or begin another replication: --to FOLDER.",
+}
+
+
+@contextmanager
+def _own_remedies() -> Iterator[None]:
+    """Have what refuses to go on advise nothing that only `robot-runner run` takes."""
+
+    def remedied(finding: Finding) -> Finding:
+        own = next((fix for option, fix in _REMEDIES.items() if option in finding.fix), finding.fix)
+        return replace(finding, fix=own)
+
+    try:
+        yield
+    except RobotRunnerError as error:
+        raise PackageError.of_findings(tuple(map(remedied, error.findings))) from error
 
 
 def _execute_elsewhere(arguments: Namespace, source: Source, root: Path, target: Path, which: str) -> int:

@@ -1,0 +1,48 @@
+"""A factor that only counts repetitions, as in the paper's Listing 1, is no factor of a study that is planned."""
+
+from __future__ import annotations
+
+import pytest
+
+from robot_runner.analysis.planning.planned_study import Study
+from robot_runner.core.design.analysis_plan import AnalysisPlan
+from robot_runner.core.design.factor import Factor
+from robot_runner.core.design.run_table_model import RunTableModel
+from robot_runner.core.errors import AnalysisError
+from robot_runner.designs import OneFactorAtATime
+
+TASK = Factor("Task", ["Idle", "Video"])
+UNITS = {"Energy": "J"}
+
+
+def study_of(name: str, plan: AnalysisPlan | None = None, blocks: str | None = None) -> Study:
+    model = RunTableModel([TASK, Factor(name, range(1, 16))], blocks=blocks)
+    return Study.of_model("study", model, plan, UNITS)
+
+
+@pytest.mark.parametrize("name", ["Repetition", "repetition"])
+def test_the_treatments_of_a_factor_that_counts_are_the_repetitions(name: str) -> None:
+    study = study_of(name)
+    assert study.factors == {"Task": ("Idle", "Video")}
+    assert study.cells == (("Idle",), ("Video",))
+    assert study.repetitions == 15
+    assert study.runs(15) == 30
+
+
+@pytest.mark.parametrize("name", ["Repetition", "repetition"])
+def test_blocks_by_a_factor_that_counts_are_blocks_by_the_repetition(name: str) -> None:
+    study = study_of(name, AnalysisPlan("Energy", blocks=name), blocks=name)
+    results = study.results(4, {"Energy": [1.0] * 8})
+    assert study.blocks == results.block == "Repetition"
+    assert results.plan is not None
+    assert results.plan.blocks == "Repetition"
+    assert results.factors == ("Task",)
+    assert results.runs["Repetition"].nunique() == 4
+
+
+def test_a_design_of_its_own_says_what_to_do_about_a_factor_that_counts() -> None:
+    design = OneFactorAtATime({"Task": "Idle", "Repetition": 1})
+    model = RunTableModel([TASK, Factor("Repetition", [1, 2])], design=design)
+    with pytest.raises(AnalysisError, match="counts the repetitions") as caught:
+        Study.of_model("study", model, None, UNITS)
+    assert "repetitions=2" in caught.value.fix
