@@ -324,7 +324,13 @@ class FollowedExperiment:
         )
         questions = [Question.from_mapping(facts) for facts in waiting["questions"]]
         asked = [question.as_mapping() | {"hint": question.hint} for question in questions]
-        return {"run": waiting["next_run"], "step": waiting["step"], "treatments": treatments, "questions": asked}
+        return {
+            "run": waiting["next_run"],
+            "place": waiting["place"],
+            "step": waiting["step"],
+            "treatments": treatments,
+            "questions": asked,
+        }
 
     def _findings(self) -> dict[str, Any]:
         if self._status is None:

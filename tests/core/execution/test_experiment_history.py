@@ -16,7 +16,7 @@ def test_a_person_is_waited_for_however_many_runs_end_elsewhere_meanwhile() -> N
     history = ExperimentHistory()
     history.take({"kind": "waiting", "next_run": "r_2", "step": "lay the floor", "questions": ()})
     history.take(ended("r_1"))
-    assert history.waiting_for == {"next_run": "r_2", "step": "lay the floor", "questions": ()}
+    assert history.waiting_for == {"next_run": "r_2", "place": "", "step": "lay the floor", "questions": ()}
     history.take(ended("r_2"))
     assert history.waiting_for is None
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from tests.conftest import written_config
 from tests.core.execution.conftest import Executed, RecordingObserver
+from tests.long_cases import long_but
 
 from robot_runner.core.config.operator_steps import OperatorStep
 from robot_runner.core.config.preparation import prepare_or_refuse
@@ -171,7 +172,9 @@ class Preparing:
         return next(prepared, None) is not None
 
     def prepare(self, number: int) -> Steps[bool]:
-        return self.operator.prepare(SimpleNamespace(run_id=f"r_{number}", number=number))
+        return self.operator.prepare(
+            SimpleNamespace(run_id=f"r_{number}", number=number), "alice" if number % 2 else "bob"
+        )
 
     def begin(self, number: int) -> None:
         self.records.append({"kind": "attempt_started", "run": f"r_{number}", "attempt": 1})
@@ -192,6 +195,7 @@ def test_a_run_that_has_been_prepared_counts_though_it_has_not_begun(tmp_path: P
     first, second = at.prepare(1), at.prepare(2)
     assert at.goes_on(first)
     assert at.goes_on(second), "it waits until the battery is swapped, and is not asked for another one"
+    assert [(each["next_run"], each["place"]) for each in at.records if each["kind"] == "waiting"] == [("r_1", "alice")]
     at.answer(first, 1, "swap")
     assert not at.goes_on(second)
     at.begin(1)
@@ -270,7 +274,7 @@ def test_an_answer_is_a_measure_of_its_run_and_a_note_stays_in_the_journal(execu
     assert ("From", "a person, who was asked before the run") in explained.values[0].facts
 
 
-@pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
+@pytest.mark.parametrize("run_process", long_but(["fork", "in_process"], ["fork", "spawn", "in_process"]))
 def test_every_kind_of_process_knows_the_answers(execute: Callable, run_process: str) -> None:
     body = f"""
     run_process = RunProcess.{run_process.upper()}

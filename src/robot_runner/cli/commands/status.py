@@ -105,8 +105,9 @@ def _now(status: ExperimentStatus) -> Iterator[tuple[str, str]]:
 def _to_do(status: ExperimentStatus) -> str:
     if status.waiting_for is None:
         return ""
-    run = f"say that {status.waiting_for['next_run']} may start"
-    step = f"{status.waiting_for['step']}, before {status.waiting_for['next_run']}"
+    place = f" ({status.waiting_for['place']})" if status.waiting_for["place"] else ""
+    run = f"say that {status.waiting_for['next_run']}{place} may start"
+    step = f"{status.waiting_for['step']}, before {status.waiting_for['next_run']}{place}"
     asked = ", ".join(question.asked for question in questions_of(status))
     return (step if status.waiting_for["step"] else run) + (f"; then tell {asked}" if asked else "")
 

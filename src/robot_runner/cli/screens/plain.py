@@ -121,7 +121,8 @@ def run_to_come(waiting: WaitingForUser, model: RunTableModel) -> list[str]:
     if not waiting.run_id:
         return []
     treatments = treatments_in_words(waiting, model)
-    run = f"{waiting.run_id}, run {waiting.next_run_number} of {waiting.run_count}"
+    place = f", {waiting.place}" if waiting.place else ""
+    run = f"{waiting.run_id}, run {waiting.next_run_number} of {waiting.run_count}{place}"
     lines = [f"Next is {run}{f': {treatments}' if treatments else ''}"]
     if waiting.runs_left is not None:
         about = f", {waiting.left.in_words()}" if waiting.left is not None else " left"

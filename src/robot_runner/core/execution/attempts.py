@@ -76,7 +76,7 @@ class Attempts:
         outcome = None
         for attempts_left in range(self._left.pop(run.run_id, self._parameters.attempts - 1), -1, -1):
             if attempts_left < self._parameters.attempts - 1:
-                yield from self._operator.prepare(run, is_retry=True)
+                yield from self._operator.prepare(run, name, is_retry=True)
             passage = Passage() if ongoing.is_ending else (yield from self._gates.pass_before(run, place.experiment))
             if ongoing.is_ending or self._is_stopped_by(passage.stop, run):
                 return outcome

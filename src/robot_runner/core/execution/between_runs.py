@@ -94,9 +94,9 @@ class BetweenRuns:
                 name,
                 place.experiment,
             )
-        has_asked = yield from self._operator.prepare(run)
+        has_asked = yield from self._operator.prepare(run, name)
         if self._is_semi and not (is_cleared or has_asked or self._ongoing.is_interrupted):
-            yield from self._operator.ask_to_start(run)
+            yield from self._operator.ask_to_start(run, name)
         rest = self._parameters.time_between_runs_in_ms / 1000 if finished is not None else 0.0
         # What one treatment left is to be gone: it is not known when the unit's last run ended, of another session too.
         rest = max(rest, self._rests.get(run.run_id, 0.0))

@@ -281,11 +281,15 @@ class ExperimentHistory:
 
     def _take_waiting(self, record: Mapping[str, Any]) -> None:
         if "next_run" in record:
-            asked = record.get("questions", ())
-            self.waiting_for = {"next_run": record["next_run"], "step": record.get("step", ""), "questions": asked}
+            self.waiting_for = {
+                "next_run": record["next_run"],
+                "place": record.get("place", ""),
+                "step": record.get("step", ""),
+                "questions": record.get("questions", ()),
+            }
 
     def _take_asked(self, record: Mapping[str, Any]) -> None:
-        self.waiting_for = {"next_run": record["run"], "step": record["step"], "questions": ()}
+        self.waiting_for = {"next_run": record["run"], "place": "", "step": record["step"], "questions": ()}
 
     def _take_answered(self, _record: Mapping[str, Any]) -> None:
         self.waiting_for = None

@@ -36,8 +36,8 @@ class ExperimentStatus:
     Attributes:
         holder: who executes it at this moment, or None.
         is_waiting_for_user: whether it waits for `robot-runner continue`.
-        waiting_for: what it waits for then: `next_run`, `step` (empty where it only asks whether the run may start),
-            and `questions` as plain data; None while it does not wait.
+        waiting_for: what it waits for then: `next_run`, `place` (empty where there is no other), `step` (empty where
+            it only asks whether the run may start), and `questions` as plain data; None while it does not wait.
         current_run, current_event: what is being executed, or None; of several runs the one that began last.
         in_flight: each run that is being executed, with its place where there are several.
         failures: why each failed run failed, one line each.

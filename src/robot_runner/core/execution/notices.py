@@ -137,6 +137,7 @@ class WaitingForUser:
 
     Attributes:
         run_id, combination, repetition: of the next run.
+        place: the robot or worker that executes it; empty where there is no other.
         step: what the user is to do; empty where they are only asked whether the run may start.
         questions: what they are asked then.
         runs_left: how many runs are to come in this session, the next one included; None where that is not known.
@@ -149,6 +150,7 @@ class WaitingForUser:
     run_id: str = ""
     combination: Mapping[str, Any] = field(default_factory=dict)
     repetition: int = 1
+    place: str = ""
     step: str = ""
     questions: Sequence[Question] = ()
     runs_left: int | None = None

@@ -115,7 +115,10 @@ class Notifications:
             case WaitingForUser() if "waiting" in wanted:
                 what = notice.step or "may the next run start?"
                 treatments = ", ".join(f"{name}={shown_treatment(each)}" for name, each in notice.combination.items())
-                body = f"Before {notice.run_id}, run {notice.next_run_number} of {notice.run_count}: {treatments}"
+                place = f", {notice.place}" if notice.place else ""
+                body = (
+                    f"Before {notice.run_id}, run {notice.next_run_number} of {notice.run_count}{place}: {treatments}"
+                )
                 yield _Message(f"{self._name} waits for you: {what}", body, "warning")
             case GateWaiting() if "waiting" in wanted and notice.seconds >= _GATE_PATIENCE:
                 yield from self._gate(notice)

@@ -126,11 +126,16 @@ class Operator:
         self._history: _History | None = None
         self._reads: dict[str, dict[tuple[str, str], None]] = {}
 
-    def prepare(self, run: PendingRun, *, is_retry: bool = False) -> Steps[bool]:
+    def prepare(self, run: PendingRun, place: str, *, is_retry: bool = False) -> Steps[bool]:
         """Have the steps done that are due before a run, or before another attempt at it; returns whether any was.
 
         Which ones are due is decided at once, so that with several places they are those that one place would have:
         runs count in the order in which they come, also where one rests while the next is prepared elsewhere.
+
+        Args:
+            run: what comes.
+            place: the name of the robot or worker that executes it; empty where there is no other.
+            is_retry: whether it has been tried already.
 
         Raises:
             ExecutionError: a function of the config that says when a step is due raised.
@@ -149,7 +154,7 @@ class Operator:
         has_asked = False
         for step in steps:
             if step in due and not self._ongoing.is_interrupted:
-                yield from self._have_done(step, run)
+                yield from self._have_done(step, run, place)
                 has_asked = True
             elif not step.is_for_each_attempt:
                 yield from self._await_done([each for each in before if each[0] == step.name])
@@ -160,9 +165,9 @@ class Operator:
         while not self._ongoing.is_interrupted and any(each in self._being_done for each in awaited):
             yield Pause(_LISTEN)
 
-    def ask_to_start(self, run: PendingRun) -> Steps[None]:
+    def ask_to_start(self, run: PendingRun, place: str) -> Steps[None]:
         """Wait until somebody says that a run may start (SEMI), or until an interruption."""
-        yield from self._ask(run)
+        yield from self._ask(run, place)
 
     def note_read(self, run_id: str, factor: str, owner: str) -> None:
         """Take down that somebody read the treatment of a factor ahead of its run."""
@@ -202,8 +207,8 @@ class Operator:
             raise ExecutionError(problem, where=f"operator step {step.name!r}, {run.run_id}", fix=fix) from error
         return self._known().is_due(step, _treatments(step, combination)) and suits
 
-    def _have_done(self, step: OperatorStep, run: PendingRun) -> Steps[None]:
-        answers = yield from self._ask(run, step)
+    def _have_done(self, step: OperatorStep, run: PendingRun, place: str) -> Steps[None]:
+        answers = yield from self._ask(run, place, step)
         if answers is None:
             return
         columns = self._experiment.columns
@@ -222,7 +227,9 @@ class Operator:
         self._progress.note("operator_step", flush=True, **facts)
         self._being_done.pop((step.name, run.run_id), None)
 
-    def _ask(self, run: PendingRun, step: OperatorStep | None = None) -> Steps[dict[str, MeasureValue] | None]:
+    def _ask(
+        self, run: PendingRun, place: str, step: OperatorStep | None = None
+    ) -> Steps[dict[str, MeasureValue] | None]:
         """Wait until a person says that a step is done, or that a run may start; None after an interruption.
 
         The person is asked about one run at a time; others that are about to begin elsewhere wait meanwhile, and come
@@ -236,23 +243,26 @@ class Operator:
             self._in_line.discard(run.number)
         self._is_asking = True
         try:
-            return (yield from self._asked(run, step))
+            return (yield from self._asked(run, place, step))
         finally:
             self._is_asking = False
 
-    def _asked(self, run: PendingRun, step: OperatorStep | None) -> Steps[dict[str, MeasureValue] | None]:
+    def _asked(self, run: PendingRun, place: str, step: OperatorStep | None) -> Steps[dict[str, MeasureValue] | None]:
         if self._ongoing.is_interrupted:
             return None
         name, questions = (step.name, tuple(step.ask)) if step else ("", ())
         asked = [question.as_mapping() for question in questions]
-        self._progress.note("waiting", next_run=run.run_id, step=name, questions=asked)
-        self._notify(self._waiting(run, name, questions))
+        facts: dict[str, Any] = {"next_run": run.run_id, "step": name, "questions": asked}
+        if place:
+            facts["place"] = place
+        self._progress.note("waiting", **facts)
+        self._notify(self._waiting(run, place, name, questions))
         answers = yield from self._answered((run.run_id, name), questions)
         self._progress.note("continued")
         self._notify(UserHasContinued())
         return answers
 
-    def _waiting(self, run: PendingRun, step: str, questions: Sequence[Question]) -> WaitingForUser:
+    def _waiting(self, run: PendingRun, place: str, step: str, questions: Sequence[Question]) -> WaitingForUser:
         task = self._progress.task_of(run)
         return WaitingForUser(
             folder=self._experiment.folder.root,
@@ -261,6 +271,7 @@ class Operator:
             run_id=run.run_id,
             combination=task.combination,
             repetition=task.repetition,
+            place=place,
             step=step,
             questions=questions,
             runs_left=self._progress.runs_left(run),

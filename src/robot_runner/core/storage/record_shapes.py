@@ -199,6 +199,7 @@ class _Extended(_Dated):
 
 class _Waiting(Record):
     next_run: NotRequired[str]
+    place: NotRequired[str]
     step: NotRequired[str | None]
     questions: NotRequired[list[dict[str, Any]]]
 
