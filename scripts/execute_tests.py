@@ -31,8 +31,8 @@ _ROS2_PYTHON = Path(sys.prefix, "ros2", "bin", "python")
 _OF_ROS2 = re.compile(r"\bmark\.ros2\b|\bover\(.*\"ros2\"")
 #: Where the processes keep what is made once for all of them: tests/made_once.py.
 _SHARED = "ROBOT_RUNNER_TESTS_FOLDER"
-#: Fewer files waste imports, more leave some processors idle at the end.
-_FILES = 12
+#: Fewer files waste a start and imports each, a second of processor time, more leave processors idle at the end.
+_FILES = 20
 #: Rooms of few lines that take long: Chromium, a simulated chip, killed processes, whole experiments. They begin first:
 #: otherwise they would end alone, with idle processors beside them.
 _LONG = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pexpect
 import pyte
 import pytest
+from tests.waiting import PATIENCE
 
 from robot_runner.cli.main import main
 
@@ -109,7 +111,9 @@ class Terminal:
 
     def wait_until_shown(self, *parts: str) -> None:
         """Wait until all of this is on the screen at the same time: it may be drawn anew at any moment."""
+        deadline = time.monotonic() + PATIENCE
         while not all(part in self.text for part in parts):
+            assert time.monotonic() < deadline, f"{parts} never stood together on\n{self.text}"  # it is drawn all along
             self.child.expect(r"[\s\S]")
 
     def finish(self) -> int:

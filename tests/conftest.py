@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["browser", "program", "robot_runner", "terminal"]
 _FIXED, _SOAK = "fixed", "soak"
 #: Far more than a test takes that has no mark, s of processor time: computers differ, and one of each kind is dear.
-_LONG = 8.0
+_LONG = 4.0
 #: Has rclpy beside what this Python has: scripts/set_up.sh.
 ROS2_PYTHON = Path(sys.prefix, "ros2", "bin", "python")
 

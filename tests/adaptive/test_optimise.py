@@ -39,6 +39,7 @@ def searched(model: RunTableModel, values: Values) -> tuple[list[Told], list[Dec
     told = told_of([(run.combination, run.repetition) for run in model.plan()], values)
     decisions = [asking.ask(told)]
     while decisions[-1].runs:
+        assert len(decisions) < 1000, "this search never ends"
         batch = 2 if decisions[-1].confirms else 1
         told += told_of(decisions[-1].runs, values, batch, len(told) + 1)
         decisions.append(asking.ask(told))

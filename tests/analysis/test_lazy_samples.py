@@ -204,6 +204,7 @@ def test_a_way_of_resampling_that_is_none_is_refused(results):
         results.aligned_samples({}, period=0.5)
 
 
+@pytest.mark.long
 def test_one_name_alone_may_be_given_as_it_is(results):
     told = results.samples("Meter", columns="power_W", runs="r_1")
     pd.testing.assert_frame_equal(told, results.samples("Meter", columns=["power_W"], runs=["r_1", "r_1"]))

@@ -179,6 +179,7 @@ def grown(pieces, kind=None):
     return column.values()
 
 
+@pytest.mark.long
 @given(st.lists(st.lists(st.floats(allow_nan=False, width=64) | st.none(), max_size=5), min_size=1, max_size=6))
 def test_a_growing_column_holds_what_was_added(pieces):
     expected = [np.nan if value is None else value for piece in pieces for value in piece]

@@ -44,6 +44,7 @@ def test_one_factor_at_a_time_takes_further_treatments(execute: Callable[..., An
     assert sorted((row["Task"], row["Floor"], row["Speed"]) for row in again.table[6:]) == sorted(rows)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("design", ["FractionalFactorial(resolution=3)", "CoveringArray()", "DOptimal(runs=6)"])
 def test_a_design_that_would_choose_others_is_refused_with_what_can_be_done(
     execute: Callable[..., Any], design: str

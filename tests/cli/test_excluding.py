@@ -51,6 +51,7 @@ def reasons(executed: Any) -> list[str]:
     return [row["excluded"] for row in executed.table]
 
 
+@pytest.mark.long
 def test_the_run_and_its_reason_are_kept_in_journal_table_schema_and_status(execute: Execute) -> None:
     executed = execute(COUNTING)
     before = executed.table
@@ -65,6 +66,7 @@ def test_the_run_and_its_reason_are_kept_in_journal_table_schema_and_status(exec
     assert read_status(executed.folder).excluded == {"r_2": WHY, "r_3": WHY}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lost", ["run_table.csv", "run_table.schema.json", "manifest.json"])
 def test_it_survives_a_table_a_schema_or_a_manifest_that_is_made_anew(execute: Execute, lost: str) -> None:
     executed = execute(COUNTING)
@@ -77,6 +79,7 @@ def test_it_survives_a_table_a_schema_or_a_manifest_that_is_made_anew(execute: E
     assert len(executed.journal("attempt_started")) == 4
 
 
+@pytest.mark.long
 def test_an_experiment_that_goes_on_finds_nothing_odd(execute: Execute) -> None:
     executed = execute(COUNTING)
     exclude_runs(folder_of(executed), ["r_2"], WHY)
@@ -86,6 +89,7 @@ def test_an_experiment_that_goes_on_finds_nothing_odd(execute: Execute) -> None:
     assert executed.journal("deviation") == []
 
 
+@pytest.mark.long
 def test_what_the_journal_has_counts_where_the_table_was_not_written_any_more(execute: Execute) -> None:
     executed = execute(COUNTING)
     table = (executed.folder / "run_table.csv").read_text(encoding="utf-8")
@@ -95,6 +99,7 @@ def test_what_the_journal_has_counts_where_the_table_was_not_written_any_more(ex
     assert reasons(executed) == ["", WHY, "", ""]
 
 
+@pytest.mark.long
 def test_an_edited_reason_is_a_deviation_like_any(execute: Execute) -> None:
     executed = execute(COUNTING)
     exclude_runs(folder_of(executed), ["r_2"], WHY)
@@ -116,6 +121,7 @@ def test_an_edited_reason_is_a_deviation_like_any(execute: Execute) -> None:
     assert resume(executed).excluded == ()
 
 
+@pytest.mark.long
 def test_an_edit_that_nobody_has_judged_is_still_found_after_a_run_was_excluded(execute: Execute) -> None:
     executed = execute(COUNTING)
     edit(executed.folder / "run_table.csv", "Video,1,11", "Video,1,12")
@@ -124,6 +130,7 @@ def test_an_edit_that_nobody_has_judged_is_still_found_after_a_run_was_excluded(
         resume(executed)
 
 
+@pytest.mark.long
 def test_an_excluded_run_that_is_to_do_or_failed_is_not_executed(execute: Execute) -> None:
     executed = execute(
         COUNTING + "\ndef start_run(self, context):\n    if context.run_number > 2: raise ValueError('x')"
@@ -136,6 +143,7 @@ def test_an_excluded_run_that_is_to_do_or_failed_is_not_executed(execute: Execut
     assert (status.done, status.failed, status.todo) == (2, 1, 0)
 
 
+@pytest.mark.long
 def test_a_run_that_is_executed_again_counts_again(execute: Execute) -> None:
     executed = execute(COUNTING)
     exclude_runs(folder_of(executed), ["r_2"], WHY)
@@ -214,6 +222,7 @@ def test_a_kill_between_the_files_leaves_runs_that_can_be_excluded_and_included(
     assert reasons(executed) == ["", "", WHY, ""]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["run_table.csv", "run_table.schema.json"])
 def test_of_what_is_lost_it_is_said_how_it_comes_back(execute: Execute, name: str) -> None:
     executed = execute(COUNTING)
@@ -223,3 +232,15 @@ def test_of_what_is_lost_it_is_said_how_it_comes_back(execute: Execute, name: st
     assert "it is made anew" in refused.value.fix
     resume(executed)
     assert exclude_runs(folder_of(executed), ["r_1"], WHY) == ("r_1",)
+
+
+@pytest.mark.parametrize("correct", [exclude_runs, include_runs])
+def test_nothing_is_corrected_where_the_journal_is_missing(execute: Execute, correct: Callable[..., Any]) -> None:
+    executed = execute(COUNTING)
+    (executed.folder / "journal.jsonl").unlink()
+    before = (executed.folder / "run_table.csv").read_bytes()
+    with pytest.raises(StorageError, match=r"journal\.jsonl is missing") as refused:
+        correct(folder_of(executed), ["r_2"], WHY)
+    assert "Restore it from a backup" in refused.value.fix
+    assert (executed.folder / "run_table.csv").read_bytes() == before
+    assert not (executed.folder / "journal.jsonl").exists(), "an empty one would look as if nothing had been executed"

@@ -18,7 +18,7 @@ from robot_runner.cli.extension import Extension, ExtensionRequest, extend_exper
 from robot_runner.cli.planning import plan_of
 from robot_runner.core.config.preparation import prepare, prepare_or_refuse
 from robot_runner.core.design.growing import Additions, NewFactor
-from robot_runner.core.errors import DesignError, ExecutionError, RobotRunnerError
+from robot_runner.core.errors import DesignError, ExecutionError, RobotRunnerError, StorageError
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.notices import ExperimentFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
@@ -115,6 +115,7 @@ def test_a_finished_experiment_goes_on_with_the_new_runs_alone(execute: Execute)
     assert len(executed.journal("attempt_started")) == 12
 
 
+@pytest.mark.long
 def test_a_half_done_experiment_executes_what_is_left_of_the_first_plan_before(
     execute: Execute, tmp_path: Path
 ) -> None:
@@ -182,6 +183,7 @@ def test_a_table_that_is_older_than_a_batch_gets_its_runs(execute: Execute, *, i
     assert len(executed.journal("attempt_started")) == 12
 
 
+@pytest.mark.long
 def test_an_extension_that_was_killed_before_its_table_was_written_is_still_to_do(execute: Execute) -> None:
     executed = execute(COUNTING)
     kept = {name: text_of(executed, name) for name in ("run_table.csv", "run_table.schema.json", "manifest.json")}
@@ -204,6 +206,7 @@ def test_an_extension_that_was_killed_before_its_table_was_written_is_still_to_d
     assert resume(executed).done_count == 6
 
 
+@pytest.mark.long
 def test_treatments_that_a_grown_experiment_has_and_its_config_lost_are_told(
     execute: Execute, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -218,6 +221,7 @@ def test_treatments_that_a_grown_experiment_has_and_its_config_lost_are_told(
     assert "runs have 1 treatment of Task that the config does not plan any more: Network" in told[0]
 
 
+@pytest.mark.long
 def test_numbers_that_json_does_not_have_grow_as_others_do(execute: Execute) -> None:
     table = TABLE.replace('["Video", "Network"]', '[0.5, float("inf"), float("-inf")]')
     executed = execute(COUNTING, table=table)
@@ -237,6 +241,7 @@ def test_an_extension_names_a_manifest_that_is_none_of_ours(execute: Execute) ->
         extend(executed, 3)
 
 
+@pytest.mark.long
 def test_rows_that_were_deleted_by_hand_come_back_where_the_journal_is_to_count(execute: Execute) -> None:
     executed = execute(COUNTING)
     extend(executed, 4)
@@ -248,6 +253,7 @@ def test_rows_that_were_deleted_by_hand_come_back_where_the_journal_is_to_count(
     assert text_of(executed) == whole
 
 
+@pytest.mark.long
 def test_an_edited_batch_is_a_difference_like_any_other(execute: Execute) -> None:
     executed = execute(COUNTING)
     extend(executed, 3)
@@ -310,6 +316,7 @@ def test_random_growths_execute_each_run_once_and_come_back_from_the_journal(
 # Why 6: a config that plans more than there is.
 
 
+@pytest.mark.long
 def test_more_repetitions_in_the_config_are_refused_with_the_command_that_adds_them(execute: Execute) -> None:
     executed = execute(COUNTING)
     written_config(executed.config.parent, COUNTING, table=changed(TABLE, **{"repetitions=2": "repetitions=5"}))
@@ -340,6 +347,7 @@ def test_treatments_and_factors_of_the_config_are_named_too(execute: Execute) ->
     assert [row["Floor"] for row in executed.table[:4]] == ["carpet"] * 4
 
 
+@pytest.mark.long
 def test_a_design_that_has_less_as_well_is_a_warning_where_changes_are_accepted(execute: Execute) -> None:
     executed = execute(COUNTING)
     written_config(executed.config.parent, COUNTING, table=changed(TABLE, **{'"Network"': '"Audio"'}))
@@ -367,6 +375,7 @@ def test_an_experiment_that_has_not_begun_has_nothing_to_add_to(tmp_path: Path) 
     assert not (tmp_path / "results").exists()
 
 
+@pytest.mark.long
 def test_an_experiment_that_is_being_executed_is_left_alone(execute: Execute) -> None:
     executed = execute(COUNTING)
     journal = text_of(executed, "journal.jsonl")
@@ -381,6 +390,7 @@ def test_an_experiment_that_is_being_executed_is_left_alone(execute: Execute) ->
     assert text_of(executed, "journal.jsonl") == journal
 
 
+@pytest.mark.long
 def test_a_dry_run_writes_nothing(execute: Execute) -> None:
     executed = execute(COUNTING)
     before = {path: path.read_bytes() for path in executed.folder.rglob("*") if path.is_file()}
@@ -390,6 +400,7 @@ def test_a_dry_run_writes_nothing(execute: Execute) -> None:
     assert [str(run) for run in extend(executed, 3, seed=5).runs] == [str(run) for run in extension.runs]
 
 
+@pytest.mark.long
 def test_a_change_beside_the_design_is_refused_until_it_is_accepted(execute: Execute) -> None:
     executed = execute(COUNTING)
     table = changed(TABLE, **{"repetitions=2": "repetitions=3"})
@@ -402,6 +413,7 @@ def test_a_change_beside_the_design_is_refused_until_it_is_accepted(execute: Exe
     assert "20 *" in text_of(executed, "config/config.py")
 
 
+@pytest.mark.long
 def test_a_table_that_disagrees_with_the_journal_is_settled_before(execute: Execute) -> None:
     executed = execute(COUNTING)
     path = executed.folder / "run_table.csv"
@@ -414,6 +426,7 @@ def test_a_table_that_disagrees_with_the_journal_is_settled_before(execute: Exec
     assert len(extend(executed, 3).runs) == 2
 
 
+@pytest.mark.long
 def test_a_design_and_a_table_that_were_both_changed_tell_nothing(execute: Execute) -> None:
     executed = execute(COUNTING)
     written_config(executed.config.parent, COUNTING, table=changed(TABLE, **{"repetitions=2": "repetitions=3"}))
@@ -422,6 +435,7 @@ def test_a_design_and_a_table_that_were_both_changed_tell_nothing(execute: Execu
         extend(executed)
 
 
+@pytest.mark.long
 def test_a_factor_may_be_called_batch_until_there_is_one(execute: Execute) -> None:
     body = "def launch_mission(self, context): context.combination['batch']"
     executed = execute(body, table=TABLE.replace('"Task"', '"batch"'))
@@ -454,6 +468,7 @@ def test_a_treatment_that_a_plugin_cannot_be_built_with_is_refused(execute: Exec
 # Designs of other kinds.
 
 
+@pytest.mark.long
 def test_a_table_that_was_written_by_hand_gets_repetitions_of_its_combinations(tmp_path: Path) -> None:
     config = written_config(tmp_path, COUNTING)
     folder = tmp_path / "results" / "trial"
@@ -481,6 +496,7 @@ def test_a_table_that_was_written_by_hand_gets_repetitions_of_its_combinations(t
     assert [line.rpartition(",")[0] for line in table.splitlines()] == text_of(executed).splitlines()
 
 
+@pytest.mark.long
 def test_the_status_tells_batches_and_warm_up_runs(execute: Execute) -> None:
     executed = execute(COUNTING, table=changed(TABLE, **{"repetitions=2": "repetitions=2, warm_up=1"}))
     extend(executed, 3)
@@ -491,6 +507,7 @@ def test_the_status_tells_batches_and_warm_up_runs(execute: Execute) -> None:
 # Warm-up runs.
 
 
+@pytest.mark.long
 def test_warm_up_runs_are_executed_once_kept_and_marked(execute: Execute) -> None:
     body = COUNTING + "\ndef start_run(self, context): print(context.is_warm_up, context.repetition)"
     executed = execute(body, table=changed(TABLE, **{"repetitions=2": "repetitions=2, warm_up=2"}))
@@ -532,8 +549,17 @@ def test_a_session_warms_up_again_where_the_config_says_so(tmp_path: Path) -> No
     assert executed_order(folder / "journal.jsonl") == ["r_1", "r_2", "r_3", "r_4"]
 
 
+@pytest.mark.long
 def test_warm_up_runs_stay_what_they_are_when_the_config_has_none_any_more(execute: Execute) -> None:
     executed = execute(COUNTING, table=changed(TABLE, **{"repetitions=2": "warm_up=1"}))
     written_config(executed.config.parent, COUNTING, table=changed(TABLE, **{"repetitions=2, ": ""}))
     resume(executed, accept_changes=True)
     assert [(row["run_id"], row["warm_up"]) for row in executed.table][:2] == [("w_1", "True"), ("r_1", "False")]
+
+
+def test_an_experiment_whose_journal_is_missing_has_begun_all_the_same(execute: Execute) -> None:
+    executed = execute("")
+    (executed.folder / "journal.jsonl").unlink()
+    with pytest.raises(StorageError, match=r"journal\.jsonl is missing"):
+        extend_experiment(prepare_or_refuse(executed.config), ExtensionRequest(added=Additions(repetitions=3)))
+    assert not (executed.folder / "journal.jsonl").exists()

@@ -110,6 +110,7 @@ def test_colour_is_for_terminals_alone(program: str, tmp_path: Path) -> None:
     assert b"\x1b" not in answer.stdout + answer.stderr
 
 
+@pytest.mark.long
 def test_a_terminal_without_unicode_is_no_fault(program: str, tmp_path: Path) -> None:
     (tmp_path / "ä.py").write_text("1 +", encoding="utf-8")
     environment = {"PYTHONIOENCODING": "ascii", "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}

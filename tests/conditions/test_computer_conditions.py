@@ -88,6 +88,7 @@ def test_a_process_is_there_until_it_has_ended_even_if_nobody_reaps_it(
         process.wait()
 
 
+@pytest.mark.long
 def test_a_busy_processor_is_a_load(place: dict[str, object], context: RobotRunnerContext) -> None:
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
     try:

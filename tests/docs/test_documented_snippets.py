@@ -16,6 +16,12 @@ from sybil.parsers.markdown import PythonCodeBlockParser, SkipParser
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*.md")])
 MOST_SKIPPED = 5
+#: Guides whose blocks execute experiments, analyse them or draw, each a quarter of a second or more.
+LONG = {
+    *("adaptive", "analysis", "choose-runs", "declare-a-design", "exclude", "from-python", "live-page"),
+    *("meta-analysis", "pause", "plan-the-analysis", "recompute", "samples", "statistics", "treatments"),
+    *("until-precise", "why-did-my-run-fail"),
+}
 _SKIP = re.compile(r"<!--+\s*skip:\s*(\w+)(.*?)--+>")
 
 
@@ -23,7 +29,9 @@ def _name(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=_name)
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, id=_name(page), marks=[pytest.mark.long] * (page.stem in LONG)) for page in PAGES]
+)
 def test_the_python_blocks_of_a_page_work(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # whatever a snippet writes is written here
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -44,3 +52,4 @@ def test_blocks_that_are_not_executed_are_few_and_say_why() -> None:
 
 def test_the_pages_are_found() -> None:
     assert {"README.md", "CONTRIBUTING.md", "docs/index.md", "docs/glossary.md"} <= set(map(_name, PAGES))
+    assert {page.stem for page in PAGES} >= LONG

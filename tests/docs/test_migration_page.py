@@ -41,6 +41,7 @@ def test_the_old_config_of_the_page_becomes_the_new_one(tmp_path: Path) -> None:
     assert (tmp_path / "RunnerConfig_converted.py").read_text(encoding="utf-8") == NEW
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("text", "heading"), [(OLD, "__run_id,__done,"), (NEW, "run_id,status,")])
 @pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 def test_both_configs_of_the_page_are_executed(text: str, heading: str, tmp_path: Path) -> None:

@@ -121,6 +121,7 @@ def _may_be_wide(page: Path) -> bool:
     return page.parent.name != "decisions" or any(tag in page.read_text("utf-8") for tag in ("<table", "<img alt"))
 
 
+@pytest.mark.long
 def test_a_table_that_is_too_wide_is_noticed(site: Path, tab: Any) -> None:
     tab.open(site / "cli.html", width=DESK)
     assert tab.evaluate(CUT_TABLES) == []
@@ -128,6 +129,7 @@ def test_a_table_that_is_too_wide_is_noticed(site: Path, tab: Any) -> None:
     assert len(tab.evaluate(CUT_TABLES)) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_everything_is_legible(scheme: str, site: Path, tab: Any) -> None:
     tab.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
@@ -152,6 +154,7 @@ def test_axe_finds_nothing_against_pages_of_each_kind(site: Path, tab: Any) -> N
     assert faults == {}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", KINDS)
 def test_nothing_is_fetched_from_elsewhere_and_nothing_complains(page: str, site: Path, tab: Any) -> None:
     tab.open(site / page)
@@ -161,6 +164,7 @@ def test_nothing_is_fetched_from_elsewhere_and_nothing_complains(page: str, site
     assert tab.evaluate("document.documentElement.scrollWidth") <= PHONE
 
 
+@pytest.mark.long
 def test_links_of_the_start_page_lead_to_pages(site: Path, tab: Any) -> None:
     tab.open(site / "index.html")
     links = tab.evaluate(
@@ -172,6 +176,7 @@ def test_links_of_the_start_page_lead_to_pages(site: Path, tab: Any) -> None:
     assert [name for name in files if not Path(name).is_file()] == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("words", "leads_to"), [("warm up", "warm-up.html"), ("get notified", "notifications.html")])
 def test_search_finds_a_page_that_is_opened_as_a_file(words: str, leads_to: str, site: Path, tab: Any) -> None:
     tab.open(site / "extend.html")

@@ -127,6 +127,7 @@ def test_listing_1_stands_as_it_is_printed_with_nothing_added_but_imports_and_a_
     assert body.splitlines()[1].startswith("        print(")
 
 
+@pytest.mark.long
 def test_listing_1_is_refused_without_its_robot_and_says_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,6 +142,7 @@ def test_listing_1_is_refused_without_its_robot_and_says_what_to_do(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_listing_1_is_executed_and_what_it_was_set_to_is_recorded_as_a_deviation(
     executed: Callable[..., Path],
 ) -> None:
@@ -182,8 +184,9 @@ def test_the_study_of_offloading_asks_waits_warms_up_and_fetches(
         cwd=tmp_path,
     )
     answered = []
+    deadline = time.monotonic() + 200
     try:
-        while study.poll() is None:
+        while study.poll() is None and time.monotonic() < deadline:
             status = robot_runner("status", folder, "--json")
             if status.code == 0 and (waiting := status.json["waiting_for"]) is not None:
                 answered.append(waiting["next_run"])

@@ -88,6 +88,7 @@ class Late(Profiler):
         context.clock.sleep(1.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("is_late_first", [True, False], ids=["before", "behind"])
 def test_a_profiler_that_starts_late_changes_no_energy_in_real_time(free_board, tmp_path, is_late_first):
     with free_board(load=Steps(((0.0, 0.865),)).words, volts=VOLTS, pace=1) as meter:

@@ -194,6 +194,7 @@ def test_whatever_a_file_holds_it_is_read_or_refused(
         path.write_bytes(whole)
 
 
+@pytest.mark.long
 def test_the_files_are_in_order_before_they_are_damaged(
     original: Original, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

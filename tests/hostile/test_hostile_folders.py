@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from tests.hostile.hostile_original import Original
 
 BOUNDED = 60
-
+#: In as many parts, of which the first is executed always.
+PARTS = 12
 
 #: As many go through every command before a release.
 PROMISED = 250
@@ -40,10 +41,13 @@ def test_the_original_is_read_by_every_command_that_is_called(
     assert tally.faults == {}
 
 
-def test_hostile_folders(original: Original, server: CallServer, tmp_path: Path, record_property: object) -> None:
+@pytest.mark.parametrize("part", [0, *(pytest.param(part, marks=pytest.mark.long) for part in range(1, PARTS))])
+def test_hostile_folders(
+    part: int, original: Original, server: CallServer, tmp_path: Path, record_property: object
+) -> None:
     folders = chosen(list(hostile_folders(original.study / original.folder)), BOUNDED)
     tally = Tally()
-    for number, hostile in enumerate(folders):
+    for number, hostile in list(enumerate(folders))[part::PARTS]:
         # With a step that shares no factor with the number of commands, each is called on several kinds.
         every = len(COMMANDS_OF_FOLDERS)
         visit_folder(hostile, original, server, tmp_path / "box", tally, every=every, first=3 * number)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 BOUNDED = 60
 
 
+@pytest.mark.long
 def test_the_original_is_intact(original: Original, package_server: CallServer, tmp_path: Path) -> None:
     tally = Tally()
     codes = visit_package(Hostile("original", lambda *_: None), original, package_server, tmp_path / "box", tally)

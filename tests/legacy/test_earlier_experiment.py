@@ -5,14 +5,16 @@ from __future__ import annotations
 import inspect
 from typing import TYPE_CHECKING
 
+import pytest
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    import pytest
     from tests.legacy.earlier_configs import Executed
 
 
+@pytest.mark.long
 def test_no_run_looks_at_the_signature_of_a_callback(
     config: Callable[..., Path], execute: Callable[..., Executed], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -35,6 +35,7 @@ def populate_run_data(self, context): return {"seconds": 1.5}
 """
 
 
+@pytest.mark.long
 def test_the_table_is_written_as_the_earlier_tools_wrote_it(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -51,6 +52,7 @@ def test_the_table_is_written_as_the_earlier_tools_wrote_it(
     )
 
 
+@pytest.mark.long
 def test_a_run_has_its_folder_in_the_experiments_own(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -59,6 +61,7 @@ def test_a_run_has_its_folder_in_the_experiments_own(
     assert not (executed.folder / "runs").exists()
 
 
+@pytest.mark.long
 def test_a_run_that_failed_is_to_do_and_status_knows_that_it_failed(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:
@@ -69,6 +72,7 @@ def test_a_run_that_failed_is_to_do_and_status_knows_that_it_failed(
     assert "no interpreter" in status.failures[0]
 
 
+@pytest.mark.long
 def test_readers_find_names_roles_and_types(config: Callable[..., Path], execute: Callable[..., Executed]) -> None:
     folder = execute(config(MEASURED)).folder
     schema = read_schema(folder / "run_table.schema.json")
@@ -241,6 +245,7 @@ def test_what_no_column_is_for_is_kept_aside_and_the_row_does_not_shift(
     assert any("'secnds' is no data column" in each and "'seconds'" in each for each in executed.warnings)
 
 
+@pytest.mark.long
 def test_what_is_as_good_as_nothing_may_be_returned(
     config: Callable[..., Path], execute: Callable[..., Executed]
 ) -> None:

@@ -232,8 +232,10 @@ class RunnerConfig""",
     def start_measurement(self, context):
         self.meter = Counter(context.run_dir / "counter.csv")
         self.meter.start()
-        while not self.meter.logfile.exists() or not self.meter.logfile.read_text():
-            pass
+        for _ in range(3000):  # a minute at most
+            if self.meter.logfile.exists() and self.meter.logfile.read_text():
+                break
+            __import__("time").sleep(0.02)
     def stop_measurement(self, context): self.meter.stop()
     def populate_run_data(self, context): return {"seconds": int(self.meter.parse_log(self.meter.logfile)[1])}
     """

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import json
 import pickle
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import pytest
 
 from robot_runner.core.design.watched_combination import WatchedCombination
@@ -21,6 +21,11 @@ CELLS = {"__run_id": "run_0", "size": 10, "language": "c", "seconds": " "}
 
 def as_keywords(**given: Any) -> dict[str, Any]:
     return given
+
+
+def pandas() -> Any:
+    """Import it in the test that needs it: other tests of this room fork their process many times."""
+    return importlib.import_module("pandas")
 
 
 @pytest.fixture
@@ -54,8 +59,8 @@ def row(read: list[str]) -> WatchedRow:
         "{size} {language}".format_map,
         lambda row: as_keywords(**row),
         lambda row: pickle.loads(pickle.dumps(row)),  # noqa: S301 - its own
-        lambda row: pd.DataFrame([row]),
-        pd.Series,
+        lambda row: pandas().DataFrame([row]),
+        lambda row: pandas().Series(row),
     ],
 )
 def test_whatever_takes_the_whole_row_has_read_each_treatment(

@@ -94,9 +94,11 @@ class ServedPage:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_DEADLINE)
         connection.request("GET", "/api/events", headers={"Authorization": f"Bearer {self.key()}"})
         stream = connection.getresponse()
+        deadline = time.monotonic() + _DEADLINE
         try:
             while not (line := stream.readline()).startswith(b"data: [") or line.strip() == b"data: []":
                 assert line, "the stream has ended"
+                assert time.monotonic() < deadline, "no experiment was told"  # what keeps a stream alive goes on
         finally:
             connection.close()
         return {each["name"]: each["id"] for each in json.loads(line[6:])}
@@ -134,15 +136,6 @@ def executed(config: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
             yield process
         finally:
             process.terminate()
-
-
-def wait_until(condition: Callable[[], Any], *, seconds: float = _DEADLINE) -> Any:
-    """Wait until something holds, and return it."""
-    deadline = time.monotonic() + seconds
-    while not (value := condition()):
-        assert time.monotonic() < deadline, "it never came"
-        time.sleep(0.02)
-    return value
 
 
 def processor_seconds(pid: int) -> float:

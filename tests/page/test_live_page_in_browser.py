@@ -7,7 +7,8 @@ import re
 from typing import TYPE_CHECKING
 
 import pytest
-from tests.page.conftest import executed, wait_until
+from tests.page.conftest import executed
+from tests.waiting import wait_until
 
 from robot_runner.core.storage.journal import read_journal
 

@@ -6,7 +6,6 @@ import json
 import math
 import os
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -14,24 +13,38 @@ from typing import TYPE_CHECKING
 
 import pytest
 from tests.command_line import PROGRAM
-from tests.page.conftest import ServedPage, executed, processor_seconds, wait_until
+from tests.conftest import HEAD, written_config
+from tests.page.conftest import ServedPage, executed, processor_seconds
+from tests.waiting import wait_until
 
 from robot_runner.core.config.operator_steps import Question
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.page.event_stream import as_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 
+FIFTEEN_RUNS = """\
+    def create_run_table(self):
+        return RunTableModel([Factor("Task", ["Computation", "Video", "Network"])], repetitions=5, shuffle=False)
+"""
+
+
 @pytest.fixture(scope="module")
-def page(executed_demo: Path, tmp_path_factory: pytest.TempPathFactory) -> ServedPage:
-    """Return a page of the demo that all tests of this file ask."""
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedPage]:
+    """Return a page of an experiment of fifteen runs that all tests of this file ask."""
     from tests.loopback_port import claim_port
 
     folder = tmp_path_factory.mktemp("shown") / "lab"
-    shutil.copytree(next(executed_demo.rglob("journal.jsonl")).parent, folder / "basic_experiment")
+    folder.mkdir()
+    config = written_config(folder, table=FIFTEEN_RUNS, head=HEAD.replace('"trial"', '"basic_experiment"'))
+    overrides = {"results_output_path": str(folder), "run_process": "in_process"}
+    execute_experiment(prepare_or_refuse(config, overrides), SilentObserver())
     served = ServedPage(folder, claim_port())
     served.start()
     yield served
@@ -165,6 +178,7 @@ def test_prometheus_gets_figures(page: ServedPage) -> None:
     assert all(re.fullmatch(r"#.*|\w+(\{.*\})? -?[\d.e+]+", line) for line in told.splitlines())
 
 
+@pytest.mark.long
 def test_it_sees_what_is_recorded_within_a_second_and_ends_without_a_trace(
     serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

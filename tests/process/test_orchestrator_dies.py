@@ -382,6 +382,7 @@ def orphan(self):
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux hands orphans to a process that asks for them")
 def test_an_orphan_with_a_session_of_its_own_is_ended_with_its_run(start: Start) -> None:
     experiment = start(

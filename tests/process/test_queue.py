@@ -153,7 +153,7 @@ def test_who_wants_a_claimed_robot_is_refused_with_a_name_or_waits_and_ctrl_c_le
     waiting = start("run", path, "--wait", "--plain")
     assert "the experiment 'by hand'" in line_with(waiting, "Waiting for claims")
     waiting.send_signal(signal.SIGINT)
-    assert waiting.wait() == 130
+    assert waiting.wait(PATIENCE) == 130
 
     added = robot_runner("queue", "add", path, "--workers", "1")
     assert added.code == 0

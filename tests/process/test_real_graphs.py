@@ -210,6 +210,7 @@ def test_a_robot_whose_experiment_is_killed_stands_still_within_a_second(
             assert experiment.nobody_is_left()
 
 
+@pytest.mark.long
 @over("ros1", soak=["dds", "ros2"])
 def test_a_robot_whose_topic_s_callback_raises_stands_still_within_a_second(
     graph: str, start: Start, write_config: Callable[..., Path]

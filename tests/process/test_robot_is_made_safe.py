@@ -85,6 +85,7 @@ def test_when_the_orchestrator_goes_the_robot_stands_still_within_a_second(movin
     assert moving.nobody_is_left()
 
 
+@pytest.mark.long
 def test_when_the_mission_raises_the_robot_stands_still_within_a_second(
     start: Start, write_config: Callable[..., Path]
 ) -> None:

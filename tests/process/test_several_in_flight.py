@@ -95,6 +95,7 @@ def test_told_to_end_all_that_are_in_flight_are_closed_and_the_experiment_resume
     resumes(start, experiment, "--workers", "2")
 
 
+@pytest.mark.long
 def test_killed_the_orchestrator_leaves_no_run_and_each_log_is_its_own_runs(
     start: Start, write_config: Callable[..., Path]
 ) -> None:

@@ -54,6 +54,7 @@ def test_a_hash_is_required_only_where_all_are_known(manifest, tmp_path):
     assert f"rich=={environment.packages['rich'].version} --hash=sha256:{'ab' * 32}" in every.splitlines()
 
 
+@pytest.mark.long
 def test_an_environment_of_another_machine_is_said_to_be_one(manifest, tmp_path):
     manifest["software"]["robot_runner"] = "0.0.1"
     manifest["software"]["packages"] = {"robot_runner": "0.0.1", "rich": "1.0", "left_pad": "1.0"}

@@ -132,6 +132,7 @@ def test_a_replication_asks_for_no_cluster_of_the_original(unpacked, tmp_path):
     assert "cluster" not in experiment.overrides
 
 
+@pytest.mark.long
 def test_what_was_set_originally_is_set_again(of_a_table_by_hand):
     original, replication = of_a_table_by_hand
     assert replication.experiment.parameters.robot == "simulated:task_power_factor=1.5"
@@ -163,6 +164,7 @@ def test_another_experiment_in_the_folder_is_left_alone(unpacked, experiment, tm
         prepare_replication(unpacked, tmp_path, {})
 
 
+@pytest.mark.long
 def test_a_table_that_was_written_by_hand_is_executed_again_as_it_is(of_a_table_by_hand):
     original, replication = of_a_table_by_hand
     folder = replication.experiment.folder.root

@@ -263,7 +263,12 @@ def test_results_are_not_identical_where_runs_of_the_original_have_failed_here(t
 
 @pytest.mark.parametrize(
     ("spreads", "bound", "shift"),
-    [((1.0, 1.0), 1.0, 0.0), ((1.0, 1.0), 1.0, 0.01), ((1.0, 1.0), 3.0, 0.0), ((1.0, 3.0), 5.0, 1.0)],
+    [
+        pytest.param((1.0, 1.0), 1.0, 0.0, marks=pytest.mark.long),
+        ((1.0, 1.0), 1.0, 0.01),
+        ((1.0, 1.0), 3.0, 0.0),
+        ((1.0, 3.0), 5.0, 1.0),
+    ],
 )
 def test_the_runs_that_are_said_to_be_needed_decide_in_a_simulation(spreads, bound, shift):
     """The formulas' own truth: about four in five simulated replications of that size; of three runs, three in four."""

@@ -137,6 +137,7 @@ def test_the_graph_shows_the_other_node_and_the_other_node_this_one(other, link)
     assert mine.services() == {"/lamp": "std_srvs/SetBool"}
 
 
+@pytest.mark.long
 def test_a_node_that_is_gone_is_shown_no_more(other, link):
     node, mine = other(), link()
     assert "/lamp_node" in mine.nodes()

@@ -139,6 +139,7 @@ def test_a_network_interface_that_is_not_there_is_an_error_that_names_the_settin
         open_dds_link({"domain": "99"}, None)
 
 
+@pytest.mark.long
 def test_nothing_of_dds_is_loaded_before_a_link_is_opened():
     script = (
         "import sys; from robot_runner.ros.dds_link import findings; "

@@ -67,6 +67,7 @@ def lamp(node, request):
     return b"\0\1\0\0" + struct.pack("<B3xI", request.data[4], len(text)) + text
 
 
+@pytest.mark.long
 def test_values_cross_exactly_in_both_directions(node, link):
     commands, odom = [], node.publisher("/odom", ODOMETRY_TYPE)
     node.subscribe("/cmd_vel", TWIST_TYPE, lambda sample: commands.append(twist_of(sample.data)))
@@ -83,6 +84,7 @@ def test_values_cross_exactly_in_both_directions(node, link):
     assert commands == [(0.1, -2.5)]
 
 
+@pytest.mark.long
 def test_a_megabyte_and_hundreds_of_messages_cross_whole_and_in_order(node, link):
     image = {"height": 1000, "width": 1000, "encoding": "mono8", "step": 1000, "data": bytes(range(256)) * 4000}
     heard, sent = [], []
@@ -105,6 +107,7 @@ def test_a_megabyte_and_hundreds_of_messages_cross_whole_and_in_order(node, link
     assert numbers == list(range(300))
 
 
+@pytest.mark.long
 def test_the_graph_tells_the_node_and_who_publishes_and_hears(node, link):
     odom = node.publisher("/odom", ODOMETRY_TYPE, "best_effort")
     node.subscribe("/cmd_vel", TWIST_TYPE, lambda sample: None)
@@ -124,6 +127,7 @@ def test_the_graph_tells_the_node_and_who_publishes_and_hears(node, link):
     assert not node.matched(odom)
 
 
+@pytest.mark.long
 def test_what_is_published_for_late_comers_is_there_for_them_on_both_sides(node, link):
     late = node.publisher("/map_name", STRING_TYPE, "transient_local")
     node.write(late, node.pack("std_msgs/String", {"data": "office"}))
@@ -135,6 +139,7 @@ def test_what_is_published_for_late_comers_is_there_for_them_on_both_sides(node,
     assert node.unpack("std_msgs/String", heard[0].data) == {"data": "kitchen"}
 
 
+@pytest.mark.long
 def test_a_service_is_called_and_its_answers_are_told_apart(node, link):
     asked = []
     reply = node.offer("/lamp", "std_srvs/srv/SetBool", asked.append)
@@ -171,6 +176,7 @@ def _writers_of(asked, *, twice):
     return {writer for writer in writers if (writers.count(writer) == 2) is twice}
 
 
+@pytest.mark.long
 def test_a_large_answer_comes_whole_and_one_that_does_not_come_is_given_up_in_time(node, link):
     text = "".join(chr(97 + number % 26) for number in range(1_000_000))
 
@@ -268,6 +274,7 @@ class Counting:
         self.node.write(self.statuses, b"\0\1\0\0" + told)
 
 
+@pytest.mark.long
 def test_goals_are_sent_followed_rejected_and_cancelled(node, link):
     Counting(node)
     node.wait_for(lambda: link.actions() == {"/count": FIBONACCI}, "the action is found")
@@ -282,6 +289,7 @@ def test_goals_are_sent_followed_rejected_and_cancelled(node, link):
     assert long.result(timeout=20.0).status is GoalStatus.CANCELED
 
 
+@pytest.mark.long
 def test_a_client_on_fast_dds_is_not_answered_wrongly_by_a_service_of_ours(node, link, caplog):
     asked, heard = [], []
     link.offer("lamp", SET_BOOL, lambda request: asked.append(request) or {"success": True})

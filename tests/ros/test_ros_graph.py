@@ -69,6 +69,7 @@ def test_a_node_is_found_by_the_name_that_it_was_given(measure):
     assert (context.raw_data_folder / "samples.csv").exists()
 
 
+@pytest.mark.long
 def test_a_process_can_be_named_for_a_node(measure):
     with busy_core() as busy:
         shares = []

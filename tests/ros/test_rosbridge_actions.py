@@ -7,6 +7,7 @@ import time
 from contextlib import closing
 
 import pytest
+from tests.waiting import PATIENCE, wait_until
 
 from robot_runner.core.errors import GoalRejectedError, LinkError
 from robot_runner.core.events.context import SystemClock
@@ -37,7 +38,8 @@ def link(server):
 
 
 def count(execution):
-    while not execution.is_cancel_requested and execution.goal["order"]:
+    deadline = time.monotonic() + PATIENCE
+    while not execution.is_cancel_requested and execution.goal["order"] and time.monotonic() < deadline:
         execution.feedback({"sequence": [1]})
         time.sleep(0.02)
     return {"sequence": [2]}
@@ -96,8 +98,7 @@ def test_a_connection_that_is_lost_ends_the_wait_for_a_goal_at_once(server, robo
 @pytest.mark.parametrize("seconds", [0.0, 60.0])
 def test_goals_of_two_clients_at_once_are_an_error_and_none_goes_on(server, robot, link, monkeypatch, seconds):
     def dig(execution):
-        while not execution.is_cancel_requested:
-            time.sleep(0.02)
+        wait_until(lambda: execution.is_cancel_requested)
         ended.append(execution.goal["order"])
         raise ActionCanceled
 
@@ -134,10 +135,3 @@ def test_a_goal_of_another_client_is_not_taken_for_one_that_was_silently_rejecte
         with pytest.raises(LinkError, match="it was another client's") as told:
             got[0].result(timeout=30)
         assert "nobody else" in told.value.fix
-
-
-def wait_until(holds):
-    deadline = time.monotonic() + 20.0
-    while not holds() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert holds()

@@ -105,6 +105,7 @@ def refusal(url):
     return str(caught.value)
 
 
+@pytest.mark.long
 def test_a_server_that_proves_who_it_is_is_reached_and_no_other(lab):
     good = lab.certificate("robot", "127.0.0.1")
     fingerprint = x509.load_pem_x509_certificate(good.read_bytes()).fingerprint(hashes.SHA256()).hex(":").upper()
@@ -238,6 +239,7 @@ def test_over_tls_nothing_is_said_of_who_could_read_it(lab):
     assert link_findings(f"wss://robot.lab?ca={lab.ca}") == []
 
 
+@pytest.mark.long
 def test_a_run_reaches_its_robot_by_tls_and_nothing_of_the_secret_is_recorded(
     lab, write_config, robot_runner, tmp_path
 ):

@@ -51,6 +51,7 @@ def same(found, expected):
     assert np.allclose(matrix((found.translation, found.rotation)), expected, atol=1e-9 * (1 + np.abs(expected).max()))
 
 
+@pytest.mark.long
 @given(st.lists(poses, min_size=6, max_size=6), poses, st.floats(0, 1))
 def test_what_is_looked_up_is_what_scipy_computes(pairs, camera, share):
     """map → odom → base → camera (static), and map → goal: looked up across, and back, between two stamps."""

@@ -84,6 +84,15 @@ def test_each_test_file_is_in_one_batch_and_no_batch_has_files_of_two_rooms() ->
     assert max(rooms.index(room) for room in ("firmware", "hostile", "page")) < rooms.index("core")
 
 
+def test_no_test_of_executions_imports_the_analysis() -> None:
+    """A process that has imported it is five times as large, and each run of an experiment forks it twice."""
+    large = re.compile(r"^(from|import) (matplotlib|pandas|scipy|robot_runner\.analysis)\b", re.MULTILINE)
+    folders = [ROOT / "tests" / name for name in ("cli", "core/execution", "legacy", "notebook", "process", "subjects")]
+    files = [file for folder in folders for file in folder.rglob("*.py")]
+    assert len(files) > 100
+    assert [file.name for file in files if large.search(file.read_text(encoding="utf-8"))] == []
+
+
 @pytest.mark.long
 def test_what_fails_is_shown_and_the_rest_is_executed_and_counted(tmp_path: Path) -> None:
     write_tests(tmp_path, {"room/test_a.py": PASSES, "hall/test_b.py": FAILS, "shed/test_c.py": NEVER})

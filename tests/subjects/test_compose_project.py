@@ -101,6 +101,7 @@ def test_a_project_comes_up_with_the_treatments_and_is_taken_down(
     assert [call for call in calls if call.startswith(("up", "down"))] == [up, "down --remove-orphans"] * 2
 
 
+@pytest.mark.long
 def test_a_container_that_ends_fails_the_run_and_the_rest_is_taken_down(
     execute: Callable[..., Executed], docker: Path
 ) -> None:
@@ -130,6 +131,7 @@ def test_nothing_is_left_when_the_orchestrator_is_killed(tmp_path: Path, docker:
         time.sleep(0.05)
 
 
+@pytest.mark.long
 def test_the_containers_of_a_run_that_was_killed_are_gone_before_the_next_begins(
     execute: Callable[..., Executed], docker: Path
 ) -> None:

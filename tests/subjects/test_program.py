@@ -112,6 +112,7 @@ def test_all_that_a_program_started_ends_with_its_run(
     assert warnings == ["Tree did not end within 0.3 s of SIGTERM and was killed"] * 2
 
 
+@pytest.mark.long
 def test_a_death_fails_the_run_at_once_with_its_last_words(
     execute: Callable[..., Executed], rude_tree: Callable[..., list[str]], token: str
 ) -> None:
@@ -141,6 +142,7 @@ def test_what_is_not_ready_in_time_or_dies_before_fails_its_run(execute: Callabl
     assert "Program has died: signal 35 ended it" in done.finished.failures[0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("robot", [None, "simulated"])
 def test_it_is_ready_once_a_condition_holds_in_real_time_whatever_clock_the_robot_has(
     execute: Callable[..., Executed], robot: str | None
@@ -161,6 +163,7 @@ def test_it_is_ready_once_a_condition_holds_in_real_time_whatever_clock_the_robo
     assert (waited["owner"], waited["holds"]) == ("Server", True) if "owner" in waited else waited["holds"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("process", ["FORK", "SPAWN"])
 def test_a_subject_of_the_experiment_is_started_once_and_told_of_in_each_run(
     execute: Callable[..., Executed], rude_tree: Callable[..., list[str]], token: str, process: str
@@ -203,6 +206,7 @@ def test_the_wait_for_the_end_of_an_earlier_start_is_no_part_of_the_startup_time
     assert startup_time < time.monotonic() - begun - 2.0
 
 
+@pytest.mark.long
 def test_a_subject_of_the_experiment_that_died_is_started_again_for_the_next_run(
     execute: Callable[..., Executed], tmp_path: Path
 ) -> None:
@@ -241,6 +245,7 @@ def test_a_program_that_computes_something_is_the_mission(execute: Callable[...,
 BURN = f"{sys.executable} -ISc 'import time\nwhile time.process_time() < 0.3: pass'; sleep 0.6"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("per", ["run", "mission"])
 def test_a_program_that_had_begun_before_the_mission_makes_values_doubtful_and_one_of_the_mission_none(
     execute: Callable[..., Executed], per: str
@@ -370,6 +375,7 @@ def test_a_setup_file_may_lie_at_home_and_a_program_is_named_as_the_system_takes
     assert missing.problem == "the program '~/planner' is not there"
 
 
+@pytest.mark.long
 def test_a_setup_file_is_sourced_first(execute: Callable[..., Executed], tmp_path: Path) -> None:
     (tmp_path / "setup.sh").write_text("PLANNER=teb$#\nexport PLANNER\n")
     command = ["sh", "-c", "echo $PLANNER $0; exec sleep 100", "a"]

@@ -57,7 +57,10 @@ def problems(tmp_path: Path) -> Callable[[str], list[str]]:
     return found
 
 
-@pytest.mark.parametrize(("is_url", "process"), [(False, "SPAWN"), (True, "FORK")], ids=["path", "url"])
+@pytest.mark.parametrize(
+    ("is_url", "process"),
+    [pytest.param(False, "SPAWN", id="path", marks=pytest.mark.long), pytest.param(True, "FORK", id="url")],
+)
 def test_each_revision_is_built_once_and_executed(
     execute: Callable[..., Executed], repository: Repository, process: str, is_url: bool
 ) -> None:
@@ -209,6 +212,7 @@ def test_names_that_cannot_be_revisions_are_refused_by_the_factor() -> None:
         Path(revision)
 
 
+@pytest.mark.long
 def test_the_commit_of_the_config_and_what_was_not_committed_are_kept(tmp_path: Path, repository: Repository) -> None:
     folder = repository.folder
     written_config(folder, "", head=HEAD)

@@ -12,6 +12,7 @@ import pytest
 from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
 from tests.subjects.conftest import alive, gone
+from tests.waiting import wait_until
 
 from robot_runner.core.config.preparation import prepare
 
@@ -86,8 +87,7 @@ def test_a_connection_that_is_cut_fails_the_run_and_leaves_nobody_over_there(
     execute: Callable[..., Executed], server: SshServer, rude_tree: Callable[..., list[str]], token: str
 ) -> None:
     def cut() -> None:
-        while len(alive(token)) < 3:
-            time.sleep(0.05)
+        wait_until(lambda: len(alive(token)) >= 3)
         time.sleep(0.5)
         server.cut()
 
@@ -120,6 +120,7 @@ def shouting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return home
 
 
+@pytest.mark.long
 def test_what_a_login_shell_writes_is_no_answer_and_paths_may_begin_at_home(
     execute: Callable[..., Executed], shouting: Path
 ) -> None:

@@ -141,6 +141,7 @@ def test_a_registration_is_compared_with_a_config(
     assert "changed after it was made" in robot_runner("preregister", "--check", "deposited.json", study).err
 
 
+@pytest.mark.long
 def test_a_registration_that_was_changed_or_is_missing_keeps_the_experiment_from_starting(
     robot_runner: Callable[..., Answer], study: Path, tmp_path: Path
 ) -> None:

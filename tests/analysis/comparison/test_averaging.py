@@ -235,6 +235,7 @@ PLAN = {
 JOBS = json.loads(json.dumps(PLAN).replace("Task", "Job").replace('"Idle"', '"Nothing"'))
 
 
+@pytest.mark.long
 def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
     planned = lab(TASKS, manifest={"analysis": PLAN})
     found = meta_analyse(planned, lab(TASKS), lab(TASKS))

@@ -116,6 +116,7 @@ def test_of_equally_precise_experiments_the_average_is_a_t_test_of_their_effects
     assert (found.interval.low, found.interval.high) == pytest.approx((interval.low, interval.high))
 
 
+@pytest.mark.long
 @example([0.0, 0.0, 157.0, 1.0], 0.5, 3.0)  # where an iteration ends at 0 that rounding carries beyond the root
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=12), st.floats(1e-3, 1e3), st.floats(1e-6, 1e6))
 def test_nothing_depends_on_the_unit(effects, error, scale):

@@ -158,6 +158,7 @@ def test_letters_in_a_pdf_are_of_a_truetype_font():
     assert b"/Type3" not in data
 
 
+@pytest.mark.long
 def test_crowds_of_points_and_bars_are_kept_as_pixels():
     spans = [AttemptSpan(f"r_{n}", "Video", n, n + 0.9, (n + 0.1, n + 0.8), is_done=True) for n in range(400)]
     for few, many in (
@@ -243,6 +244,7 @@ def test_letters_that_no_font_has_become_boxes():
     assert figure_bytes(draw_distribution(groups, value_label=LABEL, group_label="T"), FigureFormat.PNG)
 
 
+@pytest.mark.long
 @given(st.text())
 def test_what_is_shown_stays_on_one_line(text):
     assert verbatim(text).isprintable()

@@ -33,6 +33,7 @@ def digest(root):
     return {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(root.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.long
 def test_the_originals_stay_as_they_are(root, tmp_path):
     before = digest(root)
     adopted(root, tmp_path / "ours")

@@ -339,6 +339,7 @@ def test_a_table_of_samples_is_no_run_table(tmp_path, monkeypatch):
         table_only(tmp_path, "time,power\n" + "1,2\n" * 1001)
 
 
+@pytest.mark.long
 def test_two_thousand_columns_are_looked_at(tmp_path):
     names = [f"m{place}" for place in range(1, 2001)]
     cells = [",".join(f"{n * place / 7:.3f}" for place in range(1, 2001)) for n in range(8)]

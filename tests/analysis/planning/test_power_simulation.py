@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 from statsmodels.stats.power import FTestAnovaPower, TTestIndPower, TTestPower
 from tests.analysis.made_experiment import make_experiment
+from tests.long_cases import long_but
 
 from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.planning.assumed_values import assumed_scenario, differences_of, numbers_of, with_blocks
@@ -91,7 +92,9 @@ STUDIES: dict[str, tuple[Study, int, int | None]] = {
 }
 
 
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize(
+    "name", long_but(["two treatments, no plan", "ANOVA-type", "two batches", "an exclusion"], STUDIES)
+)
 def test_simulated_experiments_get_the_verdicts_of_the_report(tmp_path: Path, name: str) -> None:
     study, repetitions, first_batch = STUDIES[name]
     measures = study.plan.measures if study.plan is not None else ("Energy",)
@@ -140,6 +143,7 @@ def _as_a_folder(
     return load_results(made.root)
 
 
+@pytest.mark.long
 def test_power_for_two_treatments_is_that_of_the_noncentral_t() -> None:
     # R: power.t.test(delta = 1, sd = 1, power = 0.8) says n = 16.71477.
     study = study_of([TASK], AnalysisPlan("Energy"))
@@ -191,6 +195,7 @@ def test_nothing_that_is_not_there_is_found_more_often_than_alpha() -> None:
     assert 0.005 < share < 0.05  # after Holm's correction for three tests, one of which is always significant
 
 
+@pytest.mark.long
 def test_robots_that_respond_differently_are_not_made_up_for_by_repetitions() -> None:
     study = study_of([ROBOT, TASK], AnalysisPlan("Energy"), blocks="Robot")
     scenario = with_blocks(scenario_of(study, "Task=1"), {}, {"Energy": 1.0})

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from tests.analysis.experiment_folders import searched
 from tests.analysis.made_experiment import make_experiment
+from tests.long_cases import long_but
 
 from robot_runner import AnalysisPlan, Estimand
 from robot_runner.analysis import analyse, load_results
@@ -273,6 +274,7 @@ def test_intervals_of_runs_that_share_a_unit_are_computed_again(
     assert finished.returncode == 0, finished.stdout[-3000:] + finished.stderr
 
 
+@pytest.mark.long
 @needs_r
 def test_of_a_search_the_runs_that_confirm_it_are_computed_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -325,7 +327,9 @@ def numbers(found: Any) -> Iterator[float]:
         yield float(found)
 
 
-@pytest.mark.parametrize("name", [name for name in DESIGNS if name != "adjusted for a covariate"])
+@pytest.mark.parametrize(
+    "name", long_but(["two treatments", "yes or no"], (name for name in DESIGNS if name != "adjusted for a covariate"))
+)
 def test_no_number_of_the_report_is_left_out(name: str, written: Callable[[str], Written]) -> None:
     study = written(name)
     known = {number for table in study.facts.reported for number in table.numbers}
@@ -340,6 +344,7 @@ def test_the_notebook_of_values_that_are_all_equal_is_executed(tmp_path: Path, m
     assert "numbers agree" in executed(notebook, monkeypatch)
 
 
+@pytest.mark.long
 def test_the_notebook_of_a_study_in_which_nothing_is_compared_is_executed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -362,6 +367,7 @@ def test_a_template_cannot_print_a_text_as_it_is() -> None:
         _templates().from_string("{{ name }}").render(name=EVIL)
 
 
+@pytest.mark.long
 def test_the_command_writes_both_beside_the_report(robot_runner: Any, tmp_path: Path) -> None:
     folder = experiment(tmp_path, "two treatments")
     words = ("report", folder, "--notebook", "--r", "--figures", "none", "--measure", "Energy", "--alpha", "0.01")

@@ -67,6 +67,7 @@ def made(folder: Path, spreads: tuple[float, ...], effects: tuple[float, float, 
     return report_of(experiment.root)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("spreads", SPREADS.values(), ids=SPREADS)
 @pytest.mark.parametrize("effects", [(0, 0, 0), (1.5, 0, 0), (1, 1, 2)], ids=["none", "one", "all"])
 def test_reports_of_unequal_spreads_agree_with_themselves(
@@ -76,6 +77,7 @@ def test_reports_of_unequal_spreads_agree_with_themselves(
     assert disagreements(made(tmp_path, spreads, effects, **plan)) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("choice", [{"estimand": "rank"}, {"estimand": "trimmed mean"}, {"statistic": "anova-type"}])
 def test_reports_of_other_choices_agree_with_themselves(tmp_path: Path, choice: dict[str, str]) -> None:
     assert disagreements(made(tmp_path, SPREADS["all differ"], (1, 1, 2), analysis={**PLAN, **choice})) == []
@@ -142,6 +144,7 @@ def test_reports_of_published_data_agree_with_themselves(tmp_path: Path, name: s
     assert disagreements(report) == []
 
 
+@pytest.mark.long
 def test_the_report_of_the_demo_agrees_with_itself(executed_demo: Path, tmp_path: Path) -> None:
     written = write_report(executed_demo / "robot-runner-demo" / "basic_experiment", ReportFormat.JSON, output=tmp_path)
     assert disagreements(json.loads(written.document.read_text(encoding="utf-8"))) == []
@@ -176,6 +179,7 @@ def test_means_that_are_alike_are_not_told_to_differ(tmp_path: Path) -> None:
     assert disagreements(report) == []
 
 
+@pytest.mark.long
 def test_what_contradicts_itself_is_found(tmp_path: Path) -> None:
     report = made(tmp_path, SPREADS["alike"], (3, 0, 0))
     assert disagreements(report) == []

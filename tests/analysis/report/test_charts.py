@@ -7,6 +7,7 @@ import re
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from tests.analysis.experiment_folders import two_tasks
 
 from robot_runner.analysis import load_results
@@ -25,18 +26,21 @@ def _points(root):
     return json.loads(re.search(r'<script type="application/json">(.*?)</script>', page)[1])
 
 
+@pytest.mark.long
 def test_large_values_that_differ_little_differ_in_the_chart_of_runs(tmp_path):
     points = _points(two_tasks(tmp_path / "trial", PRESSURES, (123456789, 2.0)).root)
     assert points["measures"][0]["values"] == [*PRESSURES, 123456789, 2.0]
     assert points["place"] == "Place in the order of execution"
 
 
+@pytest.mark.long
 def test_without_known_times_nobody_speaks_of_an_order_of_execution(tmp_path):
     folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
     folder.files.journal.unlink()
     assert _points(folder.root)["place"] == "Place in the order of the table"
 
 
+@pytest.mark.long
 def test_the_order_of_execution_is_the_journals_also_where_the_clock_was_set_back(tmp_path):
     folder = two_tasks(tmp_path / "trial", PRESSURES, PRESSURES)
     told = folder.files.journal.read_text().splitlines()

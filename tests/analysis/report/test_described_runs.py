@@ -63,6 +63,7 @@ def cards(document: Document) -> list[str]:
     return [f"{each.value} {each.label} {each.note}" for each in document.sections[0].blocks[0].cards]
 
 
+@pytest.mark.long
 def test_values_that_the_plan_leaves_out_are_in_no_mean_of_a_figure(tmp_path: Path) -> None:
     plan = AnalysisPlan("Energy", outliers=Outliers(interquartile_ranges=3))
     document = report(tmp_path / "trial", [TASK, SPEED], plan=plan)
@@ -114,6 +115,7 @@ def test_a_factor_that_did_not_vary_leaves_figures_and_tables_as_they_are(tmp_pa
     assert table(document, "describe Energy").columns[0].name == "Task / Speed"
 
 
+@pytest.mark.long
 def test_blocks_are_no_treatments_of_the_means_and_cards(tmp_path: Path) -> None:
     document = report(tmp_path / "trial", [Factor("Day", [1, 2, 3]), TASK], chosen=Blocks("Day"))
     assert "2 treatments of Task" in cards(document)
@@ -123,6 +125,7 @@ def test_blocks_are_no_treatments_of_the_means_and_cards(tmp_path: Path) -> None
     assert [column.name for column in means.columns] == ["Measure", "A", "B"]
 
 
+@pytest.mark.long
 def test_captions_say_what_residuals_are_left_of(tmp_path: Path) -> None:
     square = [Factor("Day", [1, 2, 3]), Factor("Hour", [1, 2, 3]), Factor("Task", ["A", "B", "C"])]
     designed = report(tmp_path / "square", square, chosen=LatinSquare("Day", "Hour"))
@@ -136,6 +139,7 @@ def test_captions_say_what_residuals_are_left_of(tmp_path: Path) -> None:
     assert "(value less the mean of its combination)" in figure(plain, "qq Energy").caption
 
 
+@pytest.mark.long
 def test_intervals_have_their_level_beside_them(tmp_path: Path) -> None:
     plan = AnalysisPlan("Energy", alpha=0.01, covariates="order")
     document = report(tmp_path / "trial", [Factor("Task", ["A", "B", "C"])], plan=plan)

@@ -11,6 +11,7 @@ import pytest
 from tests.analysis.experiment_folders import searched
 from tests.analysis.made_experiment import make_experiment
 from tests.analysis.report.agreement import disagreements
+from tests.long_cases import long_but
 
 from robot_runner.analysis import load_results
 from robot_runner.analysis.report.design_section import searched_part
@@ -78,7 +79,7 @@ def made(folder: Path, design: str, size: float) -> Path:
     return make_experiment(folder, factors, values, repetitions=repetitions, shuffle=True, chosen=chosen).root
 
 
-@pytest.mark.parametrize("design", DESIGNS)
+@pytest.mark.parametrize("design", long_but(["incomplete blocks", "Latin square", "central composite"], DESIGNS))
 def test_sentences_agree_with_the_tests_of_every_design(tmp_path: Path, design: str) -> None:
     for size in (0.0, 6.0):
         report = report_of(made(tmp_path / f"{size:g}" / "experiment", design, size))

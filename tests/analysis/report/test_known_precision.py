@@ -71,6 +71,7 @@ def test_the_planned_measure_has_intervals_that_hold_after_all_looks(tmp_path: P
     assert any("not as precise as planned" in each["title"] for each in found["threats"]) is not known["is_reached"]
 
 
+@pytest.mark.long
 def test_a_report_that_contradicts_itself_about_precision_is_found(tmp_path: Path) -> None:
     found = json.loads(report(made(tmp_path / "made", Precision("Energy", half_width="5 %", at_most=30))))
     for name, wrong in (("is_reached", False), ("asked", "until nobody looks"), ("repetitions", 9)):

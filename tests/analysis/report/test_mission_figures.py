@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from tests.analysis.experiment_folders import two_tasks
 
 from robot_runner.analysis.report.material import Material
@@ -19,6 +20,7 @@ def _courses(root, rows):
     return mission_courses(material, sampled_measures(results)[0], material.order)
 
 
+@pytest.mark.long
 def test_samples_that_are_out_of_order_or_at_no_time_make_the_same_course(tmp_path):
     rows = [f"{second},{second * second}" for second in range(10)]
     straight = _courses(tmp_path / "straight", rows)

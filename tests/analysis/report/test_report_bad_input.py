@@ -57,6 +57,7 @@ def test_when_all_runs_failed_their_reasons_are_told(two_tasks):
     assert p_values(text) == []
 
 
+@pytest.mark.long
 def test_runs_that_failed_are_a_threat_and_are_left_out(two_tasks):
     text = text_of(two_tasks(statuses={0: "Failed", 7: "Failed"}))
     assert "2 runs failed and are not in the statistics." in text
@@ -64,6 +65,7 @@ def test_runs_that_failed_are_a_threat_and_are_left_out(two_tasks):
     assert "8 of 10" in text
 
 
+@pytest.mark.long
 def test_an_experiment_that_is_not_over_has_a_report_so_far(two_tasks):
     text = text_of(two_tasks(statuses={9: "-"}))
     assert "1 run of 10 is still to do." in text
@@ -71,6 +73,7 @@ def test_an_experiment_that_is_not_over_has_a_report_so_far(two_tasks):
     assert "Groups are not equally large" in text
 
 
+@pytest.mark.long
 def test_one_treatment_alone_is_described_and_not_tested(make_folder):
     rows = [("Video", value) for value in (1.0, 1.1, 0.9, 1.2)]
     text = text_of(make_folder(factors={"Task": ["Video"]}, rows=rows, measures={"Energy": "J"}))
@@ -79,6 +82,7 @@ def test_one_treatment_alone_is_described_and_not_tested(make_folder):
     assert p_values(text) == []
 
 
+@pytest.mark.long
 def test_no_factor_at_all_is_described_and_not_tested(make_folder):
     rows = [(value,) for value in (1.0, 1.1, 0.9, 1.2)]
     text = text_of(make_folder(factors={}, rows=rows, measures={"Energy": "J"}))
@@ -93,12 +97,14 @@ def test_one_repetition_is_not_tested(two_tasks):
     assert "870" in text
 
 
+@pytest.mark.long
 def test_values_that_are_all_equal_are_not_tested(two_tasks):
     text = text_of(two_tasks(video=(870.0,) * 5, network=(870.0,) * 5))
     assert p_values(text) == []
     assert "Not computed" in text
 
 
+@pytest.mark.long
 def test_missing_values_are_counted(two_tasks):
     text = text_of(two_tasks(video=(870.1, None, 869.0, 874.2, 871.3)))
     assert "No value in 1 of 10 runs that are done." in text
@@ -110,12 +116,14 @@ def test_a_measure_without_any_value_is_not_computed(two_tasks):
     assert "Not computed" in text
 
 
+@pytest.mark.long
 def test_groups_of_unequal_size_are_told(two_tasks):
     text = text_of(two_tasks(video=(870.1, 872.4, 869.0), network=(834.0, 836.1, 833.2, 838.0, 835.5, 836.0)))
     assert "Combinations have 3 to 6 runs" in text
     assert p_values(text)
 
 
+@pytest.mark.long
 def test_groups_of_equal_size_beside_empty_ones_have_one_size(make_folder):
     rows = [(one, other, 1.0 + 0.1 * each) for one, other in ("ap", "aq", "bp") for each in (1, 3, 2)]
     text = text_of(make_folder(factors={"A": ["a", "b"], "B": ["p", "q"]}, rows=rows, measures={"Energy": "J"}))
@@ -123,6 +131,7 @@ def test_groups_of_equal_size_beside_empty_ones_have_one_size(make_folder):
     assert "3 to 3" not in text
 
 
+@pytest.mark.long
 def test_without_moments_the_order_of_the_table_is_not_taken_for_that_of_execution(tmp_path):
     rows = [(task, 870.0 + place + (task == "b")) for place, task in enumerate("ababababab")]
     folder = Folder(tmp_path / "trial", {"Task": ["a", "b"]}, rows, {"Energy": "J"})
@@ -139,6 +148,7 @@ def test_values_that_are_too_small_to_compute_with_are_told(two_tasks):
     assert "too small to compute with" in text
 
 
+@pytest.mark.long
 def test_a_measure_that_is_no_number_is_shown_and_not_computed(make_folder):
     rows = [("a", "ok", 1.0), ("a", "stuck", 1.1), ("b", "ok", 1.2), ("b", "ok", 1.3)]
     folder = make_folder(
@@ -160,6 +170,7 @@ def test_a_factor_of_a_hundred_levels_has_a_report(make_folder):
     assert "level 99" in text
 
 
+@pytest.mark.long
 def test_two_factors_are_drawn_and_told_together(make_folder):
     rows = [
         (task, speed, 100.0 + 10 * (task == "b") + 5 * (speed == "fast") + repeat * 0.7 + place * 0.1)
@@ -247,6 +258,7 @@ def test_files_are_written_nowhere_else(hostile):
     assert len(set(written.figures)) == len(written.figures)
 
 
+@pytest.mark.long
 def test_names_that_differ_in_signs_alone_get_files_of_their_own(make_folder):
     rows = [("x", 1.0, 2.0), ("x", 1.1, 2.2), ("y", 1.2, 2.1), ("y", 1.3, 2.3)]
     folder = make_folder(factors={"T": ["x", "y"]}, rows=rows, measures={"a/b": "J", "a b": "J"})
@@ -255,6 +267,7 @@ def test_names_that_differ_in_signs_alone_get_files_of_their_own(make_folder):
     assert len({path.name.casefold() for path in written.tables}) == len(written.tables)
 
 
+@pytest.mark.long
 def test_tables_have_as_many_cells_as_columns_everywhere(hostile):
     from robot_runner.analysis.report.document import report_document
     from robot_runner.analysis.report.material import Material
@@ -270,6 +283,7 @@ def test_tables_have_as_many_cells_as_columns_everywhere(hostile):
         assert latex_of(table, latex_label)
 
 
+@pytest.mark.long
 def test_values_that_a_person_entered_are_not_said_to_be_a_model_s(two_tasks):
     text = text_of(two_tasks(origin="entered by hand"))
     assert "Energy was entered by a person" in text

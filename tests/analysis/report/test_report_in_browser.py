@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+from tests.long_cases import long_but
 
 from robot_runner.analysis.comparison.comparing import compare
 from robot_runner.analysis.comparison.comparison_document import write_comparison
@@ -43,6 +44,7 @@ def demo_page(executed_demo, tmp_path_factory):
     return write_report(executed_demo / "robot-runner-demo" / "basic_experiment", output=folder, figures=()).document
 
 
+@pytest.mark.long
 def test_tables_of_the_demo_fit_on_a_small_desktop(browser, demo_page):
     browser.open(demo_page, width=1280)
     browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
@@ -53,6 +55,7 @@ def test_tables_of_the_demo_fit_on_a_small_desktop(browser, demo_page):
     assert max(browser.evaluate(f"{sizes}.map(each => each.getBoundingClientRect().right)")) <= 1280
 
 
+@pytest.mark.long
 def test_the_demo_is_printed_on_fewer_than_ten_pages_in_black_on_white(browser, demo_page):
     browser.open(demo_page)
     browser.evaluate("document.documentElement.dataset.scheme = 'dark'")
@@ -91,6 +94,7 @@ CONTRASTS = """
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_all_text_stands_out_from_what_is_behind_it(browser, demo_page, scheme):
     browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
@@ -102,6 +106,7 @@ def test_all_text_stands_out_from_what_is_behind_it(browser, demo_page, scheme):
     assert (page == "rgb(255, 255, 255)") is (scheme == "light")
 
 
+@pytest.mark.long
 def test_light_and_dark_can_be_chosen_by_a_button_that_keys_reach(browser, demo_page):
     browser.open(demo_page)
     shown = "getComputedStyle(document.body).backgroundColor"
@@ -116,6 +121,7 @@ def test_light_and_dark_can_be_chosen_by_a_button_that_keys_reach(browser, demo_
     assert browser.complaints == []
 
 
+@pytest.mark.long
 def test_every_picture_says_what_it_shows_and_stands_beside_numbers(browser, demo_page):
     browser.open(demo_page)
     assert browser.evaluate("[...document.images].filter(each => each.alt.length < 10).length") == 0
@@ -211,7 +217,7 @@ def test_a_comparison_opens_as_well(browser, two_tasks, tmp_path):
     assert titles == ["In brief", "What is compared", "Differences", "Agreement"]
 
 
-@pytest.mark.parametrize("which", ["demo_page", "sampled_page"])
+@pytest.mark.parametrize("which", long_but(["sampled_page"], ["demo_page", "sampled_page"]))
 def test_axe_finds_nothing_against_a_report(browser, which, request):
     browser.open(request.getfixturevalue(which))
     browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")

@@ -72,6 +72,7 @@ def test_executions_in_parts_are_told(two_tasks):
     assert "a = 1" in found["Parameters were set by hand"].text
 
 
+@pytest.mark.long
 def test_whether_machine_and_software_changed_between_executions_is_told(two_tasks):
     stamps = {"started_at": "2026-01-31T12:00:00.000Z"}
     found = threats(two_tasks(manifest={"executions": [stamps, {**stamps, "changed": {}}]}))

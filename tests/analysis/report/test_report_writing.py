@@ -43,6 +43,7 @@ def test_each_figure_is_written_in_each_format(plain_report):
     assert all(path.read_bytes().startswith(heads[path.suffix]) for path in plain_report.figures)
 
 
+@pytest.mark.long
 def test_figures_are_the_same_files_each_time(plain_report, tmp_path):
     experiment = plain_report.document.parents[1]
     again = write_report(experiment, output=tmp_path, figures=(FigureFormat.SVG, FigureFormat.PNG)).figures
@@ -61,6 +62,7 @@ def test_tables_are_written_as_csv_with_full_precision_and_as_latex(plain_report
     assert r"r\_1" in latex
 
 
+@pytest.mark.long
 def test_markdown_refers_to_figures_that_are_there(two_tasks):
     written = write_report(two_tasks().root, ReportFormat.MARKDOWN, figures=())
     text = written.document.read_text(encoding="utf-8")
@@ -93,6 +95,7 @@ def test_a_page_needs_no_figures_beside_it(lone_page):
     assert "data:image/svg+xml;base64," in lone_page.document.read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_it_is_made_anew_over_an_earlier_one(two_tasks):
     folder = two_tasks()
     earlier = folder.root / "report" / "report.html"

@@ -50,6 +50,7 @@ def test_an_experiment_without_a_camera_has_no_such_part(two_tasks: Callable[...
     assert figures(two_tasks()) == []
 
 
+@pytest.mark.long
 def test_runs_are_shown_beneath_each_other(two_tasks: Callable[..., Any]) -> None:
     folder = two_tasks()
     for run_id in ("r_1", "r_2"):

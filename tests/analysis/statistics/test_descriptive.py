@@ -60,6 +60,7 @@ def test_runs_of_one_whole_plot_count_together_in_the_interval_of_a_mean():
         assert (each.mean_interval.low, each.mean_interval.high) == pytest.approx(students(means))
 
 
+@pytest.mark.long
 def test_plots_of_different_numbers_of_runs_have_the_cluster_robust_interval_of_statsmodels():
     random = np.random.default_rng(4)
     results = in_plots(lambda plot, speed: math.nan if plot + speed < 3 else plot % 3 + random.normal())

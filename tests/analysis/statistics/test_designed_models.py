@@ -52,6 +52,7 @@ def test_a_split_plot_has_two_errors():
     assert effects_of(designed(again, ["Replicate", "Batch", "Method", "Temperature"], facts))[1] == effects
 
 
+@pytest.mark.long
 def test_rows_and_columns_of_a_latin_square_are_taken_out():
     # Table 4.12: the formulation, SS 330 of 4, error 128 of 12.
     rows = [(batch, operator, letter, y) for batch, operator, letter, _, y in data.PROPELLANTS]

@@ -231,6 +231,7 @@ def test_two_p_values_together_are_a_mean_of_both():
     assert np.all((together >= np.minimum(first, second)) & (together <= np.maximum(first, second)))
 
 
+@pytest.mark.long
 def test_degrees_of_freedom_are_unbiased_for_groups_of_blocks():
     # Of 4 and 7 blocks whose covariances of three treatments differ: the ratio of what the estimates estimate
     random = np.random.default_rng(12)

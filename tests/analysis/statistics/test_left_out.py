@@ -105,6 +105,7 @@ def test_rules_of_spread_say_nothing_of_few_or_equal_values() -> None:
     ]
 
 
+@pytest.mark.long
 def test_rules_that_leave_out_much_are_told_to_err(tmp_path: Path) -> None:
     careful, careless = Outliers(interquartile_ranges=3), Outliers(median_deviations=2.5)
     assert false_positives(careful, (30, 30)) == pytest.approx(5.0, abs=0.6)
@@ -125,6 +126,7 @@ def test_doubtful_values_are_left_out_where_the_plan_says_so(tmp_path: Path) -> 
     assert found.standings[0].stands is False
 
 
+@pytest.mark.long
 def test_the_plan_may_refuse_a_conclusion_while_values_are_doubtful(tmp_path: Path) -> None:
     plan = {"doubtful": "refuse", "hypotheses": [HYPOTHESIS]}
     found = statistics(tmp_path / "a", plan, doubts={"r_13": HOT})

@@ -47,6 +47,7 @@ def test_where_no_value_is_doubtful_nothing_is_computed_twice(tmp_path: Path) ->
     assert (statistics.without_doubtful, statistics.standings) == ((), ())
 
 
+@pytest.mark.long
 def test_all_values_count_whatever_their_quality(tmp_path: Path) -> None:
     with_doubts = analyse(results(tmp_path / "a", FAR, {"r_1": HOT}))
     without = analyse(results(tmp_path / "b", FAR, {}))
@@ -71,6 +72,7 @@ def test_an_effect_that_doubtful_values_make_does_not_stand(tmp_path: Path) -> N
     assert "is no longer significant" in one.conclusion
 
 
+@pytest.mark.long
 def test_an_effect_that_doubtful_values_turn_does_not_stand(tmp_path: Path) -> None:
     watts = {"Video": [*FAR["Video"], *(value + 8 for value in FAR["Video"] * 3)], "Network": FAR["Network"] * 4}
     one = standing(tmp_path, watts, {f"r_{number}": HOT for number in range(13, 49, 2)})

@@ -25,6 +25,7 @@ def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo, "template", lambda _: shorter)
 
 
+@pytest.mark.long
 def test_the_papers_experiment_is_executed_and_shown(executed_demo: Path) -> None:
     said = (executed_demo / "answer.txt").read_text(encoding="utf-8")
     folder = executed_demo / "robot-runner-demo" / "basic_experiment"

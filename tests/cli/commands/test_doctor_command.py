@@ -30,7 +30,7 @@ CORE = ("rich", "markdown-it-py", "mdurl", "pygments")
 def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, program: str) -> None:
     environment = {**os.environ, "PATH": "/usr/bin:/bin"}
     told = subprocess.run([program, "doctor"], env=environment, capture_output=True, text=True, check=False)
-    assert told.stderr == ""
+    assert told.stderr == "" or "asked once more" in told.stderr  # on a machine that is very busy
     assert "your shell does not find this one by the name robot-runner" in told.stdout
     assert f"Say: . {program.replace('robot-runner', 'activate')}" in " ".join(told.stdout.split())
     answer = robot_runner("doctor", "--json")
@@ -49,7 +49,7 @@ def test_everything_that_is_installed_is_asked_and_told(robot_runner: Callable, 
 def test_where_the_core_alone_is_installed_all_is_told_and_nothing_has_to_be_mended(tmp_path: Path) -> None:
     program = make_linked_environment(tmp_path / "core", CORE, code=Path(robot_runner_package.__file__).parents[1])
     told = subprocess.run([program, "doctor", "--json"], capture_output=True, text=True, check=False)
-    assert told.stderr == ""
+    assert told.stderr == "" or "asked once more" in told.stderr  # on a machine that is very busy
     found = {each["name"]: each for each in json.loads(told.stdout)["found"]}
     assert found["sim"]["detail"] == "without mujoco and numpy"
     broken = {name: each["detail"] for name, each in found.items() if each["state"] == BROKEN}
@@ -59,6 +59,7 @@ def test_where_the_core_alone_is_installed_all_is_told_and_nothing_has_to_be_men
     assert (listed.returncode, listed.stderr) == (0, "")
 
 
+@pytest.mark.long
 def test_an_extra_that_is_missing_is_told_with_its_packages(
     robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -77,7 +78,7 @@ def test_a_device_of_another_group_is_broken_with_the_group_to_join(
     (tmp_path / "i2c-1").touch()
     monkeypatch.setattr(doctor, "_group_of", lambda path: "dialout")
     monkeypatch.setattr(os, "access", lambda path, mode: path.name != "ttyUSB0")
-    serial, bus, camera = asked(device_questions(tmp_path), deadline_s=10.0)
+    serial, bus, camera = asked(device_questions(tmp_path))
     assert serial.state == BROKEN
     assert serial.detail == f"{tmp_path}/ttyUSB0 cannot be opened: they belong to the group dialout"
     assert serial.fix == "Join the group and log in anew: sudo usermod -aG dialout $USER"
@@ -97,12 +98,49 @@ def test_what_hangs_or_raises_is_broken_and_the_others_are_told_at_once() -> Non
         Question("Meters", "Well", lambda: (READY, "", "")),
     ]
     began = time.monotonic()
-    hanging, broken, well = asked(wanted, deadline_s=0.5)
+    hanging, broken, well = asked(wanted, deadlines_s=(0.5, 0.1))
     assert time.monotonic() - began < 10.0
     over.set()
-    assert (hanging.state, hanging.detail) == (BROKEN, "no answer came within 0.5 s")
+    assert hanging.state == BROKEN
+    assert hanging.detail.startswith("no answer came within 0.5 s, nor in 0.1 s more")
     assert (broken.state, broken.detail) == (BROKEN, "ZeroDivisionError: division")
     assert well.state == READY
+
+
+@pytest.mark.parametrize("answers_again", [True, False])
+def test_what_is_slow_is_asked_once_more_and_given_more_time(
+    monkeypatch: pytest.MonkeyPatch, *, answers_again: bool
+) -> None:
+    asked_again, told = threading.Event(), []
+    monkeypatch.setattr(os, "getloadavg", lambda: (9.25, 5.0, 1.0))
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+
+    def slow() -> tuple[str, str, str]:
+        """Answer at once where it is asked again, or when it is: whichever comes first counts."""
+        if told:
+            asked_again.set()
+            return (READY, "at last", "") if answers_again else (READY, str(threading.Event().wait(60)), "")
+        asked_again.wait(60)
+        return (READY, "at last", "") if not answers_again else (READY, str(threading.Event().wait(60)), "")
+
+    wanted = [Question("Links", "ros2", slow), Question("Links", "simulated", lambda: (READY, "", ""))]
+    ros2, simulated = asked(wanted, deadlines_s=(0.2, 60.0), tell=told.append)
+    assert (ros2.state, ros2.detail) == (READY, "at last")
+    assert simulated.state == READY
+    busy = "(this machine is busy: load 9.2 on 2 cores)"
+    assert told == [f"ros2 did not answer within 0.2 s {busy}: asked once more, for 60 s at most"]
+
+
+def test_what_stays_silent_on_a_busy_machine_says_that_it_is_busy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "getloadavg", lambda: (9.25, 5.0, 1.0))
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    over = threading.Event()
+    wanted = [Question("Links", "ros2", lambda: (READY, str(over.wait(60)), ""))]
+    [silent] = asked(wanted, deadlines_s=(0.1, 0.1))
+    over.set()
+    assert silent.state == BROKEN
+    assert silent.detail.endswith("nor in 0.1 s more (this machine is busy: load 9.2 on 2 cores)")
+    assert silent.fix == "Ask again once the machine is less busy. See whether its driver or daemon hangs."
 
 
 @pytest.mark.long
@@ -113,6 +151,6 @@ def test_a_program_that_hangs_holds_nothing_up(tmp_path: Path, program: str) -> 
     environment = {**os.environ, "PATH": f"{tmp_path}:/usr/bin:/bin"}
     began = time.monotonic()
     told = subprocess.run([program, "doctor"], env=environment, capture_output=True, text=True, check=False)
-    assert time.monotonic() - began < 60.0
+    assert time.monotonic() - began < 90.0
     assert told.returncode in {0, 1}
     assert "Devices" in told.stdout

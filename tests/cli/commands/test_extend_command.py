@@ -62,6 +62,7 @@ def test_a_study_is_extended_and_executed(
     assert "Place    run 5 of 12, randomised from seed 4, in batch 2\n" in call("explain", "results/trial", "r_5")
 
 
+@pytest.mark.long
 def test_a_dry_run_tells_how_to_add_just_these_runs(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

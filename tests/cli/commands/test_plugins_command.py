@@ -45,6 +45,7 @@ def test_json_has_the_same(robot_runner: Callable) -> None:
     assert psutil["summary"].startswith("Measures CPU and memory")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("value", "problem"),
     [

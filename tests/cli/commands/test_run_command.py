@@ -50,6 +50,7 @@ def test_a_line_tells_of_each_start_and_each_end(robot_runner: Callable, write_c
     assert sum(line.startswith("run ") for line in lines) == 8
 
 
+@pytest.mark.long
 def test_the_end_tells_how_it_went_and_where_the_results_are(
     robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -137,6 +138,7 @@ def test_a_policy_that_stops_leaves_runs_to_do(
     assert statuses(tmp_path) == ["Failed", "-", "-", "-"]
 
 
+@pytest.mark.long
 def test_what_looked_odd_in_many_runs_is_said_once(robot_runner: Callable, write_config: Callable[..., Path]) -> None:
     write_config(
         """\
@@ -240,3 +242,21 @@ def test_json_of_what_is_refused_has_the_findings(robot_runner: Callable, write_
     assert answer.json["findings"][0]["where"].endswith("attempts")
     unknown = robot_runner("run", "config.py", "--json", "--set", "atempts=3")
     assert (unknown.code, unknown.json["findings"][0]["fix"]) == (2, "Did you mean 'attempts'?")
+
+
+@pytest.mark.parametrize("words", [("--workers", "many"), ("--cluster", "here")])
+@pytest.mark.parametrize("command", [("run",), ("queue", "add")])
+def test_what_an_option_stands_for_is_refused_under_its_name(
+    robot_runner: Callable, write_config: Callable[..., Path], command: tuple[str, ...], words: tuple[str, str]
+) -> None:
+    write_config(MEASURING)
+    answer = robot_runner(*command, "config.py", *words)
+    assert answer.code == 2
+    assert f"error: {' '.join(words)}: the value is {words[1]!r}" in answer.err
+
+
+def test_a_value_of_the_config_is_refused_under_the_name_it_has_there(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    write_config(f"workers = 0\n{MEASURING}")
+    assert "RobotRunnerConfig.workers: the value is 0" in robot_runner("run", "config.py").err

@@ -125,6 +125,7 @@ def test_the_folder_of_a_study_that_has_begun_stays_as_it_is(
     assert {path: path.read_bytes() for path in (tmp_path / "results").rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.long
 def test_a_failed_smoke_test_is_kept_and_named(
     robot_runner: Callable, write_config: Callable[..., Path], scratch: Path
 ) -> None:

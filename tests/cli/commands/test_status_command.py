@@ -7,9 +7,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
+from tests.conftest import written_config
 
 from robot_runner.cli.commands.status import _as_json
 from robot_runner.cli.findings import grouped
+from robot_runner.cli.main import main
 from robot_runner.core.errors import Finding
 from robot_runner.core.execution.experiment_status import read_status
 from robot_runner.core.execution.places import InFlight
@@ -31,10 +33,19 @@ def populate_run_data(self, context):
 """
 
 
+@pytest.fixture(scope="module")
+def executed_half(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a config that was executed; each test gets a copy."""
+    folder = tmp_path_factory.mktemp("half")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert main(["run", str(written_config(folder, HALF))]) == 1
+    return folder
+
+
 @pytest.fixture
-def half_done(robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path) -> Path:
-    write_config(HALF)
-    assert robot_runner("run", "config.py").code == 1
+def half_done(executed_half: Path, tmp_path: Path) -> Path:
+    shutil.copytree(executed_half, tmp_path, dirs_exist_ok=True)
     return tmp_path / "results" / "trial"
 
 
@@ -88,6 +99,7 @@ def test_json_holds_everything(robot_runner: Callable, half_done: Path) -> None:
     }
 
 
+@pytest.mark.long
 def test_all_sessions_are_told_and_not_the_last_alone(robot_runner: Callable, half_done: Path) -> None:
     first = robot_runner("status", "config.py", "--json").json
     robot_runner("run", "config.py", "--only", "r_3")
@@ -196,6 +208,7 @@ def test_the_command_that_is_offered_can_be_pasted(
     assert "fix: Execute it: robot-runner 'my study.py'" in robot_runner("status", "my study.py").err
 
 
+@pytest.mark.long
 def test_a_session_does_not_last_until_somebody_excludes_a_run(robot_runner: Callable, half_done: Path) -> None:
     before = robot_runner("status", "config.py", "--json").json["sessions"]
     time.sleep(0.01)  # the stamps of the journal have milliseconds
@@ -224,6 +237,7 @@ def test_what_is_not_known_is_not_called_done(robot_runner: Callable, half_done:
     assert "2 done, 2 failed; how many are planned is not known" in robot_runner("status", "config.py").out
 
 
+@pytest.mark.long
 def test_runs_that_are_executed_again_are_not_counted_twice(robot_runner: Callable, half_done: Path) -> None:
     told = robot_runner("run", "config.py", "--redo", "r_2", "--only", "r_2", "--plain").out
     assert ", 1 of them done before" in told

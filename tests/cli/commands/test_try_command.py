@@ -236,6 +236,7 @@ def test_raw_data_are_not_kept_over_something_else(robot_runner: Callable, plugi
     assert "the folder to keep is there already" in answer.err
 
 
+@pytest.mark.long
 def test_a_profiler_that_hangs_is_ended(
     robot_runner: Callable, plugin: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -31,6 +31,7 @@ def test_doubtful_values_are_marked_and_told_at_the_end(robot_runner: Program, w
     assert SAID in " ".join(answer.out.split())
 
 
+@pytest.mark.long
 def test_the_status_tells_of_them(robot_runner: Program, write_config: Write) -> None:
     write_config(BODY)
     robot_runner("run", "config.py")
@@ -47,6 +48,7 @@ def test_the_live_screen_marks_them(terminal: Terminals, write_config: Write) ->
     assert "7.500?" in shown.raw
 
 
+@pytest.mark.long
 def test_each_value_is_explained_with_its_quality_and_reasons(robot_runner: Program, write_config: Write) -> None:
     write_config(BODY)
     robot_runner("run", "config.py")

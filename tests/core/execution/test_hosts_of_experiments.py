@@ -182,7 +182,7 @@ class RobotRunnerConfig("""
     ("command", "problem"),
     [
         ("echo not allowed >&2; exit 1", "the host cannot be restarted: .* ended with exit status 1: not allowed"),
-        ("true", "the host was told to restart .* and was still there after 4 s"),
+        pytest.param("true", "the host was told to restart .* and was still there after 4 s", marks=pytest.mark.long),
     ],
 )
 def test_a_host_that_does_not_start_anew_ends_the_experiment(

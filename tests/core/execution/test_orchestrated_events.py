@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from tests.long_cases import long_but
 
 from robot_runner.core.errors import ExecutionError
 from robot_runner.core.execution.orchestrator_events import EventDeadline
@@ -256,7 +257,7 @@ def continue_experiment(self, context):
 """
 
 
-@pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
+@pytest.mark.parametrize("run_process", long_but(["fork", "in_process"], ["fork", "spawn", "in_process"]))
 def test_what_before_run_shares_and_publishes_is_there_in_the_run_and_its_measures_in_continue(
     execute: Execute, run_process: str
 ) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.long_cases import long_but
 
 from robot_runner.core.config.preparation import prepare_or_refuse
 from robot_runner.core.errors import PluginError, StorageError
@@ -87,7 +88,7 @@ def ended(execute: Execute, mission: str = "pass", **more: str) -> Any:
     return executed
 
 
-@pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
+@pytest.mark.parametrize("run_process", long_but(["fork", "in_process"], ["fork", "spawn", "in_process"]))
 def test_a_thread_fails_the_run_with_its_reason_and_the_robot_is_made_safe(execute: Execute, run_process: str) -> None:
     executed = ended(execute, f"{FAIL}\ntime.sleep(3600)", run_process=run_process)
     (failure,) = executed.journal("failure")
@@ -116,7 +117,7 @@ def test_a_request_to_stop_ends_the_run_without_a_live_screen_too(execute: Execu
     assert "arm made safe" in log
 
 
-@pytest.mark.parametrize("run_process", ["fork", "spawn", "in_process"])
+@pytest.mark.parametrize("run_process", long_but(["fork", "in_process"], ["fork", "spawn", "in_process"]))
 def test_a_thread_stops_the_mission_and_the_run_is_done(execute: Execute, run_process: str) -> None:
     executed = ended(execute, f"{STOP}\ntime.sleep(3600)", run_process=run_process)
     (row,) = executed.table
@@ -170,7 +171,7 @@ def test_a_thread_ends_a_mission_whose_first_signal_comes_right_before_it_sleeps
     assert "the mission went on" not in executed.log("r_1")
 
 
-@pytest.mark.parametrize("run_process", ["fork", "spawn"])
+@pytest.mark.parametrize("run_process", long_but(["fork"], ["fork", "spawn"]))
 def test_a_run_ends_whose_first_stop_request_comes_right_before_it_sleeps(execute: Execute, run_process: str) -> None:
     lose = LOSE_FIRST.format(signal="signal.SIGTERM")
     stop = '(context.experiment_folder / ".stop").touch()\ncontext.publish("Energy", 1.0)\ntime.sleep(3600)'

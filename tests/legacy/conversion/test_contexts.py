@@ -67,6 +67,7 @@ def test_a_context_is_converted_however_it_is_reached(
     assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
 
 
+@pytest.mark.long
 def test_the_context_of_a_lambda_that_is_subscribed_is_converted(config: Callable[..., Path], tmp_path: Path) -> None:
     callback = 'lambda now: {"seconds": now.run_variation["size"] + now.run_nr * 0}'
     new = tmp_path / "converted.py"

@@ -86,6 +86,7 @@ def test_a_config_of_experiment_runner_becomes_one_of_ours(
     assert measures_of(new, columns) == [[row[name] for name in columns] for row in execute(old).table]
 
 
+@pytest.mark.long
 def test_what_no_cell_holds_becomes_the_text_that_the_tool_wrote(
     config: Callable[..., Path], converted: Callable[[Path], Path], execute: Callable[..., Executed]
 ) -> None:
@@ -179,6 +180,7 @@ def test_several_callbacks_of_one_event_stay_subscribed(
     assert measures_of(new, ["a", "b"]) == [["1", "2"]]
 
 
+@pytest.mark.long
 def test_what_is_subscribed_under_a_condition_stays_so(
     config: Callable[..., Path], converted: Callable[[Path], Path]
 ) -> None:
@@ -245,6 +247,7 @@ def asked(self):
     assert len(measures_of(new, ["task"])) == 4
 
 
+@pytest.mark.long
 def test_what_stands_beside_a_subscription_and_uses_its_names_is_kept(
     config: Callable[..., Path], converted: Callable[[Path], Path]
 ) -> None:
@@ -342,6 +345,7 @@ def test_a_parameter_that_is_made_of_the_name_still_is(
     assert prepare(new).experiment.folder.root == new.parent / "sorting_results" / "sorting" / "sorting"
 
 
+@pytest.mark.long
 def test_the_folder_is_known_where_the_class_ends_with_its_declaration(
     config: Callable[..., Path], converted: Callable[[Path], Path]
 ) -> None:
@@ -502,6 +506,7 @@ def test_a_plugin_of_a_clones_own_is_written_beside_with_public_imports(
     assert {value for (value,) in measures_of(new, ["seconds"])} == {"4.5"}
 
 
+@pytest.mark.long
 def test_what_stands_beside_the_main_file_of_a_clone_is_written_beside(
     config: Callable[..., Path], converted: Callable[[Path], Path], write: Callable[..., Path]
 ) -> None:

@@ -267,6 +267,7 @@ def test_all_configs_of_a_folder_share_the_class_that_they_derive_from(
     assert same_rows(second, tmp_path / "second_converted.py", execute, ["speed", "energy"]) == [["3", "21"]]
 
 
+@pytest.mark.long
 def test_a_converted_base_is_kept_and_said_so_unless_it_is_to_be_written_anew(
     study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -77,6 +77,7 @@ class TestReplicate:
         assert screen.finish() == 2
         assert [path.name for path in tmp_path.iterdir()] == ["small.zip"]
 
+    @pytest.mark.long
     def test_what_differs_from_this_machine_is_shown_first(self, robot_runner, package):
         _rewrite(
             package, "environment/environment.json", b'"rich": {\n      "name": "rich",\n      "version": "', b"0."
@@ -304,6 +305,7 @@ def _rewrite(package, name, before, after, *, with_sums=True):
     beside.replace(package)
 
 
+@pytest.mark.long
 def test_what_differs_when_it_goes_on_is_answered_with_options_that_it_takes(
     robot_runner, write_config, tmp_path, monkeypatch
 ):

@@ -31,6 +31,7 @@ def _pair(**more: Any) -> Together:
     )
 
 
+@pytest.mark.long
 class TestTogether(SystemContract):
     """Two robots that drive at once."""
 
