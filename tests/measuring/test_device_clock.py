@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_runner.core.errors import PluginError
-from robot_runner.measuring.device_clock import fit_clock
+from robot_runner.measuring.device_clock import ClockMap, fit_clock
 
 
 def stamped(*, seconds: float, offset: float, skew: float, least_delay: float, jitter: float, seed: int = 1):
@@ -69,3 +69,8 @@ def test_no_message_is_placed_after_its_arrival(delays, offset):
     arrivals = [offset + stamp + delay for stamp, delay in zip(stamps, delays, strict=True)]
     clock = fit_clock(stamps, arrivals)
     assert all(clock.to_run(stamp) <= arrival + 1e-6 for stamp, arrival in zip(stamps, arrivals, strict=True))
+
+
+def test_many_times_are_brought_to_the_run_as_each_of_them():
+    clock, moments = ClockMap(7.0123456, 1.0000037), [number / 200 for number in range(400)]
+    assert clock.all_to_run(moments) == [clock.to_run(each) for each in moments]

@@ -33,6 +33,7 @@ def test_it_is_a_host_that_tells_of_processes_and_files(host):
     assert not host.is_simulated
 
 
+@pytest.mark.long
 @needs_affinity
 def test_a_busy_core_reads_100_percent_and_its_process_what_the_kernel_says(host):
     with busy_core() as busy:
@@ -62,6 +63,7 @@ def test_children_of_a_subject_that_come_and_go_between_two_looks_are_counted(ho
     assert spent - unseen - 0.2 <= counted_seconds(samples) <= spent + 0.2
 
 
+@pytest.mark.long
 def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host, monkeypatch):
     monkeypatch.setattr(local_host, "_RESCAN", 0.0)
     monkeypatch.setattr(local_host, "_YOUNG", 1000)

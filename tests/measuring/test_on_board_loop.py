@@ -131,6 +131,7 @@ def test_a_child_that_is_awaited_long_after_it_has_ended_counts_once(host: Calla
     assert counted_seconds(samples) == pytest.approx(spent, abs=0.2)
 
 
+@pytest.mark.long
 def test_what_a_subject_has_started_belongs_to_it_where_its_mark_was_taken_away(host: Callable[..., SshHost]) -> None:
     with busy_family("Planner", "sh", "-c", 'env -i "$@"; true', "sh"):
         sampler = host("python3").sample_processes(10.0, ["name:nobody", "subject:Planner"])

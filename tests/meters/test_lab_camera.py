@@ -39,6 +39,7 @@ needs_ffmpeg = pytest.mark.skipif(
 )
 
 
+@pytest.mark.long
 @needs_ffmpeg
 class TestLabCamera(ProfilerContract):
     robot = None

@@ -29,7 +29,7 @@ class RobotRunnerConfig(ExperimentConfig):
 
 
 @pytest.mark.parametrize("kind", ["tasmota", "shelly1", "shelly2"])
-@pytest.mark.parametrize("password", [PASSWORD, "wrong s3cret"])
+@pytest.mark.parametrize("password", [pytest.param(PASSWORD, marks=pytest.mark.long), "wrong s3cret"])
 def test_no_record_of_an_experiment_holds_the_password(tmp_path, monkeypatch, robot_runner, kind, password):
     monkeypatch.setenv("PLUG_PASSWORD", password)
     plug = PlugOnHttp(FakePlug(), password=PASSWORD)

@@ -243,6 +243,7 @@ def counting(clock, folder, watts, *, first=500.0):
     clock.every(0.01, show)
 
 
+@pytest.mark.long
 def test_a_counter_of_the_sensor_itself_is_preferred_to_the_integral(tmp_path, tree, clock):
     folder = tree.hwmon(rail_trees.INA228)
     counting(clock, folder, 7.7)
@@ -252,6 +253,7 @@ def test_a_counter_of_the_sensor_itself_is_preferred_to_the_integral(tmp_path, t
     assert facts["energy_from"] == {"": "counter"}
 
 
+@pytest.mark.long
 def test_a_counter_that_power_contradicts_is_doubted(tmp_path, tree, clock):
     counting(clock, tree.hwmon(rail_trees.INA228), 3.8)
     context = measured(tmp_path, tree, clock)
@@ -259,6 +261,7 @@ def test_a_counter_that_power_contradicts_is_doubted(tmp_path, tree, clock):
     assert re.search(r"counter rose by 3[78]\.?\d* J, and its power amounts to 76 J", problem)
 
 
+@pytest.mark.long
 def test_a_counter_that_was_set_back_is_told_and_power_takes_its_place(tmp_path, tree, clock):
     folder = tree.hwmon(rail_trees.INA228)
     counting(clock, folder, 7.7, first=500.0)

@@ -12,6 +12,7 @@ import time
 import pytest
 from tests.meters.fake_plugs import FakePlug, PlugOnHttp, PlugOnMqtt
 from tests.meters.mqtt_broker import Broker
+from tests.waiting import wait_until
 
 from robot_runner.core.errors import LinkError, PluginError
 from robot_runner.core.events.context import SystemClock
@@ -250,8 +251,7 @@ def test_answers_that_come_late_are_not_taken_for_those_to_the_next_question(bro
             requests.ask()
     for word in (b"first", b"second"):
         on_mqtt._client.publish(exchange.answers[0], word).wait_for_publish(20)
-    while b"second" not in requests._client.socket().recv(4096, socket.MSG_PEEK):
-        time.sleep(0.01)
+    wait_until(lambda: b"second" in requests._client.socket().recv(4096, socket.MSG_PEEK))
     on_mqtt.is_mute, requests._timeout = False, 20.0
     assert json.loads(requests.ask()[exchange.answers[0]])["StatusSNS"]["ENERGY"]["Power"] == plug.watts
     requests.close()

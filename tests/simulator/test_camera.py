@@ -40,6 +40,7 @@ def pixels(image):
     return np.frombuffer(image["data"], dtype=np.uint8).reshape(image["height"], image["width"], 3).astype(int)
 
 
+@pytest.mark.long
 @needs_rendering
 def test_a_picture_shows_what_stands_before_the_robot_and_comes_nearer(simulation):
     robot, images = simulation.turtlebot3(), []

@@ -11,6 +11,7 @@ import pytest
 from robot_runner.simulator.drive import DifferentialDrive
 from robot_runner.simulator.model import Body, burger_model
 from robot_runner.simulator.physics import Physics
+from robot_runner.simulator.rooms import Wall
 from robot_runner.simulator.simulated_clock import STEPS_PER_SECOND
 from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
 
@@ -147,3 +148,29 @@ def test_an_imu_at_rest_reads_gravity(drive):
     assert drive.acceleration == pytest.approx([0, 0, 9.81], abs=0.1)
     assert drive.angular_velocity == pytest.approx([0, 0, 0], abs=1e-3)
     assert drive.orientation == pytest.approx((0, 0, 0, 1), abs=0.01)
+
+
+def test_to_read_the_imu_changes_nothing(drive):
+    other = DifferentialDrive(PARAMETERS, Physics(PARAMETERS, [Body(RADII)]))
+    for one in (drive, other):
+        go(one, 1, linear=0.05, angular=1.0)
+    first = drive.angular_velocity
+    for one in (drive, other):
+        go(one, 1, linear=0.05, angular=-1.0)
+    assert first[2] == pytest.approx(1.0, rel=0.02)
+    assert np.array_equal(drive.wheel_speeds, other.wheel_speeds)
+    assert drive.pose == other.pose
+
+
+def test_what_the_physics_leaves_out_changes_nothing():
+    walls = (Wall(0.3, 0.0, 0.05, 1.0, 0.2, 0.5), Wall(0.0, 0.3, 1.0, 0.05, -0.3, 0.5))
+    usual, whole = (Physics(PARAMETERS, [Body(RADII)], walls) for _ in range(2))
+    model, _ = whole.parts
+    model.opt.disableflags = 0
+    drives = [DifferentialDrive(PARAMETERS, each) for each in (usual, whole)]
+    for angular in (0.0, 2.0, -1.0):  # into the walls' corner, and along them
+        for each in drives:
+            go(each, 2, linear=0.22, angular=angular)
+    assert drives[0].pose.x < 0.3, "the robot came through the wall"
+    assert np.array_equal(drives[0].motor_torques, drives[1].motor_torques)
+    assert drives[0].pose == drives[1].pose

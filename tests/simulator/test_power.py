@@ -75,18 +75,21 @@ def test_each_phase_draws_what_the_paper_shows(missions, task, phase, level):
     assert all(abs(one - level) < 0.35 for one in found)
 
 
+@pytest.mark.long
 def test_sleep_costs_more_after_the_first_movement_than_before_it(missions):
     for task in TASKS:
         for mission in missions[task]:
             assert min(mission.phases["awake"]) > mission.phases["asleep"][0] + 0.2
 
 
+@pytest.mark.long
 def test_movement_draws_the_most(missions):
     for task in TASKS:
         for mission in missions[task]:
             assert min(mission.phases["forward"]) > max(mission.phases["task"])
 
 
+@pytest.mark.long
 def test_computation_and_video_are_above_network_in_all_runs_by_more_than_the_noise(missions):
     network = [mission.energy for mission in missions["network"]]
     for task in ("computation", "video"):
@@ -94,11 +97,13 @@ def test_computation_and_video_are_above_network_in_all_runs_by_more_than_the_no
         assert min(energies) > max(network) + stdev(network)
 
 
+@pytest.mark.long
 def test_a_whole_mission_is_of_the_paper_s_order_of_magnitude(missions):
     assert mean(mission.energy for mission in missions["video"]) == pytest.approx(877, rel=0.03)
     assert mean(mission.energy for mission in missions["network"]) == pytest.approx(719, rel=0.25)
 
 
+@pytest.mark.long
 def test_runs_differ_by_half_a_percent_or_so(missions):
     for task in TASKS:
         energies = [mission.energy for mission in missions[task]]
@@ -106,6 +111,7 @@ def test_runs_differ_by_half_a_percent_or_so(missions):
         assert all(one != other for one, other in pairwise(sorted(energies)))
 
 
+@pytest.mark.long
 def test_a_task_that_draws_ten_percent_more_shows(missions):
     costly = Mission("video", 0, Turtlebot3Parameters(task_power_factor=1.1))
     usual = missions["video"][0]

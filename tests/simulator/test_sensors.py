@@ -204,3 +204,23 @@ def test_what_is_too_near_to_be_measured_is_not_told_as_free_space():
     assert ranges[0] == -math.inf  # REP 117
     assert ranges[180] == math.inf
     assert min(each for each in ranges if each > -math.inf) >= 0.12
+
+
+def test_the_imu_tells_the_same_whenever_somebody_subscribes_it():
+    simulation, later = Simulation(seed=1), []
+    robot = simulation.turtlebot3()
+    robot.drive(0.1, 1.0)
+    simulation.clock.sleep(0.5)
+    robot.topics["imu"].listen(later.append)
+    simulation.clock.sleep(0.5)
+    assert later == heard("imu", drive=(0.1, 1.0))[100:]
+
+
+def test_the_imu_tells_of_this_moment_without_a_subscriber():
+    simulation = Simulation(seed=1)
+    robot = simulation.turtlebot3()
+    robot.drive(0.0, 1.0)
+    simulation.clock.sleep(1.0)
+    message = robot.topics["imu"].latest()
+    assert message["linear_acceleration"]["z"] == pytest.approx(9.81, abs=0.3)
+    assert message["angular_velocity"]["z"] == pytest.approx(1.0, abs=0.05)

@@ -169,6 +169,7 @@ def test_names_are_relative_to_the_namespace_unless_they_begin_with_a_slash(simu
         assert "/alice" in caught.value.where
 
 
+@pytest.mark.long
 def test_what_another_robot_of_the_simulation_publishes_is_heard_by_its_full_name(simulation, link):
     bob = SimulatedRobotLink(simulation, namespace="bob")
     bob.publish("cmd_vel", TWIST, FORWARD)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from robot_runner.core.errors import LinkError
-from robot_runner.simulator.turtlebot3_parameters import Turtlebot3Parameters
+from robot_runner.simulator.turtlebot3_parameters import NoiseStreams, Turtlebot3Parameters
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "simulator-parameters.md"
 
@@ -61,3 +61,11 @@ def test_a_floor_may_fall_and_a_battery_be_colder_than_ice():
 @pytest.mark.parametrize("name", ["initial_charge", "sample_power_deviation", "cpu_idle", "memory_video"])
 def test_noise_and_load_may_be_zero(name):
     assert getattr(Turtlebot3Parameters(**{name: 0}), name) == 0
+
+
+def test_a_number_has_the_same_noise_however_it_is_asked_for():
+    numbers = [3, 4, 255, 256, 700, 2, 256]  # of three blocks, and back
+    together = NoiseStreams(7, "/alice").numbered("imu", width=6).at(numbers)
+    by_itself = NoiseStreams(7, "/alice").numbered("imu", width=6)
+    assert [each.tolist() for each in together] == [by_itself.of(number).tolist() for number in numbers]
+    assert by_itself.at([]).shape == (0, 6)

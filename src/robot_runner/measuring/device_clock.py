@@ -47,6 +47,11 @@ class ClockMap:
         """
         return round(self.offset + self.rate * device_time, 6)
 
+    def all_to_run(self, device_times: Iterable[float]) -> list[float]:
+        """Return what `to_run` does of many times."""
+        offset, rate = self.offset, self.rate
+        return [round(offset + rate * each, 6) for each in device_times]
+
 
 def fit_clock(
     device_times: Sequence[float], received_times: Sequence[float], *, largest_skew: float = _LARGEST_SKEW
@@ -100,7 +105,7 @@ def _lower_hull(points: Iterable[_Point]) -> list[_Point]:
             hull.pop()
         # A run has tens of thousands of points, so what decides whether the last edge turns right stands here.
         while len(hull) > 1:
-            (first, least), (second, less) = hull[-2:]
+            (first, least), (second, less) = hull[-2], hull[-1]
             if (second - first) * (point[1] - least) > (less - least) * (point[0] - first):
                 break
             hull.pop()

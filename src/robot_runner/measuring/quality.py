@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+from array import array
 from bisect import bisect_left, bisect_right
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -56,7 +57,7 @@ def write_samples(path: Path, columns: Sequence[Column]) -> None:
 
 def _rows(columns: Sequence[Column]) -> Iterator[str]:
     """Return the lines below the heading; a meter of 100 samples a second writes 10,000 of them for each run."""
-    if any(None in column.values for column in columns):
+    if any(not isinstance(column.values, array) and None in column.values for column in columns):  # arrays hold none
         return (f"{','.join(row)}\n" for row in zip(*(column.cells() for column in columns), strict=True))
     form = ",".join(column.form for column in columns) + "\n"  # a whole row at once takes half the time
     return (form % row for row in zip(*(column.values for column in columns), strict=True))

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
 
 from robot_runner.simulator.model import holding_torque, rolling_torque, slope_angle
+from robot_runner.simulator.physics import CORRECTION_STEPS
 from robot_runner.simulator.rooms import Pose
 from robot_runner.simulator.simulated_clock import STEP_NS, STEPS_PER_SECOND, tick_time
 
@@ -24,11 +24,8 @@ if TYPE_CHECKING:
 #: A wheel that turns faster than this (rad/s; 1.7 mm/s on the ground) moves.
 MOVING_WHEEL_SPEED = 0.05
 
-#: How many steps are between two corrections of the motors' set points (100 ms).
-_CORRECTION_STEPS = 20
 #: A motor whose set point is nearer than this (rad/s) to where it goes has gathered its speed.
 _SETTLED = 0.05
-_INITIAL_ROWS = 4096
 
 
 class DifferentialDrive:
@@ -48,17 +45,13 @@ class DifferentialDrive:
         self._physics = physics
         self._number = number
         self._body = self._physics.body(number)
-        self._trace = np.empty((_INITIAL_ROWS, 6))
-        self._target = np.zeros(2)
+        # Of the left and the right wheel. In Python's numbers: to NumPy two of them cost more than they are worth.
+        self._target = [0.0, 0.0]
         # What the set points are ahead of the speeds by, so that the motors bear their load at the commanded speed;
         # on a slope they hold the robot from the beginning on.
-        self._lead = np.full(2, holding_torque(parameters) / parameters.servo_gain)
+        self._lead = [holding_torque(parameters) / parameters.servo_gain] * 2
         self._rolling_lead = rolling_torque(parameters) / parameters.servo_gain
-        self._correction = _CORRECTION_STEPS / STEPS_PER_SECOND / parameters.servo_settling_time
-        # Looked up at each step: views of MuJoCo's arrays.
-        self._wheel_angles, self._wheel_speeds = self._body.wheel_angles, self._body.wheel_speeds
-        self._torques = self._body.torques
-        self.note(0)
+        self._correction = CORRECTION_STEPS / STEPS_PER_SECOND / parameters.servo_settling_time
         self._physics.ride(self)
 
     @property
@@ -69,17 +62,17 @@ class DifferentialDrive:
     @property
     def wheel_angles(self) -> Floats:
         """The trace of the wheels' angles in rad, shape (steps + 1, 2)."""
-        return self._trace[: self.steps + 1, 0:2]
+        return self._physics.traces[0][: self.steps + 1, self._number]
 
     @property
     def wheel_speeds(self) -> Floats:
         """The trace of the wheels' speeds in rad/s, shape (steps + 1, 2)."""
-        return self._trace[: self.steps + 1, 2:4]
+        return self._physics.traces[1][: self.steps + 1, self._number]
 
     @property
     def motor_torques(self) -> Floats:
         """The trace of the motors' torques in N m, shape (steps + 1, 2)."""
-        return self._trace[: self.steps + 1, 4:6]
+        return self._physics.traces[2][: self.steps + 1, self._number]
 
     @property
     def pose(self) -> Pose:
@@ -99,17 +92,23 @@ class DifferentialDrive:
     @property
     def angular_velocity(self) -> Floats:
         """What an ideal gyroscope reads: rad/s in the robot's frame."""
+        self.sense()
         return np.array(self._body.sensed[0:3])
 
     @property
     def acceleration(self) -> Floats:
         """What an ideal accelerometer reads: m/s² in the robot's frame, gravity included."""
+        self.sense()
         return np.array(self._body.sensed[3:6])
 
     @property
     def is_moving(self) -> bool:
         """Whether a wheel turns."""
-        return bool(np.abs(self._wheel_speeds).max() > MOVING_WHEEL_SPEED)
+        return bool(np.abs(self._body.wheel_speeds).max() > MOVING_WHEEL_SPEED)
+
+    def sense(self) -> None:
+        """Have the inertial sensors computed from now on."""
+        self._physics.sense()
 
     def command(self, linear: float, angular: float) -> None:
         """Drive at these velocities (m/s, rad/s), each limited to what the robot can do, until told otherwise."""
@@ -117,51 +116,52 @@ class DifferentialDrive:
         forward = _limited(linear, limits.max_linear_velocity)
         turning = _limited(angular, limits.max_angular_velocity) * limits.wheel_separation / 2
         speeds = ((forward - turning) / limits.wheel_radius, (forward + turning) / limits.wheel_radius)
-        target = np.array([_limited(speed, limits.max_wheel_speed) for speed in speeds])
-        self._lead += (np.sign(target) - np.sign(self._target)) * self._rolling_lead
-        self._target = target
-        self._body.set_points[:] = self._target + self._lead
+        targets = [_limited(speed, limits.max_wheel_speed) for speed in speeds]
+        for wheel, target in enumerate(targets):
+            self._lead[wheel] += (_sign(target) - _sign(self._target[wheel])) * self._rolling_lead
+        self._target = targets
+        self._set()
 
     def advance(self, steps: int) -> None:
         """Go on until this many steps were made since the beginning; those already made are not repeated."""
         self._physics.advance(steps)
-
-    def note(self, row: int) -> None:
-        """Note the state after so many steps, and correct the motors' set points."""
-        if row >= len(self._trace):
-            self._trace = np.concatenate([self._trace, np.empty_like(self._trace)])
-        trace = self._trace
-        trace[row, 0:2] = self._wheel_angles
-        trace[row, 2:4] = self._wheel_speeds
-        trace[row, 4:6] = self._torques
-        if row and not row % _CORRECTION_STEPS:
-            self._correct()
 
     def put_back(self) -> None:
         """Stand still where the robot stood at the beginning."""
         self.command(0.0, 0.0)
         self._physics.put_back(self._number)
 
-    def _correct(self) -> None:
+    def correct(self) -> None:
         """Follow the load with the set points: the integral part of the servo's speed control.
 
         While the robot gathers speed or loses it, its inertia is the greater part of the load, and is not followed.
         """
-        if np.abs(self._body.set_points - self._body.lagging).max() > _SETTLED:
+        lagging = self._body.lagging.tolist()
+        if any(
+            abs(point - lags) > _SETTLED for point, lags in zip(self._body.set_points.tolist(), lagging, strict=True)
+        ):
             return
-        self._lead += self._correction * (self._body.lagging - self._wheel_speeds - self._lead)
-        self._body.set_points[:] = self._target + self._lead
+        for wheel, speed in enumerate(self._body.wheel_speeds.tolist()):
+            self._lead[wheel] += self._correction * (lagging[wheel] - speed - self._lead[wheel])
+        self._set()
+
+    def _set(self) -> None:
+        (left, right), (left_lead, right_lead) = self._target, self._lead
+        self._body.set_points[:] = left + left_lead, right + right_lead
 
 
 def _limited(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 
+def _sign(value: float) -> int:
+    return (value > 0) - (value < 0)
+
+
 _TURN = 2 * math.pi
 
 
-@dataclass(frozen=True, slots=True)
-class OdometryState:
+class OdometryState(NamedTuple):
     """Where the wheels say that the robot is (m, rad) and how fast it goes (m/s, rad/s)."""
 
     x: float = 0.0
@@ -200,21 +200,26 @@ class WheelOdometry:
         self._metres_per_tick = parameters.wheel_radius * _TURN / parameters.encoder_ticks
         self._phases = phases
         self._state = OdometryState()
-        self._number = 0
         self._step = 0
         self._ticks = self._read(0)
+        self._number = 1
+        self._next = self._due()  # at which step the encoders are read next
 
     def latest(self) -> OdometryState:
         """Return the odometry at the last of its ticks that the robot's body has reached."""
-        while (step := tick_time(self._number + 1, self._rate) // STEP_NS) <= self._drive.steps:
+        while self._next <= self._drive.steps:
+            self._add(self._next)
             self._number += 1
-            self._add(step)
+            self._next = self._due()
         return self._state
 
     def restart(self) -> None:
         """Count from zero: the robot was put back."""
         self.latest()
         self._state = OdometryState()
+
+    def _due(self) -> int:
+        return tick_time(self._number, self._rate) // STEP_NS
 
     def _add(self, step: int) -> None:
         ticks = self._read(step)

@@ -269,13 +269,13 @@ class ModelledRobot:
             (x, y, z, w),
             angular,
             linear,
-            self._imu_noise.at(self._clock.step),
+            self._imu_noise.of(self._clock.step),
             self.parameters,
         )
 
     def _scan(self) -> dict[str, Any]:
         self._reach()
-        noise = self._scan_noise.at(self._clock.step)[0]
+        noise = self._scan_noise.of(self._clock.step)
         return laser_scan(self._clock.now_ns, self._ray_distances(), noise, self.parameters)
 
     def _ray_distances(self) -> npt.NDArray[np.float64]:

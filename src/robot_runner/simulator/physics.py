@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from copy import copy
 from operator import itemgetter
 from typing import TYPE_CHECKING, Protocol
 
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     Floats = npt.NDArray[np.float64]
 
 _SETTLING_STEPS = 200
+_INITIAL_ROWS = 4096
+#: How many steps are between two corrections of the motors' set points (100 ms).
+CORRECTION_STEPS = 20
 _Warning = mujoco.mjtWarning
 #: What MuJoCo notes where a number became too large or none, before it begins anew by itself.
 _diverged = itemgetter(*map(int, (_Warning.mjWARN_BADQPOS, _Warning.mjWARN_BADQVEL, _Warning.mjWARN_BADQACC)))
@@ -61,10 +65,10 @@ def check_physics(warnings: npt.NDArray[np.int32], what: str, *, where: str, fix
 
 
 class Rider(Protocol):
-    """What follows a body from step to step."""
+    """What drives a body."""
 
-    def note(self, row: int) -> None:
-        """Note the state after so many steps."""
+    def correct(self) -> None:
+        """Correct the motors' set points."""
         ...
 
 
@@ -73,6 +77,8 @@ class Physics:
 
     Attributes:
         steps: how many steps were made since the beginning.
+        traces: the wheels' angles (rad) and speeds (rad/s) and the motors' torques (N m), shape (rows, bodies, 2) each:
+            row i is the state after i steps, the left wheel before the right one.
     """
 
     def __init__(
@@ -82,11 +88,20 @@ class Physics:
         self._data = mujoco.MjData(self._model)
         self._warnings = self._data.warning.number
         self._riders: list[Rider] = []
+        self._has_sensors = False
         # On a slope the motors hold their robot from the beginning on.
         self._data.act[:] = self._data.ctrl[:] = holding_torque(parameters) / parameters.servo_gain
         self.steps = 0
         mujoco.mj_step(self._model, self._data, nstep=_SETTLING_STEPS)
         self._settled = np.array(self._data.qpos)
+        self._traced: tuple[Floats, Floats, Floats] = (
+            self._data.qpos.reshape(-1, _POSITIONS)[:, 7:9],
+            self._data.qvel.reshape(-1, _VELOCITIES)[:, 6:8],
+            self._data.actuator_force.reshape(-1, 2),
+        )
+        self.traces = [np.empty((_INITIAL_ROWS, *each.shape)) for each in self._traced]
+        for trace, now in zip(self.traces, self._traced, strict=True):
+            trace[0] = now
 
     @property
     def parts(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -94,12 +109,22 @@ class Physics:
         return self._model, self._data
 
     def ride(self, rider: Rider) -> None:
-        """Have a rider note each step from now on."""
+        """Have a rider correct its motors every `CORRECTION_STEPS` from now on."""
         self._riders.append(rider)
 
     def body(self, number: int) -> BodyState:
         """Return the state of a body, which changes with each step."""
         return BodyState(self._data, number)
+
+    def sense(self) -> None:
+        """Have the inertial sensors computed from now on: they take a fifteenth of the physics, and few read them."""
+        if self._has_sensors:
+            return
+        self._has_sensors = True
+        self._model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+        now = copy(self._data)  # in the state itself, MuJoCo 3.2.4 would begin the next step elsewhere, by a hair
+        mujoco.mj_forward(self._model, now)
+        self._data.sensordata[:] = now.sensordata
 
     def advance(self, steps: int) -> None:
         """Go on until this many steps were made since the beginning; those already made are not repeated.
@@ -107,11 +132,16 @@ class Physics:
         Raises:
             LinkError: the physics went wrong.
         """
-        model, data, riders = self._model, self._data, self._riders
+        while steps >= len(self.traces[0]):
+            self.traces = [np.concatenate([each, np.empty_like(each)]) for each in self.traces]
+        model, data = self._model, self._data
+        (angles, speeds, torques), (angles_now, speeds_now, torques_now) = self.traces, self._traced
         for row in range(self.steps + 1, steps + 1):
             mujoco.mj_step(model, data)
-            for rider in riders:
-                rider.note(row)
+            angles[row], speeds[row], torques[row] = angles_now, speeds_now, torques_now
+            if not row % CORRECTION_STEPS:
+                for rider in self._riders:
+                    rider.correct()
         self.steps = max(self.steps, steps)
         fix = "Give its parameters less extreme values: what is heavy, slippery or stiff."
         check_physics(self._warnings, "simulated robot", where="Turtlebot3Parameters", fix=fix)
@@ -131,20 +161,17 @@ class BodyState:
 
     Attributes:
         pose: x, y, z (m) and the quaternion w, x, y, z.
-        wheel_angles, wheel_speeds: left and right, rad and rad/s.
+        wheel_speeds: left and right, rad/s.
         set_points: of the motors, as commanded, rad/s.
         lagging: the set points as the motors follow them, rad/s.
-        torques: of the motors, N m.
-        sensed: gyroscope (rad/s) and accelerometer (m/s²), three numbers each.
+        sensed: gyroscope (rad/s) and accelerometer (m/s²), three numbers each; once `Physics.sense` was called.
     """
 
     def __init__(self, data: mujoco.MjData, number: int) -> None:
         place, speed = number * _POSITIONS, number * _VELOCITIES
         motors = slice(2 * number, 2 * number + 2)
         self.pose: Floats = data.qpos[place : place + 7]
-        self.wheel_angles: Floats = data.qpos[place + 7 : place + 9]
         self.wheel_speeds: Floats = data.qvel[speed + 6 : speed + 8]
         self.set_points: Floats = data.ctrl[motors]
         self.lagging: Floats = data.act[motors]
-        self.torques: Floats = data.actuator_force[motors]
         self.sensed: Floats = data.sensordata[6 * number : 6 * number + 6]

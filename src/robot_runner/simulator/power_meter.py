@@ -169,8 +169,8 @@ class Ina219Meter:
         samples = self._sample(numbers, due_ns)
         has_hello = (numbers % _SEQUENCES % self._rate == 0) | (numbers == self._hello_before)
         times = (due_ns + (SAMPLE_SIZE + HELLO_SIZE * has_hello) * _BYTE_NS) / _SECOND_NS
-        starts = range(0, len(samples), SAMPLE_SIZE)
-        chunks = [Chunk(time, samples[at : at + SAMPLE_SIZE]) for time, at in zip(times.tolist(), starts, strict=True)]
+        pieces = (piece for (piece,) in struct.iter_unpack(f"{SAMPLE_SIZE}s", samples))
+        chunks = list(map(Chunk, times.tolist(), pieces))
         for index in has_hello.nonzero()[0].tolist():
             hello = self._hello(int(numbers[index]), int(due_ns[index]))
             chunks[index] = replace(chunks[index], data=hello + chunks[index].data)

@@ -243,7 +243,7 @@ class SensorBoard:
     def imu(self) -> dict[str, Any]:
         """Return angular velocity and acceleration with the noise of the sensor."""
         self.powered.reach(self.clock.step)
-        drive, noise = self.drive, self.imu_noise.at(self.clock.step)
+        drive, noise = self.drive, self.imu_noise.of(self.clock.step)
         return imu(
             self.clock.now_ns, drive.orientation, drive.angular_velocity, drive.acceleration, noise, self.parameters
         )
@@ -255,7 +255,7 @@ class SensorBoard:
         x = pose.x + _SCANNER_X * math.cos(pose.yaw)
         y = pose.y + _SCANNER_X * math.sin(pose.yaw)
         true = ray_distances(self.surroundings(), x, y, pose.yaw + _RAY_ANGLES)
-        return laser_scan(self.clock.now_ns, true, self.scan_noise.at(self.clock.step)[0], self.parameters)
+        return laser_scan(self.clock.now_ns, true, self.scan_noise.of(self.clock.step), self.parameters)
 
     def battery_state(self) -> dict[str, Any]:
         """Return a sensor_msgs/BatteryState; as ROS has it, discharging is negative and the unmeasured is NaN."""
@@ -299,7 +299,7 @@ def published_topics(board: SensorBoard) -> dict[str, PublishedTopic]:
     base_rate = parameters.odometry_rate
     return {
         "odom": PublishedTopic(clock, "nav_msgs/Odometry", base_rate, board.odom),
-        "imu": PublishedTopic(clock, "sensor_msgs/Imu", parameters.imu_rate, board.imu),
+        "imu": PublishedTopic(clock, "sensor_msgs/Imu", parameters.imu_rate, board.imu, prepare=board.drive.sense),
         "scan": PublishedTopic(clock, "sensor_msgs/LaserScan", parameters.scan_rate, board.scan),
         "battery_state": PublishedTopic(clock, "sensor_msgs/BatteryState", base_rate, board.battery_state),
         "joint_states": PublishedTopic(clock, "sensor_msgs/JointState", base_rate, board.joint_states),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import zlib
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -216,11 +217,16 @@ class NumberedNoise:
         """Return the noise of these numbers (0 and up), one row for each."""
         wanted = np.atleast_1d(np.asarray(numbers, dtype=np.int64))
         rows = np.empty((len(wanted), self._width))
-        blocks = wanted // _BLOCK
-        for block in np.unique(blocks).tolist():
-            is_within = blocks == block
-            rows[is_within] = self._block(block)[wanted[is_within] % _BLOCK]
+        blocks, places = np.divmod(wanted, _BLOCK)
+        for begin, end in pairwise(sorted({0, *(np.flatnonzero(np.diff(blocks)) + 1).tolist(), len(wanted)})):
+            rows[begin:end] = self._block(int(blocks[begin]))[places[begin:end]]
         return rows
+
+    def of(self, number: int) -> npt.NDArray[np.float64]:
+        """Return the noise of one number, as `at` does of several."""
+        block, place = divmod(number, _BLOCK)
+        noise: npt.NDArray[np.float64] = self._block(block)[place]
+        return noise
 
     def _block(self, number: int) -> npt.NDArray[np.float64]:
         if number not in self._blocks:

@@ -65,11 +65,13 @@ def test_a_model_of_one_run_says_that_it_was_tried_on_no_other(robot_runner, exp
     assert "no run: there is one run only" in robot_runner("fit-power-model", experiment, "--runs", "r_1").out
 
 
+@pytest.mark.long
 def test_a_run_that_only_warms_up_is_not_fitted_on(robot_runner, experiment):
     assert "w_1" not in robot_runner("fit-power-model", experiment, "--json").json["fit"]["runs"]
     assert robot_runner("fit-power-model", experiment, "--runs", "w_1").code == 2
 
 
+@pytest.mark.long
 def test_terms_and_runs_can_be_chosen_and_json_is_printed(robot_runner, experiment):
     answer = robot_runner(
         "fit-power-model", experiment, "--terms", "constant,motion:forward", "--runs", "r_2", "--json"
@@ -78,6 +80,7 @@ def test_terms_and_runs_can_be_chosen_and_json_is_printed(robot_runner, experime
     assert answer.json["fit"]["runs"] == ["r_2"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "said"),
     [

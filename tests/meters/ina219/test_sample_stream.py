@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import struct
+from functools import partial
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.meters.scripted_meter import ScriptedMeter, hello, mark, sample
+from tests.meters.scripted_meter import ScriptedMeter, frame, hello, mark, sample
 
+from robot_runner.meters.ina219.frames import FrameDecoder
 from robot_runner.meters.ina219.sample_stream import SampleStream, Trouble
 from robot_runner.testing import Chunk
 
@@ -108,3 +112,46 @@ def test_nothing_gives_no_times():
 
 def test_one_sample_is_placed_at_its_arrival():
     assert list(streamed([Chunk(3.0, sample(0, 12345))]).times()) == [3.0]
+
+
+def late(chunks: list[Chunk], seconds: float) -> list[Chunk]:
+    return [Chunk(chunk.received_at + seconds, chunk.data) for chunk in chunks]
+
+
+SENSING = frame(0x14, 0, struct.pack("<IBIHIB", 0, 0x40, 100_000, 0x1CCF, 2000, 1))
+STEADY = steady(first_sequence=65_500).chunks(start=0.0, end=0.5)
+NEXT = partial(steady, first_sequence=65_601)
+COURSES = {
+    "as usual": STEADY,
+    "with one lost": [*STEADY[:40], *STEADY[41:]],
+    "with one that came twice": [*STEADY[:40], STEADY[39], *STEADY[40:]],
+    "with one damaged": steady(damaged={30}).chunks(start=0.0, end=0.5),
+    "with noise between two": [*STEADY[:40], Chunk(STEADY[40].received_at, b"\xa5noise"), *STEADY[40:]],
+    "with noise as long as a sample": [*STEADY[:40], Chunk(STEADY[40].received_at, b"noise of 16 byte"), *STEADY[40:]],
+    "with a mark": [*STEADY[:40], Chunk(STEADY[40].received_at, mark(65_540, 200_000, is_on=True)), *STEADY[40:]],
+    "with a false beginning": [*STEADY[:40], Chunk(STEADY[40].received_at, b"\xa5\x5a\x11\x20"), *STEADY[40:]],
+    "with a device that starts anew": [*STEADY, *late(steady(first_stamp=9).chunks(start=0.0, end=0.5)[1:], 7.0)],
+    "with stamps that leap ahead": [*STEADY, *late(NEXT(first_stamp=2**30).chunks(start=0.0, end=0.1)[1:], 1.0)],
+    "with stamps that step back": [*STEADY, *late(NEXT(first_stamp=9).chunks(start=0.0, end=0.1)[1:], 1.0)],
+    "with a sensor that is told of later": [*STEADY[:40], Chunk(STEADY[40].received_at, SENSING), *STEADY[40:]],
+    "with stamps that stand still": steady(skew=1.0).chunks(start=0.0, end=0.5),
+    "with arrivals that step back": [*STEADY[:40], *late(STEADY[40:], -61.0)],
+    "with arrivals that step back at once": [*STEADY[:9], *late(STEADY[9:], -61.0)],
+}
+
+
+@pytest.mark.parametrize("chunks", COURSES.values(), ids=COURSES)
+@pytest.mark.parametrize("of", [{}, {"address": 0x41}, {"has_arrivals": False}], ids=str)
+def test_samples_that_are_taken_together_are_what_they_are_one_by_one(chunks, of, monkeypatch):
+    def told() -> tuple[object, ...]:
+        stream = SampleStream(**of)
+        stream.take(chunks[:9])
+        stream.take(chunks[9:])
+        stream.finish()
+        columns = [list(each) for each in (stream.device_seconds, stream.shunt_raw, stream.bus_raw, stream.times())]
+        facts = stream.troubles(), stream.counts, stream.marks, stream.sensing, stream.bytes, stream.bytes_since_frame
+        return columns, facts
+
+    together = told()
+    monkeypatch.setattr(FrameDecoder, "take_samples", lambda *_: None)
+    assert together == told()

@@ -82,6 +82,7 @@ def test_the_interval_of_two_runs_covers_the_truth_where_leaving_one_out_does_no
     assert plain < 0.6
 
 
+@pytest.mark.long
 def test_what_runs_have_in_common_widens_the_interval_of_the_constant():
     noise = np.random.default_rng(3)
     alike, unlike = (measured(noise, runs=6, between=between) for between in (0.0, 1.0))

@@ -374,6 +374,7 @@ def test_the_energy_of_other_runs_is_estimated_within_a_few_percent(fitted, tmp_
     assert origins["Ina219.Energy"] is Origin.SIMULATED
 
 
+@pytest.mark.long
 def test_the_model_of_the_simulated_robot_finds_the_levels_of_its_power(fitted):
     model = read_model(fitted)
     assert model.report.is_simulated

@@ -37,7 +37,7 @@ def stuck_doubts(readings: Iterable[object], seconds: float, count: int) -> Iter
         >>> list(stuck_doubts([7] * 150 + [8] * 50, 1.0, 200))
         ['the sensor read the same for 0.8 s (150 readings on end): one that measures shows noise']
     """
-    longest = max((sum(1 for _ in same) for _, same in groupby(readings)), default=0)
+    longest = max((len(list(same)) for _, same in groupby(readings)), default=0)
     if longest >= _ALIKE:
         lasted = seconds * longest / count
         yield f"the sensor read the same for {lasted:.1f} s ({longest} readings on end): one that measures shows noise"

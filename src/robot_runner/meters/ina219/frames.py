@@ -5,7 +5,11 @@ from __future__ import annotations
 import struct
 from binascii import crc_hqx
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import repeat
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 _SYNC = b"\xa5\x5a"
 _VERSION = 1
@@ -20,8 +24,10 @@ _HELLO_KIND, _HELLO = b"\x12\x0c", struct.Struct("<HIHIH")  # sequence, µs, Hz,
 _MARK_KIND, _MARK = b"\x13\x05", struct.Struct("<HIB")  # sequence, µs, whether it is on
 _SENSING_KIND, _SENSING = b"\x14\x10", struct.Struct("<HIBIHIB")  # sequence, µs, address, µΩ, configuration, µs, looks
 _FURTHER_KIND, _FURTHER = b"\x15\x09", struct.Struct("<HIBhH")  # sequence, µs, address, shunt register, bus register
-#: What the frame of a sample begins with, and the whole of it: what it says, and its checksum.
-_SAMPLE_START, _SAMPLE_FRAME = _SYNC + _SAMPLE_KIND, struct.Struct("<4xHIhHH")
+#: The whole frame of a sample: what it begins with, what its checksum is of, what it says, and its checksum.
+_SAMPLE_FRAME, _SAMPLE_CHECKED = struct.Struct("<4sHIhHH"), struct.Struct("<2x12s2x")
+_SAMPLE_START = _SYNC + _SAMPLE_KIND
+SAMPLE_BYTES = _SAMPLE_FRAME.size
 
 #: Stands for the address of the first sensor, whose samples carry none.
 FIRST_SENSOR = 0
@@ -43,6 +49,15 @@ class SampleFrame(NamedTuple):
     shunt_raw: int
     bus_raw: int
     address: int = FIRST_SENSOR
+
+
+class SampleColumns(NamedTuple):
+    """Many samples of the first sensor, each a place in every column; the columns are those of `SampleFrame`."""
+
+    sequences: Sequence[int]
+    microseconds: Sequence[int]
+    shunt_raw: Sequence[int]
+    bus_raw: Sequence[int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,14 +170,27 @@ class FrameDecoder:
         """What was met besides good frames so far."""
         return DecoderCounts(self._corrupt, self._dropped, self._foreign, self.frames)
 
+    def take_samples(self, pieces: Sequence[bytes]) -> SampleColumns | None:
+        """Return what pieces say each of which is one whole sample, as is usual where the line is silent between two.
+
+        None, with nothing taken, where one is not, or something came before them that is not understood yet.
+
+        Args:
+            pieces: one or more, of `SAMPLE_BYTES` each.
+        """
+        if self._buffer or self._unexplained:
+            return None
+        data = b"".join(pieces)
+        checked = (each for (each,) in _SAMPLE_CHECKED.iter_unpack(data))
+        starts, *said, checksums = zip(*_SAMPLE_FRAME.iter_unpack(data), strict=True)
+        if set(starts) != {_SAMPLE_START} or tuple(map(crc_hqx, checked, repeat(_CRC_START))) != checksums:
+            return None
+        self._has_seen_frame = True
+        self.frames += len(pieces)
+        return SampleColumns(*said)
+
     def feed(self, data: bytes) -> list[Frame]:
         """Return the frames that are complete now; what may still become one is kept for the next call."""
-        if not self._buffer and len(data) == _SAMPLE_FRAME.size and data.startswith(_SAMPLE_START):
-            # The usual piece, at rates that leave the line silent between two samples: one whole sample.
-            *said, checksum = _SAMPLE_FRAME.unpack(data)
-            if crc_hqx(data[len(_SYNC) : -_CHECKSUM_SIZE], _CRC_START) == checksum:
-                self._count_frame()
-                return [SampleFrame(*said)]
         self._buffer += data
         return self._decode(is_last=False)
 

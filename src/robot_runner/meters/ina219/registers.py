@@ -130,8 +130,7 @@ class Evaluation:
         yield from self.quality.warnings()
         if not self.quality.is_sufficient and self.quality.got:
             yield "the samples do not cover the measured window, so no energy was computed from them"
-        joules = self.values()["Energy"]
-        if self.quality.saturated and joules is not None:
+        if self.quality.saturated and (joules := self.values()["Energy"]) is not None:
             share = 100 * self.quality.saturated / max(self.quality.got, 1)
             yield f"the energy is at least {joules:.1f} J: {share:.1f} % of the samples were clipped"
         yield from self.doubts

@@ -8,17 +8,27 @@ from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
+from itertools import accumulate, groupby, pairwise
+from operator import le
 from typing import TYPE_CHECKING
 
 from robot_runner.measuring.device_clock import fit_clock
-from robot_runner.meters.ina219.frames import FIRST_SENSOR, FrameDecoder, Hello, Mark, SampleFrame, Sensing
+from robot_runner.meters.ina219.frames import (
+    FIRST_SENSOR,
+    SAMPLE_BYTES,
+    FrameDecoder,
+    Hello,
+    Mark,
+    SampleFrame,
+    Sensing,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from robot_runner.core.events.window import Window
     from robot_runner.measuring.serial_line import Chunk
-    from robot_runner.meters.ina219.frames import DecoderCounts, Frame
+    from robot_runner.meters.ina219.frames import DecoderCounts, Frame, SampleColumns
 
 _SEQUENCES = 1 << 16
 _STAMPS = 1 << 32
@@ -131,16 +141,33 @@ class SampleStream:
 
     def take(self, chunks: Iterable[Chunk]) -> None:
         """Decode what arrived."""
-        for chunk in chunks:
-            data, frames_before = chunk.data, self._decoder.frames
-            self.bytes += len(data)
-            self._add(self._decoder.feed(data), chunk.received_at)
-            if self._decoder.frames > frames_before:
-                self.bytes_since_frame = 0
-            else:
-                self.bytes_since_frame += len(data) if self._has_arrivals else len(data.strip(b"\0"))
-            if not self._decoder.is_sound:
-                self._note_faults()
+        for is_sample, alike in groupby(chunks, lambda chunk: len(chunk.data) == SAMPLE_BYTES):
+            some = list(alike)
+            samples = self._decoder.take_samples([chunk.data for chunk in some]) if is_sample else None
+            if samples is not None:
+                self._take_samples(samples, [chunk.received_at for chunk in some])
+                continue
+            for chunk in some:
+                self._take_one(chunk)
+
+    def _take_samples(self, samples: SampleColumns, arrivals: Sequence[float]) -> None:
+        """Take samples each of which came by itself."""
+        self._is_behind_hello = False
+        self.bytes += len(arrivals) * SAMPLE_BYTES
+        if self.is_ours(FIRST_SENSOR) and not self._add_in_order(samples, arrivals):
+            for sample, received_at in zip(map(SampleFrame, *samples), arrivals, strict=True):
+                self._add_sample(sample, received_at)
+
+    def _take_one(self, chunk: Chunk) -> None:
+        data, frames_before = chunk.data, self._decoder.frames
+        self.bytes += len(data)
+        self._add(self._decoder.feed(data), chunk.received_at)
+        if self._decoder.frames > frames_before:
+            self.bytes_since_frame = 0
+        else:
+            self.bytes_since_frame += len(data) if self._has_arrivals else len(data.strip(b"\0"))
+        if not self._decoder.is_sound:
+            self._note_faults()
 
     def finish(self) -> None:
         """Decode what is held back; call it once nothing more will arrive."""
@@ -170,9 +197,12 @@ class SampleStream:
             stamps = self.device_seconds[begin:end]
             clock = fit_clock(stamps, self._received[begin:end], largest_skew=_LARGEST_SKEW)
             self.drift = max(self.drift, clock.drift, key=abs)
-            earliest = times[-1] if times else float("-inf")
-            lag = self.lag
-            times.extend([max(round(clock.to_run(stamp) - lag, _DIGITS), earliest) for stamp in stamps])
+            moments = clock.all_to_run(stamps)
+            if lag := self.lag:
+                moments = [round(moment - lag, _DIGITS) for moment in moments]
+            if times and moments[0] < times[-1]:  # the clocks of two lives overlap
+                moments = [max(moment, times[-1]) for moment in moments]
+            times.extend(moments)
         return times
 
     def _add(self, frames: Iterable[Frame], received_at: float) -> None:
@@ -224,6 +254,28 @@ class SampleStream:
         self.shunt_raw.append(sample.shunt_raw)
         self.bus_raw.append(sample.bus_raw)
         self._last = sample
+
+    def _add_in_order(self, samples: SampleColumns, arrivals: Sequence[float]) -> bool:
+        """Add samples as `_add_sample` would, a column at a time; False, and nothing done, where it would note one.
+
+        The usual course, and a run has some 19,000 of them: so they take a quarter of the time.
+        """
+        last = self._last
+        if last is None or not all(map(le, arrivals, arrivals[1:])) or arrivals[0] < self._received[-1]:
+            return False
+        numbers, stamps = (last.sequence, *samples.sequences), (last.microseconds, *samples.microseconds)
+        steps = [(later - sooner) % _STAMPS for sooner, later in pairwise(stamps)]
+        elapsed = [step * 1e-6 for step in steps]
+        has_steps = min(steps) > 0 and max(steps) < _BACKWARDS and max(elapsed) <= self._implausible_lead
+        if not has_steps or any((later - sooner) % _SEQUENCES != 1 for sooner, later in pairwise(numbers)):
+            return False
+        elapsed[0] += self.device_seconds[-1]
+        self.device_seconds.extend(accumulate(elapsed))
+        self._received.extend(arrivals)
+        self.shunt_raw.extend(samples.shunt_raw)
+        self.bus_raw.extend(samples.bus_raw)
+        self._last = SampleFrame(*(column[-1] for column in samples))
+        return True
 
     def _add_mark(self, mark: Mark) -> None:
         seconds = 0.0
