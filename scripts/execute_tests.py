@@ -130,8 +130,8 @@ def ros2_batches_of(folder: Path) -> list[Batch]:
 
 
 def _processes() -> int:
-    """Return how many processes fit: tests wait half of their time for processes, robots and clocks."""
-    return min(8, 2 * (os.cpu_count() or 1))
+    """Return how many processes fit: tests wait two thirds of their time for processes, robots and clocks."""
+    return min(8, 3 * (os.cpu_count() or 1))
 
 
 def _executed(batch: Batch, marks: str, words: list[str], shared: str, start: float) -> Answer:
