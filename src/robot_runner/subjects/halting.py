@@ -14,7 +14,6 @@ import json
 import select
 import subprocess
 import sys
-import time
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -219,17 +218,19 @@ def _halt_after(start: Start) -> None:
     commanded = CommandedTopics(start)
     with closing(Resources()) as resources:
         robots = _CommandedRobots(commanded, resources)
-        asked = [0]
-        while start.ended() is None:
+        asked, read, has_ended = [0], 0, False
+        while start.is_supervised():
+            with suppress(OSError):  # somebody has removed it
+                if (size := start.events.stat().st_size) > read:  # to read it each time takes ten times as long
+                    read, has_ended = size, start.ended() is not None
+            if has_ended:  # what it has started may go on for a moment
+                robots.command_zero()
             if select.select(asked, [], [], _LOOK)[0]:
                 asked = []
                 robots.join()
                 with suppress(OSError):  # nobody listens any more
                     sys.stdout.write("\n")
                     sys.stdout.flush()
-        while start.is_supervised():  # what the program has started may go on for a moment
-            robots.command_zero()
-            time.sleep(_LOOK)
         if commanded.by_robot():
             try:
                 robots.stop()
