@@ -133,4 +133,5 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
             )
             assert said in experiment.output
             experiment.nobody_is_left()
-        assert not robot.moves()
+        told = sorted((experiment.folder / "subjects" / "Planner").glob("*/commanded.jsonl"))
+        assert not robot.moves(), [each.read_text() for each in told]

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import LinkError
-from robot_runner.core.links.connect import connect_robot, is_simulated, robot_namespace
+from robot_runner.core.links.connect import connect_robot, is_simulated, is_slow_to_join, robot_namespace
 from robot_runner.core.links.robot import Advertiser
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 #: A message of these types without any field stops a robot.
 _VELOCITIES = frozenset({"geometry_msgs/Twist", "geometry_msgs/TwistStamped"})
+#: After how long a graph is known that has to be discovered, s: on Fast DDS, that has taken up to 3.2 s.
+_DISCOVERY = 4.0
 
 
 class CommandedRobot:
@@ -40,6 +43,7 @@ class CommandedRobot:
         self._context = context
         self.tell: Callable[[str, str], object] = lambda *_: None
         self._link: RobotLink | None = None
+        self._known_at = 0.0
         self._topics: dict[str, str] = {}
         self._lock = threading.Lock()
 
@@ -49,6 +53,7 @@ class CommandedRobot:
         if self._link is None and robot is not None and not is_simulated(robot):
             with suppress(LinkError):  # who cannot do without the robot says so
                 self._link = connect_robot(self._context)
+                self._known_at = time.monotonic() + (_DISCOVERY if is_slow_to_join(robot) else 0.0)
 
     def look(self) -> None:
         """Look where velocities are published by now."""
@@ -60,6 +65,12 @@ class CommandedRobot:
                 link.advertise(topic, message_type)
                 self._topics[topic] = message_type
                 self.tell(topic, message_type)
+
+    def look_at_last(self) -> None:
+        """Look before the software is ended: a run may be so short that its graph is not known yet."""
+        if not self._topics:
+            time.sleep(max(0.0, self._known_at - time.monotonic()))
+        self.look()
 
     def halt(self) -> None:
         """Command zero wherever velocities were published."""

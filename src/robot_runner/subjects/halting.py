@@ -190,11 +190,14 @@ class _CommandedRobots:
             had_joined = robot in self._links
             link = self._link(robot)
             try:
-                keep_commanding_zero(link, topics)
+                empty = keep_commanding_zero(link, topics)
             except LinkError:
                 # A program that brought the graph takes it along; what was connected by then has been told.
                 if not had_joined or _is_there(link):
                     raise
+            else:
+                if empty and not had_joined:
+                    raise LinkError("nobody subscribes it any more", where=empty[0], fix="See that it stands still.")
 
     def _link(self, robot: str) -> RobotLink:
         if robot not in self._links:

@@ -253,7 +253,7 @@ class Subject(System):
             self._await_ready(context, start)
         except BaseException:
             if self._robot is not None:
-                self._robot.look()
+                self._robot.look_at_last()
             self._end()
             raise
         self._startup_time = time.monotonic() - start.begun_at
@@ -269,7 +269,7 @@ class Subject(System):
     def stop_run(self, context: RobotRunnerContext) -> None:
         """End it with everything that it started, where it is the run's own, and have the robot stand still."""
         if self._robot is not None:
-            self._robot.look()
+            self._robot.look_at_last()
         self._is_ending.set()
         if self._watch is not None:
             self._watch.join()
@@ -372,6 +372,7 @@ class Subject(System):
             if ended is None or is_ending.is_set():
                 continue
             if robot is not None:
+                robot.look_at_last()
                 robot.halt()
             if not self.may_end(ended):
                 context.fail(start.death(self.name, ended))

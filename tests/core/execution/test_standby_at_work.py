@@ -20,6 +20,7 @@ from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.standby import standby_of
 from robot_runner.core.execution.systems_state import Care, SystemsState
 from robot_runner.core.links import commanded_topics
+from robot_runner.core.links.robot import GraphEndpoint
 from robot_runner.core.storage.lock_files import open_to_lock
 from robot_runner.core.treatments import bind
 
@@ -71,6 +72,9 @@ class Told:
 
     def advertise(self, topic: str, message_type: str) -> bool:
         return self._is_reached
+
+    def subscribers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint("/base", "geometry_msgs/Twist")]
 
     @property
     def _is_reached(self) -> bool:

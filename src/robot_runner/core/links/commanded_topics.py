@@ -40,8 +40,14 @@ def tell_commanded(topic: str, message_type: str) -> None:
         listener(topic, message_type)
 
 
-def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) -> None:
+def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) -> list[str]:
     """Command zero for some seconds, by topic and type, and until every subscriber is reached.
+
+    Where a topic has no subscriber, it is waited for one for as long as for one that is not reached: it may have to be
+    discovered.
+
+    Returns:
+        the topics without any.
 
     Raises:
         LinkError: a subscriber of a topic is not reached, or the robot cannot be.
@@ -50,14 +56,18 @@ def keep_commanding_zero(link: RobotLink, commanded: Sequence[tuple[str, str]]) 
     while commanded:
         time.sleep(_PERIOD)
         seconds = time.monotonic() - began
-        missed = [] if seconds < _TELLING else [topic for topic, kind in commanded if not _reaches(link, topic, kind)]
+        empty, missed = [], []
+        if seconds >= _TELLING:
+            empty = [topic for topic, _ in commanded if all(each.is_own for each in link.subscribers(topic))]
+            missed = [topic for topic, kind in commanded if topic not in empty and not _reaches(link, topic, kind)]
         for topic, message_type in commanded:  # once more where it is reached: what was told before is lost
             link.publish(topic, message_type, {})
         if missed and seconds > _REACHING:
             problem = f"the robot's subscription is not reached within {seconds:.0f} s"
             raise LinkError(problem, where=missed[0], fix="See that it stands still.")
-        if seconds >= _TELLING and not missed:
-            return
+        if seconds > _REACHING or (seconds >= _TELLING and not (empty or missed)):
+            return empty
+    return []
 
 
 def _reaches(link: RobotLink, topic: str, message_type: str) -> bool:

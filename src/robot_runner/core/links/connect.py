@@ -196,8 +196,21 @@ def join_beforehand(context: RobotRunnerContext, *, namespace: str = "") -> None
         LinkError: the run has no robot, or it cannot be reached.
     """
     kind, _ = run_robot(context)
-    if isinstance(kind, JoinsGraph) and kind.is_slow_to_join:
+    if _is_slow(kind):
         connect_robot(context, namespace=namespace)
+
+
+def is_slow_to_join(robot: str) -> bool:
+    """Whether who has joined the graph of a robot sees it, and is heard there, only some seconds later.
+
+    Raises:
+        LinkError: there is no such link, or no robot was found.
+    """
+    return _is_slow(resolved_robot(robot)[0])
+
+
+def _is_slow(kind: RobotLinkKind) -> bool:
+    return isinstance(kind, JoinsGraph) and kind.is_slow_to_join
 
 
 def run_robot(context: RobotRunnerContext) -> tuple[RobotLinkKind, RobotName]:

@@ -1,0 +1,72 @@
+"""The robot that software under test commands, on a graph that is known only some time after it was joined."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from robot_runner.core.events.context import SystemClock
+from robot_runner.core.links.robot import GraphEndpoint
+from robot_runner.subjects import commanded_robot
+from robot_runner.subjects.commanded_robot import CommandedRobot
+from robot_runner.testing import make_context
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TWIST = "geometry_msgs/Twist"
+
+
+class SlowGraph:
+    """A graph on which a planner commands a robot, seen a while after it was joined."""
+
+    def __init__(self, seconds: float) -> None:
+        self._known_at = time.monotonic() + seconds
+        self.commanded: list[str] = []
+
+    @property
+    def _is_known(self) -> bool:
+        return time.monotonic() >= self._known_at
+
+    def topics(self) -> dict[str, str]:
+        return {"/cmd_vel": TWIST} if self._is_known else {}
+
+    def publishers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint("/planner", TWIST)]
+
+    def subscribers(self, topic: str) -> list[GraphEndpoint]:
+        return [GraphEndpoint("/base", TWIST)]
+
+    def advertise(self, topic: str, message_type: str) -> bool:
+        return True
+
+    def publish(self, topic: str, message_type: str, message: object) -> None:
+        self.commanded.append(topic)
+
+
+@pytest.mark.parametrize("robot", ["dds:domain=7", "ros1"])
+def test_a_robot_is_halted_also_after_a_run_that_is_over_before_its_graph_is_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, robot: str
+) -> None:
+    graph = SlowGraph(0.3 if robot.startswith("dds") else 0.0)  # who joins ROS 1 asks its master
+    monkeypatch.setattr(commanded_robot, "connect_robot", lambda _: graph)
+    monkeypatch.setattr(commanded_robot, "_DISCOVERY", 0.4)
+    commanded = CommandedRobot(make_context(tmp_path, robot=robot, clock=SystemClock()))
+    commanded.connect()
+    commanded.look()
+    commanded.look_at_last()
+    commanded.halt()
+    assert graph.commanded == ["/cmd_vel"]
+
+
+def test_a_robot_that_is_known_to_be_commanded_is_waited_for_no_longer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commanded_robot, "connect_robot", lambda _: SlowGraph(0.0))
+    monkeypatch.setattr(commanded_robot, "_DISCOVERY", 3600.0)
+    commanded = CommandedRobot(make_context(tmp_path, robot="dds:domain=7", clock=SystemClock()))
+    commanded.connect()
+    commanded.look()
+    commanded.look_at_last()
