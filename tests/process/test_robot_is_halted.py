@@ -48,7 +48,7 @@ class RobotRunnerConfig(ExperimentConfig):
     robot = "{robot}"
     time_between_runs_in_ms = 600_000
     plugins = [Program(
-        [sys.executable, str(Path(__file__).with_name("planner.py")), robot],
+        ["sh", "-c", '"$0" "$@" & wait', sys.executable, str(Path(__file__).with_name("planner.py")), robot],
         name="Planner", per="experiment", ready="drives", ready_timeout_s=60,
     )]
 
@@ -58,6 +58,9 @@ class RobotRunnerConfig(ExperimentConfig):
     def create_run_table(self):
         return RunTableModel([Factor("Map", ["hall", "kitchen"])])
 """
+
+
+SUPERVISOR, HALTING = b"subjects/supervisor.py", b"robot_runner.subjects.halting"
 
 
 class Robot:
@@ -77,10 +80,9 @@ class Robot:
         return 0.0 in heard[1:]
 
 
-def halting(experiment: Experiment) -> list[int]:
-    """Return the process that commands zero once the program has ended."""
-    named = b"robot_runner.subjects.halting"
-    return [pid for pid in experiment.processes() if named in Path(f"/proc/{pid}/cmdline").read_bytes()]
+def named(experiment: Experiment, part: bytes) -> list[int]:
+    """Return the processes of an experiment on whose command line something stands."""
+    return [pid for pid in experiment.processes() if part in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
 @over("dds", "ros1", "ros2")
@@ -88,6 +90,8 @@ def halting(experiment: Experiment) -> list[int]:
     "killed",
     [
         "the orchestrator",
+        pytest.param("the supervisor", marks=pytest.mark.long),
+        pytest.param("the orchestrator and the supervisor", marks=pytest.mark.long),
         pytest.param("the program", marks=pytest.mark.long),
         pytest.param("the process that halts", marks=pytest.mark.long),
         pytest.param("the orchestrator and the process that halts", marks=pytest.mark.long),
@@ -112,12 +116,14 @@ def test_a_robot_that_a_program_of_all_runs_drives_stands_still_between_two_runs
             os.kill(json.loads(events.read_text().splitlines()[0])["started"], signal.SIGKILL)
             wait_until(lambda: not robot.moves(), "it stands still")
             experiment.send(signal.SIGINT)
-        elif killed == "the process that halts":
-            kill_together(halting(experiment))
-            experiment.send(signal.SIGINT)
         else:
-            alone = killed == "the orchestrator"
-            kill_together([experiment.process.pid, *([] if alone else halting(experiment))])
+            doomed = {"the orchestrator": [experiment.process.pid], "the supervisor": named(experiment, SUPERVISOR)}
+            doomed |= {"the process that halts": named(experiment, HALTING)}
+            kill_together(pid for who in killed.split(" and ") for pid in doomed[who])
+            if killed == "the supervisor":
+                wait_until(lambda: not robot.moves(), "it stands still")
+            if "orchestrator" not in killed:
+                experiment.send(signal.SIGINT)
         experiment.end()
         experiment.nobody_is_left()
         if killed == "the orchestrator and the process that halts":  # nobody is left who could: the next execution does

@@ -23,6 +23,7 @@ from tests.conftest import HEAD, written_config
 from tests.core.execution.conftest import Executed, execute_in
 from tests.loopback_port import claim_port
 from tests.subjects.conftest import alive, gone
+from tests.waiting import wait_until
 
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.config.treatment_makers import Workshop
@@ -30,6 +31,7 @@ from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.plugins.systems import Program
 from robot_runner.subjects import supervisor
+from robot_runner.subjects.supervised_program import SupervisedProgram, Task
 from robot_runner.subjects.work_tree import WorkTree
 from robot_runner.testing import SystemContract, make_context, rehearse
 
@@ -204,6 +206,15 @@ def test_the_wait_for_the_end_of_an_earlier_start_is_no_part_of_the_startup_time
     begun = time.monotonic()
     startup_time = rehearse(context, program)["StartupTime"]
     assert startup_time < time.monotonic() - begun - 2.0
+
+
+def test_what_a_program_has_started_is_ended_where_its_supervisor_was_killed(tmp_path: Path, token: str) -> None:
+    child = f"{sys.executable} -c 'import time; time.sleep(1000)' {token}"
+    program = SupervisedProgram(tmp_path, Task(command=("sh", "-c", f"{child} & wait"), environment={}), name="Planner")
+    wait_until(lambda: len(alive(token)) >= 2)
+    os.kill(program._supervisor.pid, signal.SIGKILL)
+    program.stop()
+    assert gone(token)
 
 
 @pytest.mark.long

@@ -140,16 +140,19 @@ class Halting:
             )
 
 
-def halted_late(start: Start | None, name: str) -> str:
-    """Command zero where a start of an earlier execution commanded a robot and nobody has taken that back.
+def ended_late(start: Start | None, name: str) -> str:
+    """End what a start of an earlier execution has left, and command zero where it commanded and nobody has since.
 
     Returns:
-        that this was done; empty where there was nothing to do.
+        that zero was commanded; empty where it had not to be.
 
     Raises:
         PluginError: it could not be commanded.
     """
-    if start is None or CommandedTopics(start).problem() is not None:
+    if start is None:
+        return ""
+    start.end_orphans()
+    if CommandedTopics(start).problem() is not None:
         return ""
     Halting(start, name).finish()
     return f"an earlier execution was killed while {name} commanded the robot; it was commanded to stand still now"
@@ -234,6 +237,7 @@ def _halt_after(start: Start) -> None:
                 with suppress(OSError):  # nobody listens any more
                     sys.stdout.write("\n")
                     sys.stdout.flush()
+        start.end_orphans()
         if commanded.by_robot():
             try:
                 robots.stop()

@@ -25,7 +25,7 @@ from robot_runner.core.treatments import factors_of
 from robot_runner.measuring.host import SUBJECT_VARIABLE
 from robot_runner.measuring.measured_machine import machine_clock
 from robot_runner.subjects.commanded_robot import CommandedRobot
-from robot_runner.subjects.halting import CommandedTopics, Halting, halted_late
+from robot_runner.subjects.halting import CommandedTopics, Halting, ended_late
 from robot_runner.subjects.read_files import inputs_in, is_own_setup
 from robot_runner.subjects.readiness import Ready, checked_ready
 from robot_runner.subjects.supervised_program import (
@@ -190,7 +190,7 @@ class Subject(System):
                 commanded cannot be stopped now either.
         """
         if self.per == "experiment":
-            self._remark = halted_late(last_start(self._shared_folder(context)), self.name)
+            self._remark = ended_late(last_start(self._shared_folder(context)), self.name)
             self._begin_for_all_runs(context)
 
     def before_run(self, context: RobotRunnerContext) -> None:

@@ -17,6 +17,7 @@ from typing import IO, TYPE_CHECKING, Any
 from robot_runner.core.errors import PluginError, StorageError, did_you_mean
 from robot_runner.core.links.ssh_command import gist, remedy, ssh_command
 from robot_runner.core.words import listed, one_line
+from robot_runner.subjects.orphans import end_orphans, mark_of
 from robot_runner.subjects.remote_supervision import BOOTSTRAP, LEASE
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ class Task:
         """Return the line that tells the supervisor its task."""
         fields: dict[str, Any] = {
             "command": self.command,
-            "environment": dict(self.environment),
+            "environment": {**self.environment, **mark_of(stdout.parent)},
             "folder": self.folder,
             "stdout": str(stdout),
             "stderr": str(stderr),
@@ -159,6 +160,11 @@ class Start:
         if lost:
             told.append(f"was out of reach when it was to end; it is ended there {LEASE:g} s after the connection")
         return told
+
+    def end_orphans(self) -> None:
+        """End what its supervisor could not, as it was killed."""
+        if not self.is_supervised() and not self._told("gone") and not self.refusal:
+            end_orphans(self.folder)
 
     def last_lines(self) -> str:
         """Return the end of what it wrote to stderr, or else to stdout, on one line."""
@@ -245,6 +251,7 @@ class SupervisedProgram(Start):
         except subprocess.TimeoutExpired:
             self._supervisor.kill()
             self._supervisor.wait()
+        self.end_orphans()
         return self.ended() or Ended(None, "nobody knows how")
 
     @contextmanager
@@ -318,7 +325,9 @@ def named_signal(plugin: str, wanted: object) -> signal.Signals:
             return each
     name = str(wanted).upper().removeprefix("SIGNAL.")
     fix = did_you_mean(f"signal.{name}", [f"signal.{each.name}" for each in signal.Signals])
-    raise PluginError(f"stop_signal is {wanted!r}, which is none of the module `signal`", where=plugin, fix=fix)
+    raise PluginError(
+        f"stop_signal is {wanted!r}, and Python's module signal has no such member", where=plugin, fix=fix
+    )
 
 
 def user_cache() -> Path:

@@ -36,7 +36,13 @@ from robot_runner.core.storage.guarded_files import (
     remove,
 )
 from robot_runner.core.storage.lock_files import open_to_lock, was_open_to_strangers
-from robot_runner.core.storage.outliving import ancestors, is_spared, outliving, process_stat, processes
+from robot_runner.core.storage.outliving import (
+    ancestors,
+    has_in_environment,
+    is_spared,
+    outliving,
+    processes,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -103,7 +109,7 @@ def left_over(folder: ExperimentFolder) -> list[int]:
     alive = folder.alive.resolve()
     spared = outliving(folder.outliving)
     own = set(ancestors(os.getpid()))
-    found = [pid for pid in processes() if pid not in own and (has_locked(pid, alive) or _has_mark(pid, name))]
+    found = [pid for pid in processes() if pid not in own and (has_locked(pid, alive) or has_in_environment(pid, name))]
     return [pid for pid in found if not is_spared(pid, spared)]
 
 
@@ -269,12 +275,3 @@ def _is_lock(entry: Path, path: Path) -> bool:
     with suppress(OSError):  # closed meanwhile: that says nothing of the others
         return entry.readlink() == path and "FLOCK" in Path(f"{entry.parent}info/{entry.name}").read_text()
     return False
-
-
-def _has_mark(pid: int, mark: bytes) -> bool:
-    try:
-        environment = Path(f"/proc/{pid}/environ").read_bytes()
-    except OSError:
-        return False
-    stat = process_stat(pid)
-    return bool(stat) and stat[0] != "Z" and mark in environment.split(b"\0")

@@ -35,6 +35,16 @@ def processes() -> Iterator[int]:
     return (int(path.name) for path in Path("/proc").glob("[0-9]*"))
 
 
+def has_in_environment(pid: int, assignment: bytes) -> bool:
+    """Return whether a process is alive and was started with a variable such as `b"NAME=value"` (Linux)."""
+    try:
+        environment = Path(f"/proc/{pid}/environ").read_bytes()
+    except OSError:
+        return False
+    stat = process_stat(pid)
+    return bool(stat) and stat[0] != "Z" and assignment in environment.split(b"\0")
+
+
 def ancestors(pid: int) -> Iterator[int]:
     """Yield a process, its parent, and so on."""
     while pid > 1:
