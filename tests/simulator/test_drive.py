@@ -174,3 +174,11 @@ def test_what_the_physics_leaves_out_changes_nothing():
     assert drives[0].pose.x < 0.3, "the robot came through the wall"
     assert np.array_equal(drives[0].motor_torques, drives[1].motor_torques)
     assert drives[0].pose == drives[1].pose
+
+
+def test_mujoco_does_not_look_at_the_clock_while_it_steps():
+    physics = Physics(PARAMETERS, [Body(RADII)])
+    physics.advance(100)
+    _, data = physics.parts
+    assert data.timer.number.any(), "it no longer counts its steps by these"
+    assert not data.timer.duration.any()

@@ -64,6 +64,11 @@ class DifferentialDrive:
         """The trace of the wheels' angles in rad, shape (steps + 1, 2)."""
         return self._physics.traces[0][: self.steps + 1, self._number]
 
+    def wheel_angles_at(self, step: int) -> list[float]:
+        """Return the wheels' angles in rad after so many steps, left and right."""
+        angles: list[float] = self._physics.traces[0][step, self._number].tolist()
+        return angles
+
     @property
     def wheel_speeds(self) -> Floats:
         """The trace of the wheels' speeds in rad/s, shape (steps + 1, 2)."""
@@ -222,13 +227,17 @@ class WheelOdometry:
         return tick_time(self._number, self._rate) // STEP_NS
 
     def _add(self, step: int) -> None:
-        ticks = self._read(step)
-        left, right = ((now - then) * self._metres_per_tick for now, then in zip(ticks, self._ticks, strict=True))
-        self._state = self._state.rolled(left, right, self._separation, (step - self._step) / STEPS_PER_SECOND)
+        (left, right), (left_before, right_before) = ticks, _ = self._read(step), self._ticks
+        self._state = self._state.rolled(
+            (left - left_before) * self._metres_per_tick,
+            (right - right_before) * self._metres_per_tick,
+            self._separation,
+            (step - self._step) / STEPS_PER_SECOND,
+        )
         self._ticks, self._step = ticks, step
 
     def _read(self, step: int) -> tuple[int, int]:
-        left, right = self._drive.wheel_angles[step].tolist()
+        left, right = self._drive.wheel_angles_at(step)
         return (
             math.floor(left * self._ticks_per_radian + self._phases[0]),
             math.floor(right * self._ticks_per_radian + self._phases[1]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 from copy import copy
 from operator import itemgetter
@@ -41,6 +42,10 @@ _POSITIONS, _VELOCITIES = 9, 8
 if mujoco.get_mju_user_warning() is None:
     # Else MuJoCo writes a file of its own, MUJOCO_LOG.TXT, into the folder in which somebody works.
     mujoco.set_mju_user_warning(logging.getLogger(__name__).warning)
+if mujoco.get_mjcb_time() is None:
+    # Its bindings look at the clock a dozen times a step, a tenth of what a step takes, for `MjData.timer`, that nobody
+    # reads here. Whoever wants it sets a clock (`mujoco.set_mjcb_time`); no function of the bindings takes theirs away.
+    ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._functions.__file__), "mjcb_time").value = None  # noqa: SLF001
 
 
 def check_physics(warnings: npt.NDArray[np.int32], what: str, *, where: str, fix: str) -> None:
@@ -56,12 +61,18 @@ def check_physics(warnings: npt.NDArray[np.int32], what: str, *, where: str, fix
         LinkError: it diverged, and MuJoCo went on from the beginning as if nothing had been; or it left contacts out.
     """
     counts = warnings.tolist()
+    if not any(counts):
+        return
     if any(_overflown(counts)):
         problem = f"MuJoCo's memory is too small for all contacts of the {what}: some had no effect"
         raise LinkError(problem, where=where, fix=MORE_MEMORY)
     if any(_diverged(counts)):
         problem = f"the physics of the {what} diverged, and MuJoCo put the robot back to its beginning"
         raise LinkError(problem, where=where, fix=fix)
+
+
+def _flat(numbers: Floats) -> memoryview[float]:
+    return numbers.reshape(-1).data.cast("B").cast("d")
 
 
 class Rider(Protocol):
@@ -78,7 +89,8 @@ class Physics:
     Attributes:
         steps: how many steps were made since the beginning.
         traces: the wheels' angles (rad) and speeds (rad/s) and the motors' torques (N m), shape (rows, bodies, 2) each:
-            row i is the state after i steps, the left wheel before the right one.
+            row i is the state after i steps, the left wheel before the right one. They are views that are made anew
+            as rows are added.
     """
 
     def __init__(
@@ -94,14 +106,10 @@ class Physics:
         self.steps = 0
         mujoco.mj_step(self._model, self._data, nstep=_SETTLING_STEPS)
         self._settled = np.array(self._data.qpos)
-        self._traced: tuple[Floats, Floats, Floats] = (
-            self._data.qpos.reshape(-1, _POSITIONS)[:, 7:9],
-            self._data.qvel.reshape(-1, _VELOCITIES)[:, 6:8],
-            self._data.actuator_force.reshape(-1, 2),
-        )
-        self.traces = [np.empty((_INITIAL_ROWS, *each.shape)) for each in self._traced]
-        for trace, now in zip(self.traces, self._traced, strict=True):
-            trace[0] = now
+        self._traced: tuple[Floats, Floats, Floats] = (self._data.qpos, self._data.qvel, self._data.actuator_force)
+        self._keep([np.empty((_INITIAL_ROWS, len(each))) for each in self._traced])
+        for rows, now in zip(self._rows, self._traced, strict=True):
+            rows[0] = now
 
     @property
     def parts(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -132,19 +140,34 @@ class Physics:
         Raises:
             LinkError: the physics went wrong.
         """
-        while steps >= len(self.traces[0]):
-            self.traces = [np.concatenate([each, np.empty_like(each)]) for each in self.traces]
+        while steps >= len(self._rows[0]):
+            self._keep([np.concatenate([each, np.empty_like(each)]) for each in self._rows])
         model, data = self._model, self._data
-        (angles, speeds, torques), (angles_now, speeds_now, torques_now) = self.traces, self._traced
+        (positions, p, now), (velocities, v, now_too), (forces, f, now_as_well) = self._copies
         for row in range(self.steps + 1, steps + 1):
             mujoco.mj_step(model, data)
-            angles[row], speeds[row], torques[row] = angles_now, speeds_now, torques_now
+            positions[row * p : row * p + p] = now
+            velocities[row * v : row * v + v] = now_too
+            forces[row * f : row * f + f] = now_as_well
             if not row % CORRECTION_STEPS:
                 for rider in self._riders:
                     rider.correct()
         self.steps = max(self.steps, steps)
         fix = "Give its parameters less extreme values: what is heavy, slippery or stiff."
         check_physics(self._warnings, "simulated robot", where="Turtlebot3Parameters", fix=fix)
+
+    def _keep(self, rows: list[Floats]) -> None:
+        """Keep what is traced in these rows."""
+        self._rows = rows
+        # Whole rows are copied, by memoryviews: 57,000 times a run, an assignment of NumPy's takes twice as long.
+        pairs = zip(rows, self._traced, strict=True)
+        self._copies = [(_flat(kept), len(now), _flat(now)) for kept, now in pairs]
+        positions, velocities, forces = rows
+        self.traces = [
+            positions.reshape(len(positions), -1, _POSITIONS)[:, :, 7:9],
+            velocities.reshape(len(velocities), -1, _VELOCITIES)[:, :, 6:8],
+            forces.reshape(len(forces), -1, 2),
+        ]
 
     def put_back(self, number: int) -> None:
         """Put a body back where it settled at the beginning, and stop it; its wheels keep their angles."""

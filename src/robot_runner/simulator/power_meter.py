@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import binascii
 import struct
-from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -169,11 +169,11 @@ class Ina219Meter:
         samples = self._sample(numbers, due_ns)
         has_hello = (numbers % _SEQUENCES % self._rate == 0) | (numbers == self._hello_before)
         times = (due_ns + (SAMPLE_SIZE + HELLO_SIZE * has_hello) * _BYTE_NS) / _SECOND_NS
-        pieces = (piece for (piece,) in struct.iter_unpack(f"{SAMPLE_SIZE}s", samples))
+        pieces = chain.from_iterable(struct.iter_unpack(f"{SAMPLE_SIZE}s", samples))
         chunks = list(map(Chunk, times.tolist(), pieces))
         for index in has_hello.nonzero()[0].tolist():
             hello = self._hello(int(numbers[index]), int(due_ns[index]))
-            chunks[index] = replace(chunks[index], data=hello + chunks[index].data)
+            chunks[index] = chunks[index]._replace(data=hello + chunks[index].data)
         return chunks
 
     def _count_arrived(self) -> int:

@@ -287,7 +287,7 @@ class SensorBoard:
         self.powered.reach(step)
         return joint_state(
             self.clock.now_ns,
-            positions=self.drive.wheel_angles[step].tolist(),
+            positions=self.drive.wheel_angles_at(step),
             velocities=self.drive.wheel_speeds[step].tolist(),
         )
 

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.errors import LinkError, did_you_mean
-from robot_runner.core.links.robot import Encoding, GraphEndpoint, RawMessage
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage
 from robot_runner.ros.graph_link import GraphLink
-from robot_runner.ros.graph_transport import already_offered, check_type, wrong_service_type
+from robot_runner.ros.graph_transport import Reception, already_offered, check_type, wrong_service_type
 from robot_runner.ros.shapes import Field, Shape, plain_type
 from robot_runner.simulator.simulated_actions import SimulatedActions
 from robot_runner.simulator.simulated_clock import STEP_NS
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from robot_runner.core.links.robot import Message, Qos
-    from robot_runner.ros.graph_transport import Reception
     from robot_runner.ros.type_catalogue import TypeCatalogue
     from robot_runner.simulator.sensors import PublishedTopic
     from robot_runner.simulator.simulated_turtlebot3 import SimulatedRobot, Simulation
@@ -298,8 +295,7 @@ class _Subscription:
         return "Look at the condition, or give a longer timeout."
 
 
-@dataclass(frozen=True, slots=True)
-class _Reception:
+class _Reception(NamedTuple):
     """A message of the simulation; its bytes are made only for subscribers who want them."""
 
     message_type: str

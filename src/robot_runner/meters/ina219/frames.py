@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from binascii import crc_hqx
 from dataclasses import dataclass
-from itertools import repeat
+from itertools import chain, repeat
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ class FrameDecoder:
         if self._buffer or self._unexplained:
             return None
         data = b"".join(pieces)
-        checked = (each for (each,) in _SAMPLE_CHECKED.iter_unpack(data))
+        checked = chain.from_iterable(_SAMPLE_CHECKED.iter_unpack(data))
         starts, *said, checksums = zip(*_SAMPLE_FRAME.iter_unpack(data), strict=True)
         if set(starts) != {_SAMPLE_START} or tuple(map(crc_hqx, checked, repeat(_CRC_START))) != checksums:
             return None

@@ -50,9 +50,18 @@ class Calibration:
         """Return the current through the shunt in amperes."""
         return shunt_raw * (SHUNT_VOLT_PER_STEP / self.shunt_ohm)
 
+    def currents(self, shunt_raw: Iterable[int]) -> array[float]:
+        """Return what `current` does of many registers."""
+        step = SHUNT_VOLT_PER_STEP / self.shunt_ohm
+        return array("d", [each * step for each in shunt_raw])
+
     def voltage(self, bus_raw: int) -> float:
         """Return the bus voltage behind the shunt in volts; the register's flags (bits 2 to 0) are ignored."""
         return (bus_raw >> _BUS_SHIFT) * BUS_VOLT_PER_STEP
+
+    def voltages(self, bus_raw: Iterable[int]) -> array[float]:
+        """Return what `voltage` does of many registers."""
+        return array("d", [(each >> _BUS_SHIFT) * BUS_VOLT_PER_STEP for each in bus_raw])
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +89,11 @@ class Ranges:
         known = configuration or _USUAL_CONFIGURATION
         return cls(shunt=4000 << (known >> 11 & 3), bus=8000 if known & 0x2000 else 4000)
 
-    def count_saturated(self, shunt_raw: Iterable[int], bus_raw: Iterable[int]) -> int:
+    def count_saturated(self, shunt_raw: Sequence[int], bus_raw: Sequence[int]) -> int:
         """Return how many samples have one of their readings at the end of its range."""
+        highest, lowest = max(shunt_raw, default=0), min(shunt_raw, default=0)
+        if -self.shunt < lowest and highest < self.shunt and max(bus_raw, default=0) >> _BUS_SHIFT < self.bus:
+            return 0  # as is usual
         pairs = zip(shunt_raw, bus_raw, strict=True)
         return sum(abs(shunt) >= self.shunt or bus >> _BUS_SHIFT >= self.bus for shunt, bus in pairs)
 
@@ -174,8 +186,7 @@ def evaluate_registers(
     shunt = shunt_ohm or (said.shunt_ohm if said else 0.0) or DEFAULT_SHUNT
     rate = rate_hz or (float(hello.rate_hz) if hello else 0.0) or DEFAULT_RATE
     calibration = Calibration(shunt)
-    current = array("d", map(calibration.current, stream.shunt_raw))
-    voltage = array("d", map(calibration.voltage, stream.bus_raw))
+    current, voltage = calibration.currents(stream.shunt_raw), calibration.voltages(stream.bus_raw)
     troubles, seen = stream.troubles(window, times), within(times, window)
     ranges = Ranges.of(said.configuration if said else 0)
     return Evaluation(

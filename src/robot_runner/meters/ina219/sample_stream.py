@@ -8,8 +8,8 @@ from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
-from itertools import accumulate, groupby, pairwise
-from operator import le
+from itertools import accumulate, groupby
+from operator import le, sub
 from typing import TYPE_CHECKING
 
 from robot_runner.measuring.device_clock import fit_clock
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from robot_runner.meters.ina219.frames import DecoderCounts, Frame, SampleColumns
 
 _SEQUENCES = 1 << 16
+#: By how much the number of the next sample differs: it may wrap.
+_ONE_FURTHER = {1, 1 - _SEQUENCES}
 _STAMPS = 1 << 32
 #: A difference of stamps this large means that time went back: the device was restarted (docs/ina219-protocol.md).
 _BACKWARDS = 1 << 31
@@ -141,11 +143,12 @@ class SampleStream:
 
     def take(self, chunks: Iterable[Chunk]) -> None:
         """Decode what arrived."""
-        for is_sample, alike in groupby(chunks, lambda chunk: len(chunk.data) == SAMPLE_BYTES):
+        for size, alike in groupby(chunks, lambda chunk: len(chunk.data)):
             some = list(alike)
-            samples = self._decoder.take_samples([chunk.data for chunk in some]) if is_sample else None
+            arrivals, pieces = zip(*some, strict=True)
+            samples = self._decoder.take_samples(pieces) if size == SAMPLE_BYTES else None
             if samples is not None:
-                self._take_samples(samples, [chunk.received_at for chunk in some])
+                self._take_samples(samples, arrivals)
                 continue
             for chunk in some:
                 self._take_one(chunk)
@@ -256,19 +259,21 @@ class SampleStream:
         self._last = sample
 
     def _add_in_order(self, samples: SampleColumns, arrivals: Sequence[float]) -> bool:
-        """Add samples as `_add_sample` would, a column at a time; False, and nothing done, where it would note one.
+        """Add samples as `_add_sample` would, a column at a time; False, and nothing done, where that may not do.
 
-        The usual course, and a run has some 19,000 of them: so they take a quarter of the time.
+        It does in the usual course, and a run has some 19,000 of them: so they take a quarter of the time. It may not
+        where there is something to note, and where the stamps wrap, once in 71 min.
         """
         last = self._last
         if last is None or not all(map(le, arrivals, arrivals[1:])) or arrivals[0] < self._received[-1]:
             return False
         numbers, stamps = (last.sequence, *samples.sequences), (last.microseconds, *samples.microseconds)
-        steps = [(later - sooner) % _STAMPS for sooner, later in pairwise(stamps)]
-        elapsed = [step * 1e-6 for step in steps]
-        has_steps = min(steps) > 0 and max(steps) < _BACKWARDS and max(elapsed) <= self._implausible_lead
-        if not has_steps or any((later - sooner) % _SEQUENCES != 1 for sooner, later in pairwise(numbers)):
+        steps = list(map(sub, stamps[1:], stamps))
+        longest = max(steps)
+        has_steps = min(steps) > 0 and longest < _BACKWARDS and longest * 1e-6 <= self._implausible_lead
+        if not has_steps or not _ONE_FURTHER.issuperset(map(sub, numbers[1:], numbers)):
             return False
+        elapsed = [step * 1e-6 for step in steps]
         elapsed[0] += self.device_seconds[-1]
         self.device_seconds.extend(accumulate(elapsed))
         self._received.extend(arrivals)

@@ -125,16 +125,16 @@ class Odometer:
             self._lost = _NO_DIRECTION
         if self._lost is not None:
             return
-        stamp = nanoseconds_of(message["header"]["stamp"])
+        stamp, now = nanoseconds_of(message["header"]["stamp"]), self._clock.now()
         if self._pose is not None:
             # The stamps count, as messages may come in bursts; or their arrival, where a robot sends none.
-            seconds = max(later := (stamp - self._stamp) * 1e-9, self._clock.now() - self._received_at)
+            seconds = max(later := (stamp - self._stamp) * 1e-9, now - self._received_at)
             step = math.hypot(self._pose.distance_to(pose), height - self._height)
             self._travelled += step
             self.set_back = max(self.set_back, -later)
             if self._jump is None and step > _ROOM + self._fastest * seconds:
                 self._jump = step, seconds
-        self._pose, self._height, self._received_at = pose, height, self._clock.now()
+        self._pose, self._height, self._received_at = pose, height, now
         self._steps_back += stamp < self._stamp
         self._stamp = stamp
         if self.on_pose is not None:
@@ -194,7 +194,7 @@ class Odometer:
 
 def _pose_in(pose: Message) -> Pose:
     position, turn = pose["position"], pose["orientation"]
-    return Pose(position["x"], position["y"], yaw_of(*(turn[axis] for axis in "xyzw")))
+    return Pose(position["x"], position["y"], yaw_of(turn["x"], turn["y"], turn["z"], turn["w"]))
 
 
 #: Poses a second: at top speed they are 2 cm apart, finer than any figure of the way shows.
