@@ -286,7 +286,7 @@ def test_a_config_that_derives_from_another_config_file_replaces_its_callbacks(
     )
     executed = execute(derived)
     assert executed.log("run_0_repetition_0") == "derived\n"
-    assert executed.experiment.local_modules == (derived.parent / "BaseRunnerConfig.py",)
+    assert list(executed.experiment.local_modules) == [derived.parent / "BaseRunnerConfig.py"]
     assert len(executed.table) == 8
 
 

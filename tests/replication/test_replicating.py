@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import sys
 import zipfile
 from pathlib import Path
 
@@ -194,6 +195,26 @@ def test_a_plugin_that_is_not_installed_is_named_with_its_package(unpacked, tmp_
     assert "Lidar" in refused.value.where
     assert refused.value.fix == "Install it: pip install lidar-of-ours==2.1"
     assert not (tmp_path / "small").exists()
+
+
+def test_modules_from_elsewhere_are_needed_no_more(tmp_path, monkeypatch):
+    elsewhere = tmp_path / "elsewhere" / "tools_of_all_studies"
+    elsewhere.mkdir(parents=True)
+    (elsewhere / "__init__.py").touch()
+    (elsewhere / "numbers.py").write_text("def number(context):\n    return 7 * context.run_number\n", encoding="utf-8")
+    config = tmp_path / "study" / "study.py"
+    config.parent.mkdir()
+    reached = GROWING.replace(
+        "from robot_runner", f"import sys\nsys.path.append({str(elsewhere.parent)!r})\nfrom robot_runner", 1
+    )
+    body = "from tools_of_all_studies.numbers import number\n        return {'Number': number(context)}"
+    config.write_text(reached.replace('return {"Number": context.run_number}', body), encoding="utf-8")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    with own_modules():
+        original = execute(config)
+    shutil.rmtree(tmp_path / "elsewhere")
+    _replicate(original, tmp_path / "again")
+    assert identical_values(original, tmp_path / "again" / "growing") == {"Number": Sameness(runs=2, identical=2)}
 
 
 def test_a_module_that_is_not_installed_is_named_before_anything_is_executed(unpacked, tmp_path):

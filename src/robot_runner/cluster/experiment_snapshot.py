@@ -46,14 +46,14 @@ def snapshot_of(experiment: Experiment) -> dict[str, Any]:
             where=experiment.class_name,
             fix="Write the class to a file and give its path.",
         )
-    root = experiment.config_path.parent
     batches = journal_lines(experiment.folder.journal, kinds={EXTENDED}) if experiment.folder.journal.exists() else ()
     robot = experiment.parameters.robot
     return {
         "config": experiment.config_path.name,
         # Byte by byte, each as the character of its number: Python reads the encoding from the file itself.
         "files": {
-            path.relative_to(root).as_posix(): path.read_bytes().decode("latin-1") for path in config_files(experiment)
+            place.relative_to(experiment.folder.config).as_posix(): path.read_bytes().decode("latin-1")
+            for path, place in config_files(experiment).items()
         },
         # A robot that was found by `auto` was found here, and is meant there as well.
         "set": {**experiment.overrides, **({"robot": robot} if isinstance(robot, str) else {})},

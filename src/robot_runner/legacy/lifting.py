@@ -7,6 +7,7 @@ import random
 import re
 import sys
 import threading
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from secrets import randbits
@@ -17,13 +18,13 @@ from robot_runner.core.config.loader import (
     apply_overrides,
     execute_source,
     importable,
-    local_modules_among,
     raised_in,
     threads_since,
 )
+from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameters import PARAMETERS
 from robot_runner.core.config.source import ConfigSource
-from robot_runner.core.errors import ConfigError, StorageError, did_you_mean
+from robot_runner.core.errors import ConfigError, Finding, StorageError, did_you_mean
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.table_columns import EARLIER_SPELLING
@@ -43,9 +44,6 @@ from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.stand_ins.modules import StandIns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from robot_runner.core.errors import Finding
     from robot_runner.core.plugin import Plugin
     from robot_runner.legacy.recognition import Recognised
 
@@ -113,7 +111,7 @@ class _Lifting:
         self._stand_ins = StandIns(recognised.path)
         self._set: dict[str, Any] = {}
         self._config: Any = None
-        self._local_modules: tuple[Path, ...] = ()
+        self._local_modules: Mapping[Path, Path] = {}
         self._threads: tuple[str, ...] = ()
 
     @contextmanager

@@ -5,24 +5,22 @@ from __future__ import annotations
 import inspect
 import linecache
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from importlib.util import decode_source
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from robot_runner.core.config.loader import LoadedConfig, apply_overrides, local_modules_among, raised_in
+from robot_runner.core.config.loader import LoadedConfig, apply_overrides, raised_in
+from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameters import RunProcess, StaticParameters
 from robot_runner.core.config.source import ConfigSource, read_source
 from robot_runner.core.errors import ConfigError, Finding
 from robot_runner.core.events.manager import recorded_subscriptions
 from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.vain_parameters import parameters_guarded
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
 
 _NO_FILE = "Write the class to a file and give its path: then all of it is kept."
 
@@ -115,7 +113,7 @@ def config_of_object(given: Any, overrides: Mapping[str, str]) -> Iterator[Loade
                 subscriptions=tuple(subscriptions),
                 activated=(),
                 overrides=dict(overrides),
-                local_modules=local_modules_among(source.path, set(sys.modules)) if kept == "file" else (),
+                local_modules=local_modules_among(source.path, set(sys.modules)) if kept == "file" else {},
                 findings=tuple(findings),
                 folder=_folder(config) if kept != "file" else None,
                 kept=kept,

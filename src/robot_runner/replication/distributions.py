@@ -12,19 +12,17 @@ import hashlib
 import json
 import re
 import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 from urllib.parse import urlsplit
 
 from robot_runner.replication.plain_zip import PlainZip
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from typing import BinaryIO
-
     from packaging.requirements import Requirement
 
 #: Extras for the developers of a package, not for its users.
@@ -146,10 +144,15 @@ def packages_of_extra(name: str, extra: str) -> set[str]:
 
 
 def _requirements(name: str) -> list[Requirement]:
+    known = installed_distributions().get(name)
+    return [_requirement(text) for text in (known.distribution.requires if known else None) or ()]
+
+
+@cache  # those of one distribution are looked at for each of its extras
+def _requirement(text: str) -> Requirement:
     from packaging.requirements import Requirement  # noqa: PLC0415 - an extra
 
-    known = installed_distributions().get(name)
-    return [Requirement(text) for text in (known.distribution.requires if known else None) or ()]
+    return Requirement(text)
 
 
 def _is_asked_by(extras: set[str], requirement: Requirement) -> bool:

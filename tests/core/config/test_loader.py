@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import json
-import pathlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +8,6 @@ import pytest
 
 from robot_runner.core.config.loader import load_config
 from robot_runner.core.config.preparation import prepare
-from robot_runner.core.config.source import imported_files, is_local
 from robot_runner.core.errors import ConfigError, Finding
 
 Write = Callable[..., Path]
@@ -101,42 +98,7 @@ def test_neighbours_of_the_config_can_be_imported_and_are_known(write_config: Wr
     head = "import neighbour_module\nclass RobotRunnerConfig:\n    experiment_name = neighbour_module.NAME\n"
     loaded = load_config(write_config(head=head))
     assert loaded.config.experiment_name == "from next door"
-    assert loaded.local_modules == (tmp_path / "neighbour_module.py",)
-
-
-def test_what_callbacks_import_beside_the_config_is_known_before_they_are_called(
-    write_config: Write, tmp_path: Path
-) -> None:
-    files = {
-        "asked_late.py": "from parts_of_it.inner import leaf",
-        "parts_of_it/__init__.py": "",
-        "parts_of_it/inner/branch.py": "not Python",
-        "parts_of_it/inner/leaf.py": "def grow():\n    from . import branch",
-        "robot_runner/words.py": "",
-        "unasked.py": "",
-    }
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(text)
-    head = """\
-class RobotRunnerConfig:
-    def launch_mission(self, context):
-        import asked_late, json, no_such_module, robot_runner.words
-"""
-    known = {path.relative_to(tmp_path).as_posix() for path in load_config(write_config(head=head)).local_modules}
-    assert known == files.keys() - {"robot_runner/words.py", "unasked.py"}
-
-
-def test_pythons_own_modules_and_ours_are_none_of_a_config_s_although_they_lie_below_its_folder(
-    write_config: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # As where a config stands in the home folder, and Python (conda, pyenv) or our clone below it.
-    (tmp_path / "helper.py").write_text("import csv", encoding="utf-8")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    config = write_config(head="import helper, json, numpy, robot_runner.plugins", table="")
-    assert imported_files({config}, Path(tmp_path.anchor)) == {config, tmp_path / "helper.py"}
-    for own in (json.__file__, pathlib.__file__, load_config.__code__.co_filename, pytest.__file__):
-        assert not is_local(Path(own), Path(tmp_path.anchor)), own
+    assert loaded.local_modules == {tmp_path / "neighbour_module.py": Path("neighbour_module.py")}
 
 
 def test_the_papers_import_lines_activate_plugins(write_config: Write) -> None:

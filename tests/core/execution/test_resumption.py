@@ -73,6 +73,35 @@ def test_a_changed_config_is_refused_with_the_lines_that_changed(execute: Execut
 
 
 @pytest.mark.long
+def test_a_change_of_a_module_from_elsewhere_is_refused_like_one_of_the_config(
+    write_config: Write, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = tmp_path_factory.mktemp("elsewhere") / "a_gain_from_elsewhere.py"
+    write(module, "def gained():\n    return 2\n")
+    monkeypatch.syspath_prepend(str(module.parent))
+    config = write_config("def populate_run_data(self, context):\n    from a_gain_from_elsewhere import gained\n")
+    resume(config, only=("r_1",))
+    kept = prepare_or_refuse(config).folder.config / module.name
+    assert kept.read_text(encoding="utf-8") == module.read_text(encoding="utf-8")
+    write(module, "def gained():\n    return 20\n")
+    with pytest.raises(ExecutionError) as refused:
+        resume(config)
+    (finding,) = refused.value.findings
+    assert finding.where == f"{module}:2"
+
+
+def test_a_change_of_what_is_installed_as_it_stands_is_told(
+    write_config: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digests = iter(("a1", "b2"))
+    monkeypatch.setattr(circumstances, "editable_code", lambda: {"lab-tools": next(digests)})
+    experiment = prepare_or_refuse(write_config(COUNTING))
+    manifest = circumstances.manifest_of(experiment)
+    assert circumstances.changed_circumstances(manifest) == {"code of package lab-tools": {"was": "a1", "is": "b2"}}
+    monkeypatch.setattr(circumstances, "editable_code", dict)  # it is not imported any more
+    assert circumstances.changed_circumstances(manifest) == {}
+
+
 def test_a_changed_config_can_be_accepted_and_both_are_kept(execute: Execute, write_config: Write) -> None:
     executed = execute(COUNTING)
     resume(write_config(COUNTING.replace("context.attempt", "7")), accept_changes=True)

@@ -18,6 +18,7 @@ from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import MissionStopped, RunFailed
 from robot_runner.core.events.window import MissionTimes
+from robot_runner.core.execution.interruption import failure_fields
 from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.processes import leave_after
@@ -457,3 +458,30 @@ def test_the_process_of_a_run_ends_also_where_a_callback_took_its_streams_away()
         finally:
             os._exit(99)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+class OfAStranger:
+    def __dir__(self):
+        raise OSError
+
+
+@pytest.mark.parametrize(
+    ("missing", "meant"),
+    [
+        (lambda context: context.run_variation, "combination"),
+        (lambda context: context.execute_run, "combination"),
+        (lambda context: context.run_dir, "run_folder"),
+        (lambda context: context.publsh, "publish"),
+        (lambda context: context.clock.sleeep, "sleep"),
+        (lambda context: context.of_no_such_kind, None),
+        (lambda _: OfAStranger().anything, None),
+        (lambda _: no_such_name, None),  # noqa: F821 - that is the case
+    ],
+)
+def test_the_name_that_may_be_meant_is_told_of_a_callback_that_fails(
+    tmp_path: Path, missing: Callable[[Any], object], meant: str | None
+) -> None:
+    with pytest.raises((AttributeError, NameError)) as error:
+        missing(make_context(tmp_path))
+    problem = failure_fields(error.value)["problem"]
+    assert problem.partition(" (did you mean ")[2] == (f"{meant!r}?)" if meant else "")

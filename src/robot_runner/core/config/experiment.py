@@ -59,7 +59,7 @@ class Experiment:
     model: RunTableModel
     columns: MeasureColumns
     overrides: Mapping[str, str]
-    local_modules: tuple[Path, ...]
+    local_modules: Mapping[Path, Path]
     folder: ExperimentFolder
     spelling: TableSpelling = OWN_SPELLING
     replication: Mapping[str, Any] | None = None
@@ -104,8 +104,8 @@ def experiment_folder(parameters: Parameters, loaded: LoadedConfig) -> Experimen
     try:
         root = (loaded.source.path.parent / path.expanduser()).resolve()
         folder = ExperimentFolder(root / parameters.experiment_name)
-        with suppress(PermissionError):  # found elsewhere
-            folder.run_table.exists()  # of a path that is too long the system cannot tell
+        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):  # to be made, or found elsewhere
+            folder.run_table.stat()  # of a path that is too long, or leads through itself, the system cannot tell
     except (OSError, RuntimeError) as error:
         told = error.strerror if isinstance(error, OSError) else str(error).rstrip(".")
         shown = str(path) if len(str(path)) <= _MOST_SHOWN else f"{str(path)[:_MOST_SHOWN]}..."

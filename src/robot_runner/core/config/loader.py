@@ -16,9 +16,10 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.local_modules import local_modules_among
 from robot_runner.core.config.parameter_kinds import FLAG, Kind, choice
 from robot_runner.core.config.parameters import PARAMETERS
-from robot_runner.core.config.source import ConfigSource, activating_imports, imported_files, is_local, read_source
+from robot_runner.core.config.source import ConfigSource, activating_imports, read_source
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
 from robot_runner.core.secret_names import shown_settings
@@ -123,7 +124,8 @@ class LoadedConfig:
         subscriptions: what it subscribed explicitly.
         activated: the plugins that import lines such as `import plugins.profilers.Ina219` asked for.
         overrides: the static parameters that were set from outside, by name.
-        local_modules: the modules beside the config file that it imported, or that its callbacks import.
+        local_modules: the files of modules that it, or its callbacks, import and that are not installed, each with its
+            place in the folder in which the config is kept.
         findings: what was found while it was loaded.
         folder: where everything of the experiment is kept, where the static parameters do not say it alone.
         spelling: how its run table's file spells headings and statuses.
@@ -137,7 +139,7 @@ class LoadedConfig:
     subscriptions: tuple[RequestedSubscription, ...]
     activated: tuple[type[Plugin], ...]
     overrides: Mapping[str, str]
-    local_modules: tuple[Path, ...]
+    local_modules: Mapping[Path, Path]
     findings: tuple[Finding, ...] = ()
     folder: ExperimentFolder | None = None
     spelling: TableSpelling = OWN_SPELLING
@@ -283,13 +285,6 @@ def execute_source(source: ConfigSource) -> ModuleType:
 def threads_since(before: set[threading.Thread]) -> tuple[str, ...]:
     """Return the names of the threads that there are now and were not `before`."""
     return tuple(sorted(thread.name for thread in set(threading.enumerate()) - before))
-
-
-def local_modules_among(config: Path, names: set[str]) -> tuple[Path, ...]:
-    """Return the files beside or below the config file that these modules, or what a callback may import, come from."""
-    files = {getattr(sys.modules.get(name), "__file__", None) for name in names}
-    loaded = {path for path in (Path(file) for file in files if file) if is_local(path, config.parent)}
-    return tuple(sorted(imported_files({config, *loaded}, config.parent) - {config}))
 
 
 #: How CPython words it, since 3.10 with the class: `Ina219.__init__() got an unexpected keyword argument 'prt'`.

@@ -79,7 +79,7 @@ def registration_content(
             "file": path.name,
             "class": loaded.source.class_name,
             "sha256": _digest(path),
-            "modules": {each.relative_to(path.parent).as_posix(): _digest(each) for each in loaded.local_modules},
+            "modules": {place.as_posix(): _digest(each) for each, place in loaded.local_modules.items()},
             "settings": settings,
         },
         "design": {**described_design(own), **_combinations(own), "runs": runs},

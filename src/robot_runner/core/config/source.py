@@ -1,4 +1,4 @@
-"""A config file as text: read, parsed, searched for its config class, and for what it imports.
+"""A config file as text: read, parsed, searched for its config class, and for the plugins that it imports.
 
 The paper's `import plugins.profilers.Ina219` activates a plugin: such modules exist only while a config file is loaded,
 and a package named `plugins` beside the config file comes first.
@@ -7,12 +7,11 @@ and a package named `plugins` beside the config file comes first.
 from __future__ import annotations
 
 import ast
-import os
 import sys
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.abc import Loader, MetaPathFinder
-from importlib.machinery import ModuleSpec, PathFinder
+from importlib.machinery import ModuleSpec
 from importlib.util import decode_source
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -144,56 +143,6 @@ def _name_of(base: ast.expr) -> str:
             return name
         case _:
             return ""
-
-
-# Modules beside a config: what it imports, also where a callback does so, and what these import in turn.
-
-
-#: Python's own modules and ours: they lie below a config in the home folder where Python, or a clone, is there too.
-_OF_NO_CONFIG = (Path(os.__file__).parent, Path(__file__).parents[2])
-
-
-def is_local(path: Path, folder: Path) -> bool:
-    """Return whether a file stands in a folder or below it, and is neither installed there nor Python's own or ours."""
-    if folder not in path.parents or not {"site-packages", "dist-packages"}.isdisjoint(path.parts):
-        return False
-    return not any(each in path.parents for each in _OF_NO_CONFIG)
-
-
-def imported_files(files: set[Path], folder: Path) -> set[Path]:
-    """Return these Python files, and the local ones that they import wherever in their code; nothing is executed."""
-    roots = [each for each in sys.path if is_local(Path(each, "_"), folder)]
-    found, unread = set(files), list(files)
-    while unread:
-        new = {each for each in _imported_by(unread.pop(), roots) if is_local(each, folder)} - found
-        found |= new
-        unread += new
-    return found
-
-
-def _imported_by(path: Path, roots: Sequence[str]) -> Iterator[Path]:
-    for node in ast.walk(tree_of(path)):
-        match node:
-            case ast.Import(names=names):
-                for each in names:
-                    yield from _files_of(each.name, roots)
-            case ast.ImportFrom(module=module, names=names, level=level):
-                package = [str(each) for each in path.parents[level - 1 : level]] if level else roots
-                for each in names:
-                    yield from _files_of(".".join(filter(None, (module, each.name))), package)
-
-
-def _files_of(module: str, places: Sequence[str]) -> Iterator[Path]:
-    """Yield the files of a module and of the packages that it is in, as far as they are found."""
-    if module.partition(".")[0] == __name__.partition(".")[0]:
-        return  # a config may stand at the root of our own repository
-    for part in module.split("."):
-        spec = PathFinder.find_spec(part, places)
-        if spec is None:
-            return
-        if spec.origin is not None:
-            yield Path(spec.origin)
-        places = list(spec.submodule_search_locations or ())
 
 
 _ROOT = "plugins"

@@ -140,6 +140,15 @@ class ExperimentContext:
     ended: ExperimentEnd | None = None
 
 
+#: What earlier tools, and people, call attributes of the context, where no name of ours is near it.
+OTHER_NAMES = {
+    **dict.fromkeys(("execute_run", "factors", "levels", "run_variation", "treatments", "variation"), "combination"),
+    **dict.fromkeys(("run_nr", "current_run"), "run_number"),
+    "run_dir": "run_folder",
+    "experiment_path": "experiment_folder",
+}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotRunnerContext(ExperimentContext):
     """What the callbacks of a run's events are told, and their way to hand something back.

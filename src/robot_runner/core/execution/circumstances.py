@@ -7,6 +7,7 @@ import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.local_modules import editable_code
 from robot_runner.core.design.batches import as_configured, described_design
 from robot_runner.core.design.precision import rules_as_mapping
 from robot_runner.core.errors import ExecutionError, Finding, StorageError
@@ -57,7 +58,7 @@ def manifest_of(experiment: Experiment) -> dict[str, Any]:
         "replication": dict(experiment.replication) if experiment.replication else None,
         "plugins": [_described(plugin) for plugin in experiment.plugins],
         "host": describe_host(),
-        "software": describe_software(),
+        "software": describe_software() | {"editable_code": editable_code()},
         "executions": [_execution(experiment)],
     }
 
@@ -122,13 +123,14 @@ def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, An
 
     A part that the manifest lacks, as an earlier version wrote it, counts as unchanged.
     """
-    host, software = describe_host(), describe_software()
+    host, software, code = describe_host(), describe_software(), editable_code()
     first, then = manifest.get("host") or {}, manifest.get("software") or {}
     pairs = [
         *((name, first[name], host[name]) for name in _OF_HOST if name in first),
         *((name, then[name], software[name]) for name in ("python", "robot_runner") if name in then),
         *_pairs("package", then.get("packages"), software["packages"]),
         *_pairs("system package", then.get("system_packages"), software["system_packages"]),
+        *_pairs("code of package", _common(then.get("editable_code"), code), code),
         *_described_pairs(manifest),
     ]
     return {name: {"was": was, "is": now} for name, was, now in pairs if was != now}
@@ -137,6 +139,11 @@ def changed_circumstances(manifest: Mapping[str, Any]) -> dict[str, dict[str, An
 def _pairs(what: str, before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:
     """Yield the version of each package before and now, None if it is gone; new packages are left out."""
     return ((f"{what} {name}", release, now.get(name)) for name, release in (before or {}).items())
+
+
+def _common(before: Mapping[str, Any] | None, now: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what was of packages that are there now: which of them are imported is the config's business."""
+    return {name: was for name, was in (before or {}).items() if name in now}
 
 
 def _described_pairs(manifest: Mapping[str, Any]) -> Iterator[tuple[str, Any, Any]]:

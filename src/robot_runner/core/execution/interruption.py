@@ -16,7 +16,8 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self
 from weakref import WeakSet
 
-from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.errors import RobotRunnerError, nearest
+from robot_runner.core.events.context import OTHER_NAMES, ExperimentContext
 from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInterrupted, fails_run
 from robot_runner.core.secret_names import without_environment_secrets
 
@@ -362,8 +363,19 @@ def failure_fields(error: BaseException) -> dict[str, str]:
     """Return the problem in one line, and the traceback, without what the environment keeps secret."""
     text = _text_of(error)
     problem = text if isinstance(error, RobotRunnerError | RunInterrupted) else f"{type(error).__name__}: {text}"
+    problem += _name_meant(error)
     trace = "".join(traceback.format_exception(error))
     return {"problem": without_environment_secrets(problem), "traceback": without_environment_secrets(trace)}
+
+
+def _name_meant(error: BaseException) -> str:
+    """Return, in brackets, the name that may be meant where an object has no attribute of a name; else nothing."""
+    if not isinstance(error, AttributeError) or not error.name or error.obj is None:
+        return ""
+    near = OTHER_NAMES.get(error.name) if isinstance(error.obj, ExperimentContext) else None
+    with suppress(Exception):  # what `dir` calls is a stranger's code
+        near = near or nearest(error.name, dir(error.obj))
+    return f" (did you mean {near!r}?)" if near else ""
 
 
 def _text_of(error: BaseException) -> str:

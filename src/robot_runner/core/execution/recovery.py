@@ -152,9 +152,8 @@ _TABLE_FIX = f"Undo the change, let the table count ({ACCEPT}), or choose anothe
 
 def config_files(experiment: Experiment) -> dict[Path, Path]:
     """Return the config file and the local modules that it imported, each with its place in the experiment's folder."""
-    root = experiment.config_path.parent
-    sources = (experiment.config_path, *experiment.local_modules)
-    return {source: experiment.folder.config / source.relative_to(root) for source in sources}
+    places = {experiment.config_path: Path(experiment.config_path.name), **experiment.local_modules}
+    return {source: experiment.folder.config / place for source, place in places.items()}
 
 
 def config_changes(experiment: Experiment, *, of_design: bool = True, of_settings: bool = True) -> list[Finding]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.core.config.preparation import prepare
@@ -16,9 +18,6 @@ from robot_runner.legacy.conversion.names import ONLY_FACTOR
 from robot_runner.legacy.stand_ins.events import do_nothing
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.legacy.conversion.converting import Conversion
 
@@ -71,7 +70,9 @@ def check_conversion(conversion: Conversion, written: Path) -> tuple[Finding, ..
 def _left_behind(conversion: Conversion, written: Path) -> Iterator[Finding]:
     """Yield what the old file imports from beside it and what does not stand beside the new one."""
     old, new = conversion.before.config_path.parent, written.resolve().parent
-    kept = [each for each in conversion.before.local_modules if each not in conversion.originals]
+    kept = [
+        each for each in conversion.before.local_modules if old in each.parents and each not in conversion.originals
+    ]
     for name in dict.fromkeys(each.relative_to(old).parts[0] for each in kept):
         if not (new / name).exists():
             yield Finding.error(

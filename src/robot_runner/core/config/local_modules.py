@@ -1,0 +1,176 @@
+"""The modules that a config imports and that nobody can install: those beside it, and others of this machine.
+
+They are kept with the results, each at the place from which a config beside it imports it, and so travel to workers and
+to whoever executes the experiment again.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+import sys
+from contextlib import suppress
+from functools import cache
+from importlib.machinery import PathFinder
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import unquote, urlsplit
+
+from robot_runner.core.config.source import tree_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+#: Python's own modules and ours: they lie below a config in the home folder where Python, or a clone, is there too.
+_OF_NO_CONFIG = (Path(os.__file__).parent, Path(__file__).parents[2])
+_OURS, _OUR_NAME = __name__.partition(".")[0], "robot-runner"
+_PACKAGE = "__init__.py"
+
+
+def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
+    """Return the files that these modules, or what the config and its callbacks import, come from; not the config's.
+
+    Those from elsewhere than beside or below the config are found by what import statements name, as a process may have
+    loaded others for other reasons.
+
+    Returns:
+        the place of each file, relative to the config's folder: its own, or that of its module's name.
+    """
+    folder = config.parent
+    files = {getattr(sys.modules.get(name), "__file__", None) for name in names}
+    loaded = {path for path in (Path(file) for file in files if file) if is_local(path, folder)}
+    found = imported_files({path: path.relative_to(folder) for path in (config, *loaded)}, folder)
+    del found[config]
+    return dict(sorted(found.items()))
+
+
+def is_local(path: Path, folder: Path) -> bool:
+    """Return whether a file stands in a folder or below it, and is neither installed there nor Python's own or ours."""
+    return folder in path.parents and not _is_installed(path)
+
+
+def _is_installed(path: Path) -> bool:
+    return not {"site-packages", "dist-packages"}.isdisjoint(path.parts) or any(
+        each in path.parents for each in _OF_NO_CONFIG
+    )
+
+
+def _is_elsewhere(path: Path) -> bool:
+    """Whether a file is no part of anything that is installed, also of no folder that is installed as it stands."""
+    return not _is_installed(path) and not any(each in path.parents for each in editable_folders())
+
+
+@cache
+def editable_folders() -> Mapping[Path, str]:
+    """Return the folders that are installed as they stand (`pip install --editable`), each with what it is called.
+
+    A package of the experiment has them as wheels. Ours is left out: beside our clone there may be anything.
+    """
+    from importlib.metadata import distributions  # noqa: PLC0415 - few configs import from elsewhere
+
+    found = {}
+    for each in distributions():
+        is_editable = False
+        with suppress(ValueError, AttributeError):  # it is as its installer wrote it
+            told = json.loads(each.read_text("direct_url.json") or "{}")
+            address = urlsplit(str(told.get("url", "")))
+            is_editable = address.scheme == "file" and told.get("dir_info", {}).get("editable")
+        if is_editable and (name := str(each.metadata["Name"])) != _OUR_NAME:
+            found[Path(unquote(address.path))] = name
+    return found
+
+
+def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]:
+    """Return these Python files, and those that they import wherever in their code; nothing is executed.
+
+    Args:
+        files: the place of each in the config's folder, relative to it.
+        folder: the config's.
+    """
+    roots = [each for each in sys.path if is_local(inside := Path(each, "_"), folder) or _is_elsewhere(inside)]
+    found, unread = dict(files), list(files)
+    places = set(found.values())
+    while unread:
+        path = unread.pop()
+        for each, place in _imported_by(path, found[path], roots):
+            if is_local(each, folder):
+                place = each.relative_to(folder)  # noqa: PLW2901 - where it stands, whatever root it was found by
+            elif each.suffix != ".py" or not _is_elsewhere(each) or not _is_meant(each, place) or place in places:
+                continue  # what stands beside the config is imported before what is called the same
+            if each not in found:
+                found[each] = place
+                places.add(place)
+                unread.append(each)
+    return found
+
+
+def _is_meant(path: Path, place: Path) -> bool:
+    """Whether a file is what is imported by this name: not where other modules stand in for an earlier tool's."""
+    root, top = path.parents[len(place.parts) - 1], place.parts[0].removesuffix(".py")
+    module = sys.modules.get(top)
+    if module is None:
+        return True
+    file = getattr(module, "__file__", None)
+    return str(root / top) in getattr(module, "__path__", ()) or file == str(root / f"{top}.py")
+
+
+def _imported_by(path: Path, place: Path, roots: Sequence[str]) -> Iterator[tuple[Path, Path]]:
+    """Yield the files that a file imports, each with its place as its module's name has it."""
+    for node in ast.walk(tree_of(path)):
+        match node:
+            case ast.Import(names=names):
+                for each in names:
+                    yield from _files_of(each.name, roots, Path())
+            case ast.ImportFrom(module=module, names=names, level=level):
+                package = [str(each) for each in path.parents[level - 1 : level]] if level else roots
+                within = place.parents[min(level, len(place.parents)) - 1] if level else Path()
+                for each in names:
+                    yield from _files_of(".".join(filter(None, (module, each.name))), package, within)
+
+
+def _files_of(module: str, places: Sequence[str], within: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield the files of a module and of the packages that it is in, as far as they are found, with their places."""
+    if module.partition(".")[0] == _OURS:
+        return  # a config may stand at the root of our own repository
+    for part in module.split("."):
+        spec = PathFinder.find_spec(part, places)
+        if spec is None:
+            return
+        within /= part
+        if spec.origin is not None:
+            path = Path(spec.origin)
+            yield path, within / _PACKAGE if path.name == _PACKAGE else within.with_name(path.name)
+        places = list(spec.submodule_search_locations or ())
+
+
+def editable_code() -> dict[str, str]:
+    """Return a digest of the code of each distribution that is installed as it stands and was imported, by its name.
+
+    Its version tells nothing of it: it changes with each change of a file.
+    """
+    folders = editable_folders()
+    found: dict[str, set[Path]] = {}
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        top = sys.modules.get(name.partition(".")[0])
+        if file is None or top is None:
+            continue
+        for folder in folders.keys() & set(Path(file).parents):
+            found.setdefault(folders[folder], set()).update(_files_of_package(top))
+    return {name: _digest(files) for name, files in sorted(found.items())}
+
+
+def _files_of_package(module: object) -> set[Path]:
+    path = Path(str(getattr(module, "__file__", None) or next(iter(getattr(module, "__path__", [""])))))
+    if path.name == _PACKAGE:
+        path = path.parent
+    return {path} if path.is_file() else set(path.rglob("*.py"))
+
+
+def _digest(files: set[Path]) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(f"{path.name}\0".encode() + hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()[:16]
