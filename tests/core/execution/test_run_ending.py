@@ -18,7 +18,7 @@ from robot_runner.core.errors import PluginError, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.early_end import MissionStopped, RunFailed
 from robot_runner.core.events.window import MissionTimes
-from robot_runner.core.execution.interruption import failure_fields
+from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.notices import AttemptFinished, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.processes import leave_after
@@ -458,6 +458,49 @@ def test_the_process_of_a_run_ends_also_where_a_callback_took_its_streams_away()
         finally:
             os._exit(99)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+FORKING = """
+import multiprocessing, time
+from robot_runner import *
+
+def forked():
+    process = multiprocessing.get_context("fork").Process(target=time.sleep, args=(60,))
+    process.start()
+    time.sleep(0.1)
+    return process
+
+def ended(process, by=lambda process: process.terminate()):
+    by(process)
+    process.join(20)
+    code = process.exitcode
+    process.kill()
+    print("ended by", code, flush=True)
+    assert code == -15, code
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "forking"
+    def before_experiment(self, context): self.server = forked()
+    def before_run(self, context): ended(forked())
+    def start_run(self, context): self.helper = forked()
+    def launch_mission(self, context): ended(forked())
+    def stop_run(self, context):
+        ended(self.helper)
+        ended(forked())
+    def after_experiment(self, context): ended(self.server)
+    def create_run_table(self): return RunTableModel([Factor("A", [1])])
+"""
+
+
+@pytest.mark.long
+def test_a_process_that_a_callback_forks_ends_by_a_signal_as_any_other(tmp_path: Path) -> None:
+    config = tmp_path / "forking.py"
+    config.write_text(FORKING, encoding="utf-8")
+    finished = execute_experiment(prepare_or_refuse(config), SilentObserver())
+    assert finished.done_count == 1, finished.failures
+    assert finished.findings == ()
+    log = (tmp_path / "experiments" / "forking" / "runs" / "r_1" / "log.txt").read_text(encoding="utf-8")
+    assert log == "ended by -15\n" * 3
 
 
 class OfAStranger:

@@ -6,7 +6,11 @@ to the protocol `Dialect`.
 
 from __future__ import annotations
 
+import json
+import os
+import sys
 from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
@@ -16,9 +20,14 @@ from robot_runner.core.errors import Finding, PluginError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-    from pathlib import Path
 
     from robot_runner.core.config.loader import LoadedConfig
+
+
+#: The variable of the environment that tells which config was loaded, and what was set from outside.
+LOADED_VARIABLE = "ROBOT_RUNNER_CONFIG"
+#: Where a module stands that is called as a config is once it is loaded.
+_FOR_CHILDREN = str(Path(__file__).parent / "in_children")
 
 
 class Dialect(Protocol):
@@ -44,6 +53,7 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
         ConfigError: the file cannot be read, parsed or executed, mixes dialects, has no config class, or a parameter
             that is to be set does not exist.
     """
+    _tell_children(path, overrides)
     dialects, unusable = _installed()
     for dialect in dialects:
         load = dialect.recognise(path)
@@ -51,6 +61,16 @@ def load_config(path: Path, overrides: Mapping[str, str] = MappingProxyType({}))
             return load(overrides)
     loaded = loader.load_config(path, overrides)
     return replace(loaded, findings=(*loaded.findings, *unusable)) if unusable else loaded
+
+
+def _tell_children(path: Path, overrides: Mapping[str, str]) -> None:
+    """Let processes that `multiprocessing` starts anew (the default on macOS, and from Python 3.14 on) find the config.
+
+    They are told what is on `sys.path`, and inherit the environment.
+    """
+    os.environ[LOADED_VARIABLE] = json.dumps({"file": str(path.resolve()), "set": dict(overrides)})
+    if _FOR_CHILDREN not in sys.path:
+        sys.path.append(_FOR_CHILDREN)
 
 
 def stand_in_modules() -> frozenset[str]:

@@ -241,6 +241,8 @@ _OF_OS = {os.__file__, "<frozen os>"}
 
 
 def _fix_of(error: BaseException) -> str:
+    if isinstance(error, ImportError) and "relative import" in str(error):
+        return "Import it by its name, without the dots: the folder of the config is searched for modules."
     if isinstance(error, ModuleNotFoundError) and error.name:
         return f"Install the package that brings {error.name!r}, or mend the name."
     if isinstance(error, KeyError) and traceback.extract_tb(error.__traceback__)[-1].filename in _OF_OS:

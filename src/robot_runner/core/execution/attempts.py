@@ -13,8 +13,8 @@ from robot_runner.core.errors import Finding, PluginError
 from robot_runner.core.events.manager import RobotRunnerEvents
 from robot_runner.core.events.measure import ROBOT, ROBOTS_OWNER, Origin
 from robot_runner.core.execution.between_runs import BetweenRuns
+from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.gates import Gates, Passage
-from robot_runner.core.execution.interruption import failure_fields
 from robot_runner.core.execution.notices import (
     AttemptFinished,
     AttemptStarted,

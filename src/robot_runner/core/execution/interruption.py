@@ -16,10 +16,8 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self
 from weakref import WeakSet
 
-from robot_runner.core.errors import RobotRunnerError, nearest
-from robot_runner.core.events.context import OTHER_NAMES, ExperimentContext
 from robot_runner.core.events.early_end import MissionStopped, RunFailed, RunInterrupted, fails_run
-from robot_runner.core.secret_names import without_environment_secrets
+from robot_runner.core.execution.failures import failure_fields, text_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -53,10 +51,30 @@ def stop_signals_to_handle() -> list[signal.Signals]:
     return [each for each in STOP_SIGNALS if each != signal.SIGHUP or signal.getsignal(each) is not signal.SIG_IGN]
 
 
+def _of_this_process(handler: Callable[[int, FrameType | None], None]) -> Callable[[int, FrameType | None], None]:
+    """Return a handler of the stop signals of this process alone.
+
+    A process that a callback forks, as `multiprocessing` does, inherits it, and takes them as if there were none.
+    """
+    process = os.getpid()
+
+    def take(number: int, frame: FrameType | None) -> None:
+        if os.getpid() == process:
+            handler(number, frame)
+        elif number == signal.SIGINT:
+            signal.default_int_handler(number, frame)
+        else:
+            signal.signal(number, signal.SIG_DFL)
+            os.kill(os.getpid(), number)
+
+    return take
+
+
 @contextmanager
 def stop_signals_handled(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """While this lasts, a handler takes the signals that ask a program to stop."""
-    earlier = {number: signal.signal(number, handler) for number in stop_signals_to_handle()}
+    taken = _of_this_process(handler)
+    earlier = {number: signal.signal(number, taken) for number in stop_signals_to_handle()}
     try:
         yield
     finally:
@@ -86,7 +104,7 @@ class InterruptGate:
         What one of them does not end is told to `held_up`. Call it in the main thread of the run's process.
         """
         for number in STOP_SIGNALS:
-            signal.signal(number, self._take_signal)
+            signal.signal(number, _of_this_process(self._take_signal))
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
 
     @contextmanager
@@ -302,7 +320,7 @@ class RunEnding:
         if threading.current_thread() in _left_over:
             self._find(error, where)
             return
-        problem = f"{where} raised {type(error).__name__}: {_text_of(error)}"
+        problem = f"{where} raised {type(error).__name__}: {text_of(error)}"
         self._fail("", {**failure_fields(error), "problem": problem})
         self._gate.end_run(RunFailed(problem))
 
@@ -348,7 +366,7 @@ class RunEnding:
         """Record what a thread raised while things are closed, or after its run: it may have tripped over that."""
         if threading.current_thread() in _left_over:
             where += " of an earlier run"
-        problem = f"{where} raised {type(error).__name__}: {_text_of(error)}"
+        problem = f"{where} raised {type(error).__name__}: {text_of(error)}"
         _print_to_log(f"{problem}\n{failure_fields(error)['traceback']}")
         fix = "Look at its traceback in the run's log, and end the thread before what it uses is closed."
         self._report("finding", {"owner": where, "problem": problem, "fix": fix})
@@ -357,30 +375,3 @@ class RunEnding:
 def _print_to_log(text: str) -> None:
     with suppress(Exception):  # a full disk, or a stream that a callback closed: what comes now stops the robot
         sys.stderr.write(text)
-
-
-def failure_fields(error: BaseException) -> dict[str, str]:
-    """Return the problem in one line, and the traceback, without what the environment keeps secret."""
-    text = _text_of(error)
-    problem = text if isinstance(error, RobotRunnerError | RunInterrupted) else f"{type(error).__name__}: {text}"
-    problem += _name_meant(error)
-    trace = "".join(traceback.format_exception(error))
-    return {"problem": without_environment_secrets(problem), "traceback": without_environment_secrets(trace)}
-
-
-def _name_meant(error: BaseException) -> str:
-    """Return, in brackets, the name that may be meant where an object has no attribute of a name; else nothing."""
-    if not isinstance(error, AttributeError) or not error.name or error.obj is None:
-        return ""
-    near = OTHER_NAMES.get(error.name) if isinstance(error.obj, ExperimentContext) else None
-    with suppress(Exception):  # what `dir` calls is a stranger's code
-        near = near or nearest(error.name, dir(error.obj))
-    return f" (did you mean {near!r}?)" if near else ""
-
-
-def _text_of(error: BaseException) -> str:
-    """Return what an error says; some have a `__str__` that raises."""
-    try:
-        return str(error)
-    except BaseException as later:  # noqa: BLE001 - a stranger's code
-        return f"(its text could not be made: {type(later).__name__})"

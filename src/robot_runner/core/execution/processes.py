@@ -14,7 +14,7 @@ from io import TextIOWrapper
 from typing import TYPE_CHECKING, NoReturn, TextIO
 
 from robot_runner.core.errors import ExecutionError
-from robot_runner.core.execution.interruption import failure_fields
+from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.run_records import FINISHED
 from robot_runner.core.storage.masked_log import MaskedText
 from robot_runner.core.storage.outliving import is_spared, process_stat, processes

@@ -22,7 +22,7 @@ from robot_runner.core.errors import ExecutionError, Finding, StorageError
 from robot_runner.core.events.context import SystemClock
 from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.events.resources import Resources
-from robot_runner.core.execution.interruption import failure_fields
+from robot_runner.core.execution.failures import failure_fields
 from robot_runner.core.execution.left_over import has_locked
 from robot_runner.core.execution.processes import forked, settle_streams
 from robot_runner.core.execution.run_events import made_safe, run_contexts
