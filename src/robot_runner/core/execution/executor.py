@@ -15,6 +15,7 @@ from robot_runner.core.errors import PluginError, RobotRunnerError
 from robot_runner.core.events.early_end import RunInterrupted
 from robot_runner.core.execution.interruption import InterruptGate
 from robot_runner.core.execution.keeper import Keeper, reap_keepers
+from robot_runner.core.execution.open_files import write_inherited
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_records import FINISHED, RecordReader
 from robot_runner.core.execution.standby import standby_of
@@ -145,6 +146,7 @@ def _begun_in_process(
     standby: Standby | None,
 ) -> RunInFlight:
     parameters = experiment.parameters
+    write_inherited()
     with ExitStack() as opened:
         state = None if standby is None else opened.enter_context(closing(standby.state))
         run = partial(start, experiment, task, state)

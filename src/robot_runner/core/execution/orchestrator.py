@@ -26,6 +26,7 @@ from robot_runner.core.execution.notices import (
     ProbeStarted,
 )
 from robot_runner.core.execution.notifications import Notifications
+from robot_runner.core.execution.open_files import note_open_files
 from robot_runner.core.execution.orchestrator_events import OngoingExperiment, OrchestratorEvents
 from robot_runner.core.execution.patience import Patience
 from robot_runner.core.execution.probe import Probe, probe_profilers, probed_profilers
@@ -215,6 +216,7 @@ class _Orchestrator:
 
     def _execute_runs(self, *, is_cleared: bool) -> None:
         """Execute the runs that are left, then those that follow from the results, until nothing follows."""
+        note_open_files()
         gc.collect()
         gc.freeze()  # what a forked run does not collect it does not have to copy
         try:

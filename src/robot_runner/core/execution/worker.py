@@ -21,6 +21,7 @@ from robot_runner.core.design.revision import Revision
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.execution.interruption import STOP_SIGNALS, InterruptGate
 from robot_runner.core.execution.left_over import RunMark, end_left_over
+from robot_runner.core.execution.open_files import begin_run, write_open_files
 from robot_runner.core.execution.processes import leave_after, settle_streams
 from robot_runner.core.execution.run_events import execute_run
 from robot_runner.core.execution.run_facts import notice_programs
@@ -90,8 +91,11 @@ def _execute(experiment: Experiment, task: RunTask, systems: SystemsState | None
     gate = InterruptGate()
     gate.listen()
     keeper = os.getppid()
+    begin_run()
     notice_programs(experiment, report)
     execute_run(experiment, task, report, gate, systems)
+    for problem in write_open_files():
+        report("failure", {"event": "", "owner": "", "problem": problem, "traceback": ""})
     report(FINISHED, {})
     if os.getppid() != keeper:  # it was killed, and cannot end what the run leaves behind
         end_left_over(experiment.folder)

@@ -1,0 +1,84 @@
+"""Files that callbacks leave open: what waits in their buffers is written before a run is forked, and before it ends.
+
+A forked process ends without Python's own end, which would clean up and write what is its parent's. Without this, the
+table that `before_experiment` opens and each run adds a line to would lack these lines, and what a run opens and does
+not close would be empty.
+"""
+
+from __future__ import annotations
+
+import gc
+import io
+import os
+import stat
+import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+from weakref import ref
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+_BUFFERED = (io.BufferedWriter, io.BufferedRandom)
+#: What writes its end when it is closed, and is no file without that: the modules are known where they are imported.
+_ENDED_BY_CLOSING = (("gzip", "GzipFile"), ("bz2", "BZ2File"), ("lzma", "LZMAFile"), ("zipfile", "ZipFile"))
+
+#: Those that were open when the first run began: runs inherit them. Nothing is kept open by that.
+_inherited: list[ref[Any]] = []
+
+
+def note_open_files() -> None:
+    """Take down which files are open in this process, which is about to fork runs."""
+    _inherited[:] = map(ref, _files_among(gc.get_objects()))
+
+
+def write_inherited() -> None:
+    """Write what waits in the buffers of the files that runs inherit: each run would write it once more."""
+    for _ in _flushed(_still_there()):
+        pass  # it is told where the run's own lines cannot be written
+
+
+def begin_run() -> None:
+    """Tell what a run makes from what it has inherited; so its garbage collector looks at the former alone, too."""
+    gc.freeze()
+
+
+def write_open_files() -> list[str]:
+    """Write what waits in the buffers of files that this run has opened or inherited; return what was in the way."""
+    made = gc.get_objects()
+    problems = list(_flushed(_files_among(made, _still_there())))
+    known = [getattr(sys.modules[module], name) for module, name in _ENDED_BY_CLOSING if module in sys.modules]
+    for each in [each for each in made if known and issubclass(type(each), tuple(known))]:
+        problems += _problem(each, each.close)
+    return problems
+
+
+def _still_there() -> list[Any]:
+    return [file for each in _inherited if (file := each()) is not None]
+
+
+def _files_among(*objects: Iterable[Any]) -> list[Any]:
+    """Return the regular files among objects that can be written; text first, which writes into the others."""
+    # Not `isinstance`, which asks each object for its class: some of a stranger's answer that by executing something.
+    found = [each for some in objects for each in some if issubclass(type(each), (io.TextIOWrapper, *_BUFFERED))]
+    return sorted(filter(_is_written, found), key=lambda each: isinstance(each, _BUFFERED))
+
+
+def _is_written(file: Any) -> bool:
+    with suppress(Exception):  # it was closed, is in memory, or a stranger's
+        return bool(file.writable() and stat.S_ISREG(os.fstat(file.fileno()).st_mode))
+    return False
+
+
+def _flushed(files: Iterable[Any]) -> Iterator[str]:
+    for each in files:
+        yield from _problem(each, each.flush)
+
+
+def _problem(file: Any, write: Any) -> Iterator[str]:
+    try:
+        write()
+    except OSError as error:
+        yield f"what was written to {getattr(file, 'name', 'a file')} is not all in it: {error.strerror or error}"
+    except Exception:  # noqa: BLE001, S110 - it was closed or detached meanwhile
+        pass

@@ -1,0 +1,118 @@
+"""Files that callbacks leave open hold what was written to them, though a forked run ends without Python's own end."""
+
+from __future__ import annotations
+
+import gc
+import gzip
+import io
+import socket
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare_or_refuse
+from robot_runner.core.execution import open_files
+from robot_runner.core.execution.notices import SilentObserver
+from robot_runner.core.execution.orchestrator import execute_experiment
+
+LEAVING = """
+import csv, gzip, os, zipfile
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+
+class FullDisk(open(os.devnull).__class__):
+    def flush(self):
+        raise OSError(28, "No space left on device")
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "leaving"
+    workers = 1
+
+    def before_experiment(self, context):
+        self.all = open(context.experiment_folder / "all.csv", "w")
+        self.all.write("head\\n")
+        self.closed = open(context.experiment_folder / "closed.csv", "w")
+        self.closed.close()
+
+    def before_run(self, context):
+        self.all.write(f"before {context.run_id}\\n")
+
+    def start_run(self, context):
+        self.text = open(context.run_folder / "own.csv", "w")
+        self.bytes = open(context.run_folder / "own.bin", "wb")
+        self.packed = gzip.open(context.run_folder / "own.gz", "wt")
+        self.archive = zipfile.ZipFile(context.run_folder / "own.zip", "w")
+        self.random = open(context.run_folder / "own.dat", "w+b")
+        if context.combination["Disk"] == "full":
+            self.full = FullDisk(open(context.run_folder / "full.csv", "wb"))
+
+    def launch_mission(self, context):
+        csv.writer(self.text).writerow([1, 2])
+        for each in (self.bytes, self.random):
+            each.write(b"abc")
+        self.packed.write("packed")
+        self.archive.writestr("name", "text")
+        if context.combination["Disk"] == "killed":
+            raise SystemExit(3)
+
+    def populate_run_data(self, context):
+        self.all.write(f"run {context.run_id}\\n")
+
+    def after_experiment(self, context):
+        self.all.write("end\\n")
+        self.all.flush()
+
+    def create_run_table(self):
+        return RunTableModel([Factor("Disk", ["fine", "killed", "full"])])
+"""
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_what_callbacks_have_written_is_in_files_that_they_leave_open(tmp_path: Path) -> None:
+    config = tmp_path / "leaving.py"
+    config.write_text(LEAVING, encoding="utf-8")
+    finished = execute_experiment(prepare_or_refuse(config), SilentObserver())
+    folder = tmp_path / "experiments" / "leaving"
+    lines = ["head", "before r_1", "run r_1", "before r_2", "before r_3", "run r_3", "end"]
+    assert (folder / "all.csv").read_text(encoding="utf-8").splitlines() == lines
+    for run in ("r_1", "r_2", "r_3"):
+        own = folder / "runs" / run
+        assert (own / "own.csv").read_bytes() == b"1,2\r\n"
+        assert (own / "own.bin").read_bytes() == (own / "own.dat").read_bytes() == b"abc"
+        assert gzip.decompress((own / "own.gz").read_bytes()) == b"packed"
+        assert b"text" in (own / "own.zip").read_bytes()
+        assert (own / "own.zip").read_bytes()[-22:-18] == b"PK\x05\x06"  # the end of an archive
+    assert (finished.done_count, finished.failed_count) == (1, 2)
+    full = folder / "runs" / "r_3" / "full.csv"
+    problem = f"what was written to {full} is not all in it: No space left on device"
+    assert any(problem in failure for failure in finished.failures), finished.failures
+
+
+class AsksForItsClass:
+    @property
+    def __class__(self) -> type:
+        raise AssertionError("it was asked")
+
+
+def test_what_is_no_file_on_a_disk_is_left_alone(tmp_path: Path) -> None:
+    strange = AsksForItsClass()
+    one, other = socket.socketpair()
+    with one, other, one.makefile("w") as line, io.TextIOWrapper(io.BytesIO()) as memory:
+        line.write("waits")
+        memory.write("waits")
+        assert open_files.write_open_files() == []
+        other.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            other.recv(10)
+        assert memory.buffer.getvalue() == b""
+    del strange
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_files_are_not_kept_open_by_being_known(tmp_path: Path) -> None:
+    file = (tmp_path / "file").open("w")
+    file.write("text")
+    open_files.note_open_files()
+    del file
+    gc.collect()
+    assert (tmp_path / "file").read_text() == "text"
+    open_files.write_inherited()
