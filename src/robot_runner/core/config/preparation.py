@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.config.checks import (
     announced_checks,
     check_analysis,
+    check_columns,
     check_disk_space,
     check_names,
     check_neighbours,
@@ -31,6 +32,7 @@ from robot_runner.core.config.experiment import (
     named_inputs,
 )
 from robot_runner.core.config.graph_checks import GraphCheck
+from robot_runner.core.config.kept_generators import check_generators
 from robot_runner.core.config.loader import LoadedConfig
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
@@ -163,6 +165,7 @@ def prepare(
     columns = measure_columns(loaded, model, plugins, parameters, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
+        findings += check_generators(loaded, parameters, events)
         findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
         findings += check_repeat_until(loaded, parameters, model, columns)
         findings += check_workers(loaded.where, parameters, plugins, events, model)
@@ -340,7 +343,7 @@ def measure_columns(
     if parameters is not None and parameters.robots:
         measures[ROBOTS_OWNER] = (Measure(ROBOT, "", "The robot that executed the run."),)
     columns, column_findings = resolve_columns(model.data_columns if model else None, measures)
-    findings += [*step_findings, *column_findings]
+    findings += [*step_findings, *column_findings, *check_columns(columns)]
     columns = columns.with_all_of(OPERATOR_OWNER).with_all_of(ROBOTS_OWNER)
     if parameters is not None and parameters.quality_columns:
         columns = columns.with_quality()

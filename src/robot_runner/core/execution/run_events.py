@@ -23,6 +23,7 @@ from robot_runner.core.events.resources import Resources
 from robot_runner.core.events.window import MissionTimes
 from robot_runner.core.execution.clock_jumps import ClockJumps
 from robot_runner.core.execution.interruption import InterruptGate, RunEnding
+from robot_runner.core.execution.random_states import seed_random_numbers
 from robot_runner.core.execution.systems_state import Care
 from robot_runner.core.links.commanded_topics import hear_commanded
 from robot_runner.core.links.connect import is_simulated, open_clock
@@ -161,6 +162,7 @@ class _Run:
 
     def _open(self) -> None:
         task, resources = self._task, self._resources
+        seed_random_numbers(task.run_seed)
         self._clock = open_clock(self._experiment.parameters.robot, resources, seed=task.run_seed)
         self._context_for = run_contexts(
             self._experiment,
