@@ -19,12 +19,14 @@ from typing import TYPE_CHECKING
 from urllib.parse import unquote, urlsplit
 
 from robot_runner.core.config.source import tree_of
+from robot_runner.core.vain_parameters import CONFIG_MODULE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 #: Python's own modules and ours: they lie below a config in the home folder where Python, or a clone, is there too.
 _OF_NO_CONFIG = (Path(os.__file__).parent, Path(__file__).parents[2])
+_NO_CONFIGS = tuple(f"{each}/" for each in _OF_NO_CONFIG)
 _OURS, _OUR_NAME = __name__.partition(".")[0], "robot-runner"
 _PACKAGE = "__init__.py"
 
@@ -39,11 +41,17 @@ def local_modules_among(config: Path, names: set[str]) -> dict[Path, Path]:
         the place of each file, relative to the config's folder: its own, or that of its module's name.
     """
     folder = config.parent
-    files = {getattr(sys.modules.get(name), "__file__", None) for name in names}
-    loaded = {path for path in (Path(file) for file in files if file) if is_local(path, folder)}
+    # `multiprocessing` calls the program `__mp_main__`: it may lie below the config's folder, and is no part of it.
+    files = {getattr(sys.modules.get(name), "__file__", None) for name in names - {"__mp_main__"}}
+    loaded = {path for path in (_without_dots(file) for file in files if file) if is_local(path, folder)}
     found = imported_files({path: path.relative_to(folder) for path in (config, *loaded)}, folder)
     del found[config]
     return dict(sorted(found.items()))
+
+
+def _without_dots(path: str) -> Path:
+    """Return a path in which no folder is named by dots, as where a config extends `sys.path` by `<its folder>/..`."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 - links are kept
 
 
 def is_local(path: Path, folder: Path) -> bool:
@@ -89,12 +97,14 @@ def imported_files(files: Mapping[Path, Path], folder: Path) -> dict[Path, Path]
         files: the place of each in the config's folder, relative to it.
         folder: the config's.
     """
-    roots = [each for each in sys.path if is_local(inside := Path(each, "_"), folder) or _is_elsewhere(inside)]
+    searched = [_without_dots(each) for each in sys.path]
+    roots = [str(each) for each in searched if not _is_installed(each / "_")]
+    beside = [each for each in roots if is_local(Path(each, "_"), folder)]
     found, unread = dict(files), list(files)
     places = set(found.values())
     while unread:
         path = unread.pop()
-        for each, place in _imported_by(path, found[path], roots):
+        for each, place in _imported_by(path, found[path], lambda top: beside if _is_known(top) else roots):
             if is_local(each, folder):
                 place = each.relative_to(folder)  # noqa: PLW2901 - where it stands, whatever root it was found by
             elif each.suffix != ".py" or not _is_elsewhere(each) or not _is_meant(each, place) or place in places:
@@ -113,18 +123,26 @@ def _is_meant(path: Path, place: Path) -> bool:
     if module is None:
         return True
     file = getattr(module, "__file__", None)
-    return str(root / top) in getattr(module, "__path__", ()) or file == str(root / f"{top}.py")
+    folders = map(_without_dots, getattr(module, "__path__", ()))
+    return root / top in folders or (file is not None and _without_dots(file) == root / f"{top}.py")
 
 
-def _imported_by(path: Path, place: Path, roots: Sequence[str]) -> Iterator[tuple[Path, Path]]:
+def _is_known(top: str) -> bool:
+    """Whether a module is Python's own, or was imported from where it is installed: nobody looks for it elsewhere."""
+    file = getattr(sys.modules.get(top), "__file__", None)
+    return top in sys.stdlib_module_names or (file is not None and _is_installed(Path(file)))
+
+
+def _imported_by(path: Path, place: Path, roots_of: Callable[[str], Sequence[str]]) -> Iterator[tuple[Path, Path]]:
     """Yield the files that a file imports, each with its place as its module's name has it."""
     for node in ast.walk(tree_of(path)):
         match node:
             case ast.Import(names=names):
                 for each in names:
-                    yield from _files_of(each.name, roots, Path())
+                    yield from _files_of(each.name, roots_of(each.name.partition(".")[0]), Path())
             case ast.ImportFrom(module=module, names=names, level=level):
-                package = [str(each) for each in path.parents[level - 1 : level]] if level else roots
+                own = [str(each) for each in path.parents[level - 1 : level]]
+                package = own if level else roots_of(str(module).partition(".")[0])
                 within = place.parents[min(level, len(place.parents)) - 1] if level else Path()
                 for each in names:
                     yield from _files_of(".".join(filter(None, (module, each.name))), package, within)
@@ -150,13 +168,14 @@ def editable_code() -> dict[str, str]:
 
     Its version tells nothing of it: it changes with each change of a file.
     """
-    folders = editable_folders()
     found: dict[str, set[Path]] = {}
     for name, module in list(sys.modules.items()):
-        file = getattr(module, "__file__", None)
-        top = sys.modules.get(name.partition(".")[0])
-        if file is None or top is None:
+        file, top = str(getattr(module, "__file__", None)), sys.modules.get(name.partition(".")[0])
+        # As texts: hundreds of modules are looked at, and nearly all are installed.
+        is_installed = file.startswith(_NO_CONFIGS) or "-packages/" in file
+        if top is None or is_installed or name == CONFIG_MODULE or not file.endswith(".py"):
             continue
+        folders = editable_folders()
         for folder in folders.keys() & set(Path(file).parents):
             found.setdefault(folders[folder], set()).update(_files_of_package(top))
     return {name: _digest(files) for name, files in sorted(found.items())}
