@@ -23,6 +23,7 @@ def test_what_an_earlier_tool_or_a_guess_calls_it_is_told_with_what_to_use(write
     body = """
     retries = 3
     cooldown: int = 30
+    repetitions: int
     def after_run(self): ...
     def interact(self, context): ...
     def start_mission(self): ...
@@ -32,7 +33,8 @@ def test_what_an_earlier_tool_or_a_guess_calls_it_is_told_with_what_to_use(write
     """
     found = warnings(write_config(body))
     assert set(found) == {
-        "after_run", "beforeEachRun", "cooldown", "interact", "on_end_measurements", "retries", "start_mission"
+        "after_run", "beforeEachRun", "cooldown", "interact", "on_end_measurements", "repetitions", "retries",
+        "start_mission",
     }  # fmt: skip
     assert found["retries"].startswith("nothing reads this attribute → Use attempts")
     assert found["after_run"] == (

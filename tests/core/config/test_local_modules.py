@@ -7,11 +7,18 @@ import pathlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 from robot_runner.core.config.loader import load_config
-from robot_runner.core.config.local_modules import editable_code, editable_folders, imported_files, is_local
+from robot_runner.core.config.local_modules import (
+    editable_code,
+    editable_folders,
+    imported_files,
+    is_local,
+    local_modules_among,
+)
 
 Write = Callable[..., Path]
 
@@ -103,6 +110,33 @@ def test_modules_from_elsewhere_are_kept_where_a_config_beside_them_imports_them
     found = places(config / "config.py")
     assert found.keys() == files.keys() - {"parts_of_studies/unasked.py", "numpy.py"} | {"beside.py"}
     assert found["without_init/leaf.py"] == elsewhere / "without_init" / "leaf.py"
+
+
+@pytest.mark.parametrize(
+    ("folder", "where", "place"),
+    [
+        ("..", "shared_words.py", "shared_words.py"),
+        ("below/../kept", "study/kept/shared_words.py", "kept/shared_words.py"),
+    ],
+)
+def test_modules_are_kept_from_a_folder_that_is_named_by_dots(
+    tmp_path: Path, folder: str, where: str, place: str
+) -> None:
+    written(tmp_path, {where: "", "study/below/other.py": ""})
+    elsewhere = f"{tmp_path}/study/{folder}"
+    text = CONFIG.format(elsewhere=elsewhere, module="shared_words")
+    config = written(tmp_path, {"study/config.py": text}) / "study" / "config.py"
+    assert places(config) == {place: tmp_path / where}
+
+
+@pytest.mark.parametrize("program", ["../bin/robot-runner", ".venv/bin/robot-runner"])
+def test_the_program_is_no_module_of_a_config_that_imports_multiprocessing(
+    write_config: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str
+) -> None:
+    main = ModuleType("__main__")
+    main.__file__ = f"{tmp_path}/{program}"
+    monkeypatch.setitem(sys.modules, "__mp_main__", main)  # as `multiprocessing` does when it is imported
+    assert local_modules_among(write_config(), {"__mp_main__"}) == {}
 
 
 @pytest.mark.parametrize(("way", "where"), [("insert(0, ", "elsewhere"), ("append(", "study")])

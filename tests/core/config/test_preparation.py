@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,6 +62,14 @@ class RobotRunnerConfig(ExperimentConfig):
     assert "Did you mean 'Video'?" in finding.fix
 
 
+def test_python_warns_of_a_line_of_a_config_once_where_it_is_executed(write_config: Write) -> None:
+    path = write_config(r"_pattern = '\d+'")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert findings_of(path) == ()
+    assert [Path(each.filename) for each in told if "invalid escape" in str(each.message)] == [path]
+
+
 def test_files_that_stand_in_for_modules_of_python_are_told(write_config: Write) -> None:
     path = write_config()
     for name in ("random.py", "my_statistics.py", "queue/__init__.py", "test/__init__.py", "types/notes.txt"):
@@ -79,10 +88,9 @@ def test_a_results_path_at_which_no_folder_can_lie_is_a_finding(write_config: Wr
     path = write_config(f"results_output_path = {value}")
     (path.parent / "loop").symlink_to(path.parent / "loop")
     found = [each for each in findings_of(path) if each.is_error]
-    if sys.version_info < (3, 13) or "loop" not in value:  # later ones resolve a loop as far as they come
-        told = [each.problem for each in found if each.where.endswith("results_output_path")]
-        assert [problem[:21] for problem in told] == ["no folder can lie at "]
-        assert len(told[0]) < 200
+    told = [each.problem for each in found if each.where.endswith("results_output_path")]
+    assert [problem[:21] for problem in told] == ["no folder can lie at "]
+    assert len(told[0]) < 200
 
 
 WRONG_VALUES = [
@@ -160,6 +168,27 @@ def test_a_misspelt_name_is_refused_with_the_one_that_was_meant(write_config: Wr
     head = head if "experiment_nam" not in body else head.replace("    experiment_name = 'x'\n", "")
     findings = findings_of(write_config(body, head=head))
     assert any(finding.is_error and repr(meant) in finding.fix for finding in findings)
+
+
+@pytest.mark.skipif(sys.version_info < (3, 14), reason="Python before 3.14 evaluates annotations at once")
+def test_annotations_may_name_what_is_imported_for_type_checkers_alone(write_config: Write) -> None:
+    head = """
+from robot_runner import *
+from robot_runner.plugins import Profiler
+
+class Own(Profiler):
+    def __init__(self, speed: Speed = 3) -> None: super().__init__()
+    def start_measurement(self, context: Context) -> None: ...
+
+class RobotRunnerConfig:
+    experiment_name = "x"
+    plugins = [Own(speed=treatment("Task"))]
+    speed: Speed
+    def before_run(self, context: Context) -> None: ...
+"""
+    assert findings_of(write_config(head=head)) == ()
+    (finding,) = findings_of(write_config("opertion_type: ForTypeCheckersAlone"))
+    assert "'operation_type'" in finding.fix
 
 
 def test_a_name_of_the_users_own_is_left_alone(write_config: Write) -> None:

@@ -30,8 +30,9 @@ from robot_runner.core.design.precision import precision_findings
 from robot_runner.core.design.run_table_model import RunTable, RunTableModel
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, StorageError, did_you_mean
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
-from robot_runner.core.events.measure import ROBOT
+from robot_runner.core.events.measure import CONFIG_OWNER, ROBOT, Measure
 from robot_runner.core.links.robot_name import Robots
+from robot_runner.core.signatures import names_in
 from robot_runner.core.storage.executed_runs import done_runs
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.table_columns import TableLayout
@@ -46,6 +47,25 @@ if TYPE_CHECKING:
     from robot_runner.core.events.measure import MeasureColumns
     from robot_runner.core.plugin import Plugin
     from robot_runner.core.storage.layout import ExperimentFolder
+
+
+# The measures: that a column is not of a misspelt one.
+
+
+def check_columns(columns: MeasureColumns) -> list[Finding]:
+    """Warn of each column of the config's own that is nearly called like a plugin's measure that has no column."""
+    left_out = {each.name.casefold(): each for each in columns.declared if not each.is_in_table}
+    findings = []
+    for column in columns.in_table:
+        if column.owner != CONFIG_OWNER or column.measure != Measure(column.name):  # one with a unit is meant as it is
+            continue
+        for near in difflib.get_close_matches(column.name.casefold(), left_out, n=1, cutoff=_ALIKE):
+            meant, name = left_out[near], column.name
+            problem = f"no plugin yields {name!r}, and {meant.owner}'s {meant.name!r} has no column"
+            own = f"If the config publishes {name!r}, declare it: Measure({name!r}, unit, meaning)."
+            fix = f"Did you mean {meant.name!r}? {own}"
+            findings.append(Finding.warning("data_columns", problem, fix))
+    return findings
 
 
 # The analysis plan: that it is about factors and measures that the experiment has.
@@ -112,10 +132,10 @@ _ALIKE = 0.85
 
 def check_names(loaded: LoadedConfig) -> list[Finding]:
     """Return a finding for each public name of the config that nearly is a parameter or a callback."""
-    names = {name for parent in type(loaded.config).__mro__[:-1] for name in _names_of(parent)}
+    names = {name for parent in type(loaded.config).__mro__[:-1] for name in names_in(parent)}
     names |= set(vars(loaded.config)) if hasattr(loaded.config, "__dict__") else set()
-    inherited = {name for parent in type(loaded.config).__mro__[1:] for name in _names_of(parent)}
-    inherited -= _names_of(type(loaded.config))
+    inherited = {name for parent in type(loaded.config).__mro__[1:] for name in names_in(parent)}
+    inherited -= names_in(type(loaded.config))
     parameters = [*PARAMETERS, "plugins"]
     callbacks = [*EVENTS_BY_CALLBACK, "create_run_table"]
     findings = []
@@ -148,11 +168,6 @@ def check_neighbours(loaded: LoadedConfig) -> list[Finding]:
         for place in sorted(places)
         if place.stem in sys.stdlib_module_names and place.stem != "test"  # nobody but Python's own tests imports that
     ]
-
-
-def _names_of(parent: type) -> set[str]:
-    # A name that is annotated and never given a value is misspelt as easily as one that is.
-    return set(vars(parent)) | set(vars(parent).get("__annotations__", {}))
 
 
 def _misspelt(loaded: LoadedConfig, name: str, meant: str, *, is_method: bool) -> Finding:

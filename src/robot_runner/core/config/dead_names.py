@@ -12,6 +12,7 @@ from robot_runner.core.config.parameters import PARAMETERS, ExperimentConfig
 from robot_runner.core.config.source import tree_of
 from robot_runner.core.errors import Finding
 from robot_runner.core.events.manager import EVENTS_BY_CALLBACK
+from robot_runner.core.signatures import names_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -118,7 +119,7 @@ _LIVE = frozenset({*PARAMETERS, *EVENTS_BY_CALLBACK, "plugins", "create_run_tabl
 
 def _own_names(config_class: type) -> set[str]:
     classes = [each for each in config_class.__mro__ if each not in ExperimentConfig.__mro__]
-    return {name for each in classes for name in (*vars(each), *vars(each).get("__annotations__", {}))}
+    return {name for each in classes for name in names_in(each)}
 
 
 def _used_names(loaded: LoadedConfig) -> set[str] | None:

@@ -23,6 +23,7 @@ from robot_runner.core.config.source import ConfigSource, activating_imports, re
 from robot_runner.core.errors import ConfigError, Finding, RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.events.manager import RequestedSubscription, recorded_subscriptions
 from robot_runner.core.secret_names import shown_settings
+from robot_runner.core.signatures import signature_of
 from robot_runner.core.storage.table_columns import OWN_SPELLING, TableSpelling
 from robot_runner.core.treatments import is_waiting
 from robot_runner.core.vain_parameters import CONFIG_MODULE, parameters_guarded
@@ -309,7 +310,7 @@ def misspelt_keyword(path: Path, error: BaseException) -> str:
 def keywords_of(called: Any) -> list[str]:
     """Return the names of the parameters of a class or function; none where it does not tell."""
     with suppress(TypeError, ValueError):  # it is no callable, or one of Python's own
-        parameters = inspect.signature(called).parameters.values()
+        parameters = signature_of(called).parameters.values()
         return [each.name for each in parameters if each.kind in {each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY}]
     return []
 

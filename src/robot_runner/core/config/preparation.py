@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.callback_checks import check_callbacks
 from robot_runner.core.config.checks import (
     announced_checks,
     check_analysis,
@@ -32,9 +33,7 @@ from robot_runner.core.config.experiment import (
     named_inputs,
 )
 from robot_runner.core.config.graph_checks import GraphCheck
-from robot_runner.core.config.kept_generators import check_generators
 from robot_runner.core.config.loader import LoadedConfig
-from robot_runner.core.config.lost_changes import check_lost_changes
 from robot_runner.core.config.notify import check_notify
 from robot_runner.core.config.operator_checks import check_operator_steps
 from robot_runner.core.config.operator_steps import operator_measures
@@ -166,10 +165,7 @@ def prepare(
     columns = measure_columns(loaded, model, plugins, parameters, findings)
     if parameters is not None:
         findings += [*check_analysis(parameters, complete, columns), *check_threads(loaded, parameters)]
-        findings += [
-            *check_generators(loaded, parameters, events),
-            *check_lost_changes(loaded, parameters, events),
-        ]
+        findings += check_callbacks(loaded, parameters, events)
         findings += check_registration(loaded, model, parameters, columns) if is_for_here else ()
         findings += check_repeat_until(loaded, parameters, model, columns)
         findings += check_workers(loaded.where, parameters, plugins, events, model)

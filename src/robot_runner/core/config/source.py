@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import sys
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.abc import Loader, MetaPathFinder
@@ -61,7 +62,7 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
     """
     text = _read(path)
     try:
-        return text, ast.parse(text, filename=str(path))
+        return text, parsed(text, str(path))
     except SyntaxError as error:
         raise ConfigError(
             f"the file is not Python: {error.msg}: {(error.text or '').strip()!r}",
@@ -70,6 +71,18 @@ def read_tree(path: Path) -> tuple[str, ast.Module]:
         ) from error
     except ValueError as error:
         raise ConfigError(f"the file is not Python: {error}", where=str(path), fix="Name a Python file.") from error
+
+
+def parsed(code: str | bytes, name: str = "<unknown>") -> ast.Module:
+    """Return the syntax tree of Python code, as `ast.parse`, without a warning: Python warns whoever executes the code.
+
+    Raises:
+        SyntaxError: it is not Python.
+        ValueError: it has a null byte, or is of no encoding.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return ast.parse(code, filename=name)
 
 
 def tree_of(path: Path) -> ast.Module:

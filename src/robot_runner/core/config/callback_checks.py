@@ -1,0 +1,210 @@
+"""What validation reads in the code of callbacks: traps that a run in a process, or by a clock, of its own lays.
+
+Looked at is what stands in the config, or in modules that are not installed; nothing of it is executed.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import time
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from robot_runner.core.config.parameters import RunProcess
+from robot_runner.core.config.source import tree_of
+from robot_runner.core.errors import Finding
+from robot_runner.core.events.manager import ORCHESTRATED_EVENTS, RUN_EVENTS, RobotRunnerEvents
+from robot_runner.core.events.measure import CONFIG_OWNER
+from robot_runner.core.links.connect import is_simulated
+from robot_runner.core.words import listed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from robot_runner.core.config.loader import LoadedConfig
+    from robot_runner.core.config.parameters import Parameters
+    from robot_runner.core.events.manager import EventManager, Subscriber
+
+
+def check_callbacks(loaded: LoadedConfig, parameters: Parameters, events: EventManager) -> list[Finding]:
+    """Warn of each trap that callbacks of the config, and of the plugins that stand beside it, walk into."""
+    code = _LocalCode(loaded)
+    found: dict[tuple[str, str, str], None] = {}
+    if parameters.run_process is not RunProcess.IN_PROCESS:
+        found |= dict.fromkeys(_lost_changes(code, events))
+    if parameters.run_process is RunProcess.FORK:
+        found |= dict.fromkeys(_shared_generators(code, events))
+    if is_simulated(parameters.robot):
+        found |= dict.fromkeys(_sleeping_missions(code, events))
+    return [
+        Finding.warning(loaded.where if owner == CONFIG_OWNER else f"plugin {owner}", problem, fix)
+        for owner, problem, fix in found
+    ]
+
+
+class _CalledCode(NamedTuple):
+    """A function that a callback calls, or the callback itself.
+
+    Attributes:
+        nodes: all that its syntax tree consists of.
+        outside: what the names of its module stand for.
+        owner: the object whose method the callback is; None for a function.
+        own: what the function calls that object, such as `self`.
+    """
+
+    nodes: tuple[ast.AST, ...]
+    outside: Mapping[str, Any]
+    owner: Any
+    own: str
+
+    def named(self, node: ast.AST) -> Any:
+        """Return what a node names in its module or in its owner; None for anything else."""
+        if isinstance(node, ast.Name):
+            return self.outside.get(node.id)
+        name = self.attribute(node)
+        return None if name is None or self.owner is None else inspect.getattr_static(self.owner, name, None)
+
+    def attribute(self, node: ast.AST) -> str | None:
+        """Return the name of the attribute of its owner that a node is, as in `self.name`; None for anything else."""
+        match node:
+            case ast.Attribute(value=ast.Name(id=own), attr=name) if own == self.own:
+                return name
+            case _:
+                return None
+
+
+class _LocalCode:
+    """The functions of a config file and of the modules that it imports and that are not installed."""
+
+    def __init__(self, loaded: LoadedConfig) -> None:
+        # By file and first line, that of a decorator included, as code objects have them.
+        self._functions = {
+            (str(path), min([node.lineno, *(each.lineno for each in node.decorator_list)])): node
+            for path in (loaded.source.path, *loaded.local_modules)
+            for node in ast.walk(tree_of(path))
+            if isinstance(node, ast.FunctionDef)
+        }
+
+    def called_by(self, subscriber: Subscriber) -> Iterator[_CalledCode]:
+        """Yield the code of a callback and of the functions and methods that it names."""
+        owner = getattr(subscriber.callback, "__self__", None)
+        unread, seen = [subscriber.callback], set()
+        while unread:
+            function = inspect.unwrap(unread.pop())
+            code = getattr(function, "__code__", None)
+            node = None if code is None else self._functions.get((code.co_filename, code.co_firstlineno))
+            if node is None or code in seen:
+                continue
+            seen.add(code)
+            arguments = [*node.args.posonlyargs, *node.args.args]
+            own = arguments[0].arg if arguments and owner is not None else ""
+            called = _CalledCode(tuple(ast.walk(node)), function.__globals__, owner, own)
+            yield called
+            unread += filter(inspect.isfunction, map(called.named, called.nodes))
+
+
+# What a run stores in the config or a plugin: it never reaches another process.
+
+#: Methods of lists, dicts and sets that change them.
+_CHANGING = {"add", "append", "clear", "discard", "extend", "insert", "pop", "remove", "setdefault", "update"}
+#: What comes before the first run reads nothing of one.
+_LATER = tuple(each for each in ORCHESTRATED_EVENTS if each is not RobotRunnerEvents.BEFORE_EXPERIMENT)
+_FIX_OF_CHANGE = (
+    "Return it from populate_run_data, or write it into context.run_folder and read it there; "
+    "run_process = RunProcess.IN_PROCESS executes runs in the orchestrator's process."
+)
+
+
+def _lost_changes(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
+    changed: dict[str, dict[str, None]] = {}
+    for event in RUN_EVENTS:
+        for each in events.subscribers(event):
+            changed.setdefault(each.owner, {}).update(dict.fromkeys(_changed_by(code.called_by(each))))
+    for event in _LATER:
+        for each in events.subscribers(event):
+            read = set(_read_by(code.called_by(each)))
+            if lost := [f"self.{name}" for name in changed.get(each.owner, ()) if name in read]:
+                problem = f"{event.callback_name} reads {listed(lost)}, which runs change: "
+                problem += "each run has a process of its own, and what it stores is gone with it"
+                yield each.owner, problem, _FIX_OF_CHANGE
+
+
+def _changed_by(called_code: Iterator[_CalledCode]) -> Iterator[str]:
+    for called in called_code:
+        for node in called.nodes:
+            match node:
+                case ast.Attribute(ctx=ast.Store() | ast.Del()):
+                    changed = node
+                case ast.Subscript(value=ast.Attribute() as changed, ctx=ast.Store() | ast.Del()):
+                    pass
+                case ast.Call(func=ast.Attribute(value=ast.Attribute() as changed, attr=name)) if name in _CHANGING:
+                    pass
+                case _:
+                    continue
+            if attribute := called.attribute(changed):
+                yield attribute
+
+
+def _read_by(called_code: Iterator[_CalledCode]) -> Iterator[str]:
+    for called in called_code:
+        for node in called.nodes:
+            attribute = called.attribute(node)
+            if attribute is not None and isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+                yield attribute
+
+
+# Generators of random numbers that are made once: a forked run inherits them as they are. Those that `random` and
+# `numpy.random` have for all are given a state of each run's own (core/execution/random_states.py).
+
+#: By module and class: `random.SystemRandom` draws from the system, and has no state.
+_GENERATORS = {
+    ("random", "Random"),
+    ("numpy.random._generator", "Generator"),
+    ("numpy.random.mtrand", "RandomState"),
+    ("torch._C", "Generator"),
+}
+_FIX_OF_GENERATOR = (
+    "Make it in start_run, with the seed of each run: numpy.random.default_rng(context.run_seed), or "
+    "random.Random(context.run_seed). The functions of random and of numpy.random are seeded so already."
+)
+
+
+def _shared_generators(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
+    found: dict[str, dict[str, None]] = {}
+    for event in RUN_EVENTS:
+        for each in events.subscribers(event):
+            for called in code.called_by(each):
+                drawn = [node for node in called.nodes if _is_generator(called.named(node))]
+                found.setdefault(each.owner, {}).update(dict.fromkeys(map(ast.unparse, drawn)))
+    for owner, names in found.items():
+        if names:
+            problem = f"each run begins with the same state of {listed(names)}, and draws the same random numbers"
+            yield owner, problem, _FIX_OF_GENERATOR
+
+
+def _is_generator(value: Any) -> bool:
+    return (type(value).__module__, type(value).__name__) in _GENERATORS
+
+
+# Missions that wait by the clock of this machine, in which no time goes by for the simulated robot.
+
+_FIX_OF_SLEEP = "Wait by context.clock.sleep(seconds): on a real robot it does what time.sleep does."
+
+
+def _sleeping_missions(code: _LocalCode, events: EventManager) -> Iterator[tuple[str, str, str]]:
+    problem = "launch_mission waits by time.sleep, in which no time goes by for the simulated robot: measures lack it"
+    for each in events.subscribers(RobotRunnerEvents.LAUNCH_MISSION):
+        if any(map(_sleeps, code.called_by(each))):
+            yield each.owner, problem, _FIX_OF_SLEEP
+
+
+def _sleeps(called: _CalledCode) -> bool:
+    for node in called.nodes:
+        match node:
+            case ast.Name() if called.named(node) is time.sleep:
+                return True
+            case ast.Attribute(value=ast.Name() as module, attr="sleep") if called.named(module) is time:
+                return True
+            case _:
+                pass
+    return False

@@ -1,0 +1,244 @@
+"""What validation reads in the code of callbacks: what runs store, draw random numbers from, and wait by."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from robot_runner.core.config.preparation import prepare
+
+# What runs store in the config or a plugin, and what is called in the orchestrator's process reads.
+
+LOST_BEGIN = """
+import functools
+from robot_runner import ExperimentConfig, EventSubscriptionController, Factor, RobotRunnerEvents, RunTableModel
+from robot_runner.plugins import Profiler
+{head}
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "lost"
+{body}
+    def create_run_table(self):
+        return RunTableModel([Factor("A", [1, 2])])
+"""
+LOST_AFTER = "    def after_experiment(self, context): print(self.results)\n"
+LOST_CONFIG = "lost.py, RobotRunnerConfig"
+
+
+def lost_told(folder: Path, body: str, head: str = "", **settings: str) -> list[tuple[str, str]]:
+    config = folder / "lost.py"
+    config.write_text(LOST_BEGIN.format(head=head, body=body), encoding="utf-8")
+    preparation = prepare(config, settings, is_for_here=False)
+    assert preparation.experiment is not None, preparation.findings
+    found = [each for each in preparation.findings if "gone with it" in each.problem]
+    return [(each.where, each.problem.partition(", which runs change")[0]) for each in found]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "    results = []\n    def populate_run_data(self): self.results.append(1)\n" + LOST_AFTER,
+        "    def stop_run(self): self.results += 1\n" + LOST_AFTER,
+        "    def start_measurement(self, context): self.results[context.run_id] = 1\n" + LOST_AFTER,
+        "    def launch_mission(me): del me.results[0]\n" + LOST_AFTER,
+        "    def launch_mission(self): self.keep(1)\n    def keep(self, one): self.results = one\n" + LOST_AFTER,
+        (
+            "    def launch_mission(self): self.results = 1\n"
+            "    def total(self): return self.results\n"
+            "    def after_experiment(self): print(self.total())\n"
+        ),
+        "    @functools.lru_cache\n    def start_run(self): self.results = 1\n" + LOST_AFTER,
+    ],
+    ids=["a list", "a sum", "a dict", "an element", "in a method", "read in a method", "behind a decorator"],
+)
+def test_what_is_read_after_the_experiment_is_named(tmp_path: Path, body: str) -> None:
+    assert lost_told(tmp_path, body) == [(LOST_CONFIG, "after_experiment reads self.results")]
+    assert lost_told(tmp_path, body, run_process="spawn") == [(LOST_CONFIG, "after_experiment reads self.results")]
+    assert lost_told(tmp_path, body, run_process="in_process") == []
+
+
+def test_what_is_read_between_runs_is_named_also_where_events_are_subscribed(tmp_path: Path) -> None:
+    body = (
+        "    def __init__(self):\n"
+        "        EventSubscriptionController.subscribe_to_multiple_events([\n"
+        "            (RobotRunnerEvents.START_RUN, self.first), (RobotRunnerEvents.BEFORE_RUN, self.second)])\n"
+        "    def first(self): self.count = 1\n"
+        "    def second(self): print(self.count)\n"
+    )
+    assert lost_told(tmp_path, body) == [(LOST_CONFIG, "before_run reads self.count")]
+
+
+def test_plugins_of_the_config_s_own_are_looked_at_as_well(tmp_path: Path) -> None:
+    head = (
+        "class Meter(Profiler):\n"
+        "    def stop_measurement(self): self.total = 1\n"
+        "    def after_experiment(self): print(self.total)\n"
+    )
+    body = "    plugins = [Meter()]\n    def after_experiment(self): print(self.total)\n    total = 0\n"
+    assert lost_told(tmp_path, body, head) == [("plugin Meter", "after_experiment reads self.total")]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        "    def start_run(self): self.process = 1\n    def stop_run(self): print(self.process)\n",
+        (
+            "    def before_experiment(self): self.server = 1\n    def launch_mission(self): print(self.server)\n"
+            "    def after_experiment(self): print(self.server)\n"
+        ),
+        "    def before_run(self): self.begun = 1\n    def populate_run_data(self): print(self.begun)\n",
+        "    def launch_mission(self, context): context.results = [1]\n    results = ()\n" + LOST_AFTER,
+        (
+            "    def before_experiment(self): self.file = open('/dev/null')\n"
+            "    def populate_run_data(self): self.file.write('line')\n"
+            "    def after_experiment(self): self.file.close()\n"
+        ),
+    ],
+    ids=["within a run", "of before the experiment", "of before the run", "of another object", "a file"],
+)
+def test_nothing_is_said_of_what_arrives(tmp_path: Path, body: str) -> None:
+    assert lost_told(tmp_path, body) == []
+
+
+# A generator of random numbers that is made once, and from which runs draw: each of them the same numbers.
+
+DRAWN_BEGIN = """
+import random, functools
+import numpy as np
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins import Profiler
+{head}
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "generators"
+{body}
+    def create_run_table(self):
+        return RunTableModel([Factor("A", [1, 2])])
+"""
+
+
+def drawn_told(folder: Path, head: str, body: str, **settings: str) -> list[tuple[str, str]]:
+    config = folder / "generators.py"
+    config.write_text(DRAWN_BEGIN.format(head=head, body=body), encoding="utf-8")
+    preparation = prepare(config, settings, is_for_here=False)
+    assert preparation.experiment is not None, preparation.findings
+    found = [each for each in preparation.findings if "random numbers" in each.problem]
+    return [(each.where, each.problem.partition("state of ")[2].partition(", and draws")[0]) for each in found]
+
+
+DRAWN_DRAWS = "    def launch_mission(self, context): print(GEN.normal())\n"
+DRAWN_CONFIG = "generators.py, RobotRunnerConfig"
+DRAWN_METER = """
+class Meter(Profiler):
+    def __init__(self):
+        super().__init__()
+        self.rng = np.random.default_rng(4)
+
+    def start_measurement(self, context): self.rng.normal()
+"""
+
+
+@pytest.mark.parametrize(
+    ("head", "body", "where", "named"),
+    [
+        ("GEN = np.random.default_rng(1)", DRAWN_DRAWS, DRAWN_CONFIG, "GEN"),
+        ("GEN = np.random.RandomState(1)", DRAWN_DRAWS, DRAWN_CONFIG, "GEN"),
+        (
+            "GEN = random.Random(1)",
+            "    def start_run(self): print([GEN.random() for _ in 'a'])\n",
+            DRAWN_CONFIG,
+            "GEN",
+        ),
+        ("", "    rng = random.Random(3)\n    def stop_run(self): self.rng.random()\n", DRAWN_CONFIG, "self.rng"),
+        (
+            "GEN = random.Random(1)\ndef drawn():\n    return (lambda: GEN.random())()\n",
+            "    def helped(self): return drawn()\n    def launch_mission(self): self.helped()\n",
+            DRAWN_CONFIG,
+            "GEN",
+        ),
+        (
+            DRAWN_METER,
+            "    plugins = [Meter()]\n",
+            "plugin Meter",
+            "self.rng",
+        ),
+    ],
+    ids=[
+        "NumPy's",
+        "NumPy's older one",
+        "Python's, in a comprehension",
+        "an attribute",
+        "by way of others",
+        "a plugin's",
+    ],
+)
+def test_what_runs_draw_from_is_named(tmp_path: Path, head: str, body: str, where: str, named: str) -> None:
+    assert drawn_told(tmp_path, head, body) == [(where, named)]
+    assert drawn_told(tmp_path, head, body, run_process="in_process") == []
+
+
+@pytest.mark.parametrize(
+    ("head", "body"),
+    [
+        (
+            "GEN = np.random.default_rng(1)\nLEVELS = GEN.permutation(4)\n",
+            "    def launch_mission(self): print(LEVELS)\n",
+        ),
+        ("GEN = random.Random(1)", "    def before_run(self): GEN.random()\n"),
+        ("GEN = random.SystemRandom()", "    def launch_mission(self): GEN.random()\n"),
+        ("", "    def start_run(self, context): self.rng = random.Random(context.run_seed)\n"),
+        ("", "    def launch_mission(self): random.random() + np.random.normal()\n"),
+    ],
+    ids=["for the design alone", "in the orchestrator", "the system's", "made in each run", "those of the modules"],
+)
+def test_nothing_is_said_of_what_is_right(tmp_path: Path, head: str, body: str) -> None:
+    assert drawn_told(tmp_path, head, body) == []
+
+
+# A mission of the simulated robot that waits by the clock of this machine, which is not its clock.
+
+SLEPT_BEGIN = """
+import time
+from time import sleep
+from time import sleep as wait
+from robot_runner import ExperimentConfig, Factor, RunTableModel
+from robot_runner.plugins import System
+
+def rest(seconds):
+    wait(seconds)
+
+class Lift(System):
+    def launch_mission(self, context): {of_lift}
+
+class RobotRunnerConfig(ExperimentConfig):
+    experiment_name = "sleeping"
+    robot = "simulated"
+    plugins = [Lift()]
+
+    def start_run(self, context): time.sleep(1)
+    def launch_mission(self, context): {of_config}
+    def helped(self): sleep(1)
+
+    def create_run_table(self):
+        return RunTableModel([Factor("A", [1, 2])])
+"""
+SLEPT_CONFIG = "sleeping.py, RobotRunnerConfig"
+
+
+def slept_told(folder: Path, of_config: str, of_lift: str = "pass", **settings: str) -> list[str]:
+    config = folder / "sleeping.py"
+    config.write_text(SLEPT_BEGIN.format(of_config=of_config, of_lift=of_lift), encoding="utf-8")
+    preparation = prepare(config, settings, is_for_here=False)
+    assert preparation.experiment is not None, preparation.findings
+    return [each.where for each in preparation.findings if "time.sleep" in each.problem]
+
+
+@pytest.mark.parametrize("way", ["time.sleep(1)", "sleep(1)", "rest(1)", "self.helped()", "[wait(1) for _ in 'ab']"])
+def test_a_mission_that_waits_by_this_machine_s_clock_is_told(tmp_path: Path, way: str) -> None:
+    assert slept_told(tmp_path, way) == [SLEPT_CONFIG]
+    assert slept_told(tmp_path, "pass", "time.sleep(1)") == ["plugin Lift"]
+    assert slept_told(tmp_path, way, robot="ros2://alice") == []
+
+
+@pytest.mark.parametrize("way", ["context.clock.sleep(1)", "time.monotonic()"])
+def test_a_mission_that_waits_by_the_run_s_clock_is_right(tmp_path: Path, way: str) -> None:
+    assert slept_told(tmp_path, way) == []
