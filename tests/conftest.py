@@ -69,11 +69,15 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
-    """Name the tests that make `make test` long and have no mark that says so."""
-    before = sum(os.times()[:4])
+    """Name the tests that make `make test` long and have no mark that says so.
+
+    The folders of configs that a test has loaded leave `sys.path`: another one would import what is called the same.
+    """
+    before, folders = sum(os.times()[:4]), [*sys.path]
     try:
         return (yield)
     finally:
+        sys.path[:] = folders
         seconds = sum(os.times()[:4]) - before
         if seconds > _LONG and not any(map(item.get_closest_marker, ("long", "soak"))):
             figure = f"{item.nodeid} took {seconds:.1f} s of processor time: should it be marked `long`?"
