@@ -43,6 +43,8 @@ _NOTHING_CHOSEN = 5  # pytest's exit status where no test was chosen: all tests 
 #: What pytest counts, in the order of its last line.
 _KINDS = ("failed", "passed", "skipped", "deselected", "xfailed", "xpassed", "error")
 _COUNTED = re.compile(rf"(\d+) ({'|'.join(_KINDS)})s?\b")
+#: Behind it may stand what libraries print while Python ends.
+_SUMMARY = re.compile(r"((\d+ \w+(, )?)+|no tests ran) in [\d.]+s( \(.*\))?")
 _PROGRESS = re.compile(r"[.sxXEFR]+\s*(\[ *\d+%\])?")
 
 
@@ -90,14 +92,15 @@ class Answer:
 
     @property
     def summary(self) -> str:
-        """The last line: how many tests did what, and in how many seconds."""
-        return (self.output.strip().splitlines() or ["nothing was said"])[-1]
+        """The line that says how many tests did what, and in how many seconds; the last one where there is none."""
+        lines = self.output.strip().splitlines() or ["nothing was said"]
+        return next(filter(_SUMMARY.fullmatch, reversed(lines)), lines[-1])
 
     @property
     def remarks(self) -> list[str]:
         """What was said beside the progress: figures, and why tests were skipped."""
-        lines = [line for line in self.output.strip().splitlines()[:-1] if line and not line.startswith("===")]
-        return [line for line in lines if not _PROGRESS.fullmatch(line)]
+        lines = [line for line in self.output.strip().splitlines() if line and not line.startswith("===")]
+        return [line for line in lines if line != self.summary and not _PROGRESS.fullmatch(line)]
 
     @property
     def counts(self) -> Counter[str]:

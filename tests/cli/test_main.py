@@ -36,6 +36,15 @@ def test_every_command_has_help_of_its_own(robot_runner: Callable, command: str,
     assert "--debug" in answer.out
 
 
+def test_help_has_no_colours_of_pythons_own_which_a_terminal_would_be_shown_as_text(
+    robot_runner: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("NO_COLOR", "PYTHON_COLORS"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as from Python 3.14 on in each terminal
+    assert "[1;" not in robot_runner("check", "--help").out
+
+
 def test_help_imports_nothing_that_takes_time() -> None:
     slow = ["rich", "argparse", "importlib.metadata", "logging", "dataclasses", "inspect", "json", "pathlib", "typing"]
     code = (

@@ -51,6 +51,10 @@ def test_there_are_four_kinds_and_the_decisions() -> None:
     assert len(list(_pages(_nav()))) == len(set(_pages(_nav()))), "no page is of two kinds"
 
 
+def test_each_page_is_in_the_navigation() -> None:
+    assert {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")} == set(_pages(_nav()))
+
+
 @pytest.mark.parametrize("page", [page for page in READ if page not in LONGER])
 def test_a_page_that_is_read_has_at_most_three_screens(page: str) -> None:
     text = (DOCS / page).read_text(encoding="utf-8")

@@ -168,25 +168,26 @@ def test_streamed_samples_are_there_before_the_stop(host: Callable[..., SshHost]
     assert sampler.report().problems == ()
 
 
-@pytest.mark.parametrize("form", PYTHON_AND_SHELL)
+@pytest.mark.parametrize("form", EVERY_FORM)
 def test_processes_are_found_by_name_and_by_node(host: Callable[..., SshHost], form: str, tmp_path: Path) -> None:
     program = tmp_path / "a_long_name_for_a_node"
     shutil.copy(shutil.which("sleep") or "/bin/sleep", program)
     pid = os.posix_spawn(program, [str(program), "30"], dict(os.environ))
     node = os.posix_spawn(
-        "/bin/sh", ["sh", "-c", "sleep 30; :", "--ros-args", "-r", "__node:=talker"], dict(os.environ)
+        "/bin/sh",
+        ["sh", "-c", "sleep 30; :", "--ros-args", "-r", "__node:=talker", "-r", "__ns:=/alice"],
+        {**os.environ},
     )
+    nodes = ["node:/talker", "node:/alice/talker", "node:/bob/talker", "node:/alice/talk", "node:/talk"]
     try:
-        sampler = host(form).sample_processes(
-            10.0, [f"name:{program.name}", "node:/talker", "node:/talk", "name:nobody"]
-        )
+        sampler = host(form).sample_processes(10.0, [f"name:{program.name}", *nodes, "name:nobody"])
         wait(0.3)
         last = sampler.stop()[-1]
     finally:
         for child in (pid, node):
             os.kill(child, 9)
             os.waitpid(child, 0)
-    assert [one.count for one in last.processes] == [1, 1, 0, 0]
+    assert [one.count for one in last.processes] == [1, 1, 1, 0, 0, 0, 0]
     assert last.processes[0].memory > 0.0
 
 

@@ -57,5 +57,15 @@ def test_a_process_is_matched_by_its_name_its_script_or_its_node(selector, expec
     assert matches(selector, 7, "python3", words) is expected
 
 
+@pytest.mark.parametrize(
+    ("selector", "expected"),
+    [("node:/alice/ear", True), ("node:alice/ear", True), ("node:/bob/ear", False), ("node:/alice/eye", False)],
+)
+def test_a_node_in_a_namespace_is_found_by_both_as_launch_files_give_them(selector, expected):
+    words = ["/opt/listener", "--ros-args", "-r", "__node:=ear", "-r", "__ns:=/alice"]
+    assert matches(selector, 7, "listener", words) is expected
+    assert not matches(selector, 7, "listener", words[:-2]), "it is in no namespace"
+
+
 def test_a_ros_1_node_is_found_by_its_name():
     assert matches("node:/talker", 7, "talker", ["/opt/talker", "__name:=talker", "__log:=/tmp/x"])

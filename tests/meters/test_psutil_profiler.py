@@ -163,6 +163,18 @@ def test_a_host_that_ssh_cannot_reach_is_refused_by_the_check(monkeypatch):
     assert "pi@turtle cannot be reached" in finding.problem
 
 
+def test_processes_that_a_run_may_start_refuse_no_experiment_before_it():
+    plugin = PsUtil(host="localhost", processes=["subject:Nav", "move_base", 4711, "node:/talker"])
+    assert list(plugin.not_probed) == [
+        "CPU_Nav",
+        "Memory_Nav",
+        "CPU_move_base",
+        "Memory_move_base",
+        "CPU_talker",
+        "Memory_talker",
+    ]
+
+
 def test_each_process_and_each_core_has_measures_of_its_own():
     plugin = PsUtil(host="localhost", processes=["move_base", 4711, "node:/talker"], cores=[0, 3])
     assert [measure.name for measure in plugin.measures] == [

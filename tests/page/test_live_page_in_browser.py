@@ -191,6 +191,29 @@ HOLDING_BACK = """(() => {
 
 
 @pytest.mark.long
+def test_a_run_that_ended_while_the_rows_were_fetched_is_shown_as_it_ended(
+    browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
+) -> None:
+    config = write_config(
+        "def launch_mission(self, context):\n"
+        "    while not Path('go').exists(): context.clock.sleep(0.02)\n"
+        "def populate_run_data(self, context): return {'Energy': 1.5}"
+    )
+    page = serve_page(tmp_path)
+    browser.open(page.links["Here"])
+    browser.evaluate(HOLDING_BACK.replace("/curves/", "/rows?"))
+    with executed(config, "--only", "r_1") as experiment:
+        browser.wait_for("document.querySelector('.experiment-item a')")
+        browser.press(".experiment-item a")
+        browser.wait_for(seen("#flight-list", "r_1") + " && window.held > 0")
+        (tmp_path / "go").touch()
+        assert experiment.wait(timeout=60) == 0
+        browser.wait_for(seen("#counts", "1 of 4 runs done"))
+        browser.evaluate("window.letThrough()")
+        browser.wait_for("document.querySelector('#rows tr.done')", seconds=10)
+
+
+@pytest.mark.long
 def test_samples_of_a_run_that_ended_before_its_first_ones_had_arrived_are_looked_at_once_more(
     browser: Browser, serve_page: Callable[..., ServedPage], write_config: Callable[..., Path], tmp_path: Path
 ) -> None:

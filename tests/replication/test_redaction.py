@@ -44,6 +44,11 @@ def test_a_secret_is_replaced(text, cleaned):
     assert _clean(text, loose=False) == cleaned
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_secret_is_found_in_code_that_python_warns_of():
+    assert secrets_in_code("pattern = '\\d+'\npassword = 'tr0ub4dor'\n") == {"tr0ub4dor"}
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -44,6 +44,7 @@ OTHERS: dict[str, str] = {
             "cli/harmless_stream.py: let_go_of",
             "measuring/local_host.py: _first_line",
             "core/execution/processes.py: use_no_streams",
+            "core/config/local_modules.py: editable_folders",
             "replication/distributions.py: direct_url",
             "replication/distributions.py: fingerprint",
             "replication/distributions.py: wheel_name",
@@ -62,6 +63,7 @@ OTHERS: dict[str, str] = {
             "core/execution/recovery.py: config_changes",
             "notebook/python_config.py: _source",
             "core/config/registered_config.py: _digest",
+            "core/config/local_modules.py: _digest",
             "core/config/source.py: _read",
         ),
         "a temporary folder of this process": (

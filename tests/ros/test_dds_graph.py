@@ -5,6 +5,9 @@ from __future__ import annotations
 from contextlib import closing
 
 import pytest
+
+pytest.importorskip("cyclonedds", reason="it is not published built for every machine")
+
 from cyclonedds.qos import _CQos
 from tests.ros.dds_domain import LOOPBACK, claim_domain
 

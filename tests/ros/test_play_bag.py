@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import os
 import shlex
 import shutil
 import sys
 import time
+from contextlib import closing
 from itertools import pairwise
 
 import pytest
@@ -31,6 +33,8 @@ from robot_runner.ros.type_catalogue import TypeCatalogue
 from robot_runner.testing import FakeClock, FakeLinks, FakeRobotLink, SystemContract, make_context, rehearse
 
 SCAN = "sensor_msgs/LaserScan"
+
+over_dds = pytest.mark.skipif(importlib.util.find_spec("cyclonedds") is None, reason="there is no DDS")
 
 
 @pytest.fixture(scope="module")
@@ -227,7 +231,7 @@ def test_a_type_that_nobody_knows_is_named_and_the_rest_can_be_played(tmp_path, 
         metadata = path / "metadata.yaml"
         metadata.write_text(metadata.read_text().replace(line, "my_msgs/msg/Note"))
         (file,) = path.glob("*.db3")
-        with sqlite3.connect(file) as database:
+        with closing(sqlite3.connect(file)) as database, database:
             database.execute("UPDATE topics SET type = 'my_msgs/msg/Note' WHERE type = ?", (line,))
             database.execute("DELETE FROM message_definitions")
     ((problem, fix),) = problems(path)
@@ -349,6 +353,7 @@ def test_rosbag_play_plays_it_and_its_end_ends_the_mission(tmp_path, master_uri,
     assert not context.broker.findings
 
 
+@over_dds
 @pytest.mark.long
 def test_the_player_of_ros_2_gets_its_words_and_its_failure_is_told(tmp_path, monkeypatch, scans):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
@@ -385,6 +390,7 @@ sys.exit("no storage plugin" if "--clock" in sys.argv else 0)
     context.resources.close()
 
 
+@over_dds
 def test_a_type_that_the_graph_does_not_know_fails_the_attempt_before_the_mission(tmp_path, monkeypatch):
     monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
     bag = new_bag(tmp_path, Encoding.CDR)

@@ -294,6 +294,19 @@ def test_messages_that_callbacks_do_not_take_end_the_connection_and_fill_no_memo
         goes_on.set()
 
 
+def test_a_callback_during_which_the_link_is_closed_is_no_fault(server):
+    begun, session = threading.Event(), rosbridge_session.Session(RosbridgeAddress.parse(server.url))
+
+    def send_late():
+        begun.set()
+        until(lambda: not session.is_usable)
+        session.send({"op": "publish", "topic": "/chatter", "msg": {"data": "a"}})
+
+    session.later(send_late)
+    assert begun.wait(60)
+    session.close()  # an exception in its thread would be raised here
+
+
 @pytest.mark.parametrize("host", ["192.168.1.20", "robot.lab", "[2001:db8::1]"])
 def test_an_address_in_a_network_is_warned_of(host):
     (finding,) = findings(RobotName.parse(f"rosbridge://{host}:9090"))

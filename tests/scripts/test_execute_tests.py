@@ -10,7 +10,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from scripts.execute_tests import batches_of, main, ros2_batches_of
+from scripts.execute_tests import Answer, Batch, batches_of, main, ros2_batches_of
 
 ROOT = Path(__file__).parents[2]
 PASSES, FAILS = "def test_it() -> None:\n    assert True\n", "def test_it() -> None:\n    assert 1 == 2, 'no'\n"
@@ -122,6 +122,14 @@ def test_only_tests_that_were_executed_and_passed_are_a_success(
 ) -> None:
     write_tests(tmp_path, files)
     assert execute(tmp_path, *words).returncode == status
+
+
+def test_what_a_library_prints_while_python_ends_stands_behind_the_last_line_and_hides_it_not() -> None:
+    output = "..  [100%]\n2 passed, 1 skipped in 0.03s\nThe following exception was never retrieved: 3 failed calls\n"
+    answer = Answer(Batch("tests/room", ()), 0, output, (0.0, 1.0))
+    assert (answer.is_good, answer.counts) == (True, {"passed": 2, "skipped": 1})
+    assert answer.remarks == ["The following exception was never retrieved: 3 failed calls"]
+    assert not Answer(Batch("tests/room", ()), 0, "..  [100%]\n", (0.0, 1.0)).is_good
 
 
 @pytest.mark.long

@@ -250,6 +250,10 @@ def test_a_program_that_computes_something_is_the_mission(execute: Callable[...,
     assert (done.finished.failures, done.table[0]["ExitCode"]) == ((), "4")
     refused = execute(body.replace("exit 4", "exit 5"), experiment_name="refused")
     assert "Program has died: exit code 5" in refused.finished.failures[0]
+    endless = body.replace("sleep 0.3; exit 4", "echo no way yet; sleep 100").replace("timeout_s=20", "timeout_s=0.5")
+    late = execute(endless, experiment_name="late")
+    said = "launch_mission of config: Program has not ended within 0.5 s; it wrote last: no way yet"
+    assert said in late.finished.failures[0]
 
 
 #: Takes 0.3 s of the processor in a child, and 0.9 s in all at least.

@@ -181,6 +181,13 @@ def test_scripts_are_told_from_options_and_inline_programs() -> None:
     assert list(scripts_in(["bin/plan", "hall"])) == ["bin/plan"]
 
 
+def test_the_python_of_a_virtual_environment_is_no_file_of_the_experiment(tmp_path: Path) -> None:
+    (tmp_path / "pyvenv.cfg").touch()
+    python, plan = str(tmp_path / "bin" / "python"), str(tmp_path / "bin" / "plan")
+    assert list(scripts_in([python, "talker.py"])) == ["talker.py"], "elsewhere it would find none of its packages"
+    assert list(scripts_in([plan, "hall"])) == [plan]
+
+
 def test_a_single_text_is_no_list_of_files() -> None:
     with pytest.raises(PluginError, match=r"reads is 'hall.csv'"):
         Program(["planner"], reads="hall.csv")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
 import sys
@@ -21,6 +22,8 @@ from robot_runner.testing import make_context, rehearse
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("cyclonedds") is None, reason="there is no DDS")
 
 #: A managed node that takes a moment to become active, and publishes a topic from then on.
 NODE = """

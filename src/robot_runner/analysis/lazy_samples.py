@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from robot_runner.analysis.samples import are_within, checked_columns, csv_options, places_of_phases, sample_source
+from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.samples import (
+    SampleRequest,
+    are_within,
+    checked_columns,
+    csv_options,
+    places_of_phases,
+    sample_source,
+)
 from robot_runner.core.errors import AnalysisError
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
     import pandas as pd
     from numpy.typing import NDArray
 
     from robot_runner.analysis.sample_files import PhaseSpans
-    from robot_runner.analysis.samples import SampleRequest
 
 #: Bytes of a file that are parsed at once, some 20,000 samples of six columns; Arrow reads some 30 of them ahead.
 _BLOCK = 1 << 20
@@ -112,9 +118,7 @@ class LazySamples:
                 batch = pa.RecordBatch.from_arrays(arrays, schema=schema)
                 yield batch if chosen is None else batch.filter(pa.array(chosen))
 
-    def _told(
-        self, run_id: str, times: NDArray[np.float64], names: list[str]
-    ) -> tuple[list[pa.Array], NDArray[np.bool_] | None]:
+    def _told(self, run_id: str, times: Floats, names: list[str]) -> tuple[list[pa.Array], NDArray[np.bool_] | None]:
         """Return the columns of the window and the phases, and which samples are chosen (None for all)."""
         request, whole = self.request, {run_id: slice(0, len(times))}
         arrays: list[pa.Array] = []

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.alignment import (
+    Aligned,
     AlignedColumn,
     AlignedSamples,
     Resampling,
@@ -18,7 +20,8 @@ from robot_runner.analysis.alignment import (
     grid_of,
     median_period,
 )
-from robot_runner.analysis.journal_frames import told_phases
+from robot_runner.analysis.arrays import Floats
+from robot_runner.analysis.journal_frames import History, told_phases
 from robot_runner.analysis.lazy_samples import LazySamples
 from robot_runner.analysis.run_frame import require_choice, several
 from robot_runner.analysis.sample_files import (
@@ -33,19 +36,10 @@ from robot_runner.analysis.sample_files import (
     split_unit,
     told_windows,
 )
-from robot_runner.analysis.samples import SampleRequest, read_samples
+from robot_runner.analysis.samples import SampleRequest, labels_of, read_samples
 from robot_runner.core.design.columns import RUN_ID, STATUS
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.alignment import Aligned
-    from robot_runner.analysis.journal_frames import History
 
 
 @dataclass(frozen=True)
@@ -126,9 +120,12 @@ class RawData:
             starts={**self.history.starts, **{run: start for run, (start, _) in windows.items()}},
             windows=windows if with_window else None,
             phases=self.phase_spans if with_phases else None,
-            factors={name: table[name].array for name in self.factors} if with_factors else {},
+            factors=self._treatments(table) if with_factors else {},
             unfinished=frozenset(table.index[~is_done]),
         )
+
+    def _treatments(self, table: pd.DataFrame) -> dict[str, pd.Categorical]:
+        return {name: table[name].array for name in self.factors}
 
     def with_treatments(self, run_ids: Iterable[str], treatments: Mapping[str, object]) -> list[str]:
         """Return those of the runs that have these treatments.
@@ -184,12 +181,9 @@ class RawData:
         found = (self._aligned_run(run_id, sources, period, how, columns_of_all) for run_id in shared)
         pieces = [piece for piece in found if piece is not None]
         frame = pd.concat(pieces, ignore_index=True) if pieces else pd.DataFrame(columns=["time_s", *headings])
-        lengths = [len(piece) for piece in pieces]
+        lengths = np.array([len(piece) for piece in pieces], dtype=np.int64)
         table = self.runs.set_index(RUN_ID).loc[[str(piece.attrs["run"]) for piece in pieces]]
-        labels = {RUN_ID: pd.Categorical.from_codes(np.repeat(np.arange(len(table)), lengths), list(table.index))}
-        for name in self.factors:
-            codes = np.repeat(np.asarray(table[name].cat.codes), lengths)
-            labels[name] = pd.Categorical.from_codes(codes, table[name].cat.categories, ordered=True)
+        labels = labels_of(list(table.index), self._treatments(table), lengths)
         frame = pd.concat([pd.DataFrame(labels), frame], axis=1)
         told = tuple(source.told(name, frame) for source in sources for name in source.names)
         return AlignedSamples(frame, period, how, told)
@@ -205,7 +199,7 @@ class RawData:
         length = None if window is None else (0.0, window[1] - window[0])
         spans = [(float(times[0]), float(times[-1])) for times, _ in read]
         grid = grid_of(spans, period, length, columns=columns)
-        data: dict[str, NDArray[np.float64]] = {"time_s": grid}
+        data: dict[str, Floats] = {"time_s": grid}
         for source, (times, values) in zip(sources, read, strict=True):
             source.take(run_id, times, self.history.uncertainties.get(run_id, {}))
             for name in source.names:
@@ -216,7 +210,7 @@ class RawData:
         piece.attrs["run"] = run_id
         return piece
 
-    def _numbers(self, source: _Source, run_id: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    def _numbers(self, source: _Source, run_id: str) -> tuple[Floats, dict[str, Floats]]:
         """Return the times of a run's samples, ascending, and the values of each column.
 
         Raises:
@@ -250,7 +244,7 @@ class _Source:
     def heading(self, name: str) -> str:
         return f"{self.kind.plugin}.{name}"
 
-    def take(self, run_id: str, times: NDArray[np.float64], uncertainties: Mapping[str, float]) -> None:
+    def take(self, run_id: str, times: Floats, uncertainties: Mapping[str, float]) -> None:
         self._periods.append(median_period(times))
         noted = _noted_uncertainty(self.kind.paths[run_id].with_name("quality.json"))
         told = (uncertainties.get(self.kind.plugin), noted)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,9 +14,10 @@ from robot_runner.analysis.wording import labelled
 from robot_runner.core.design.analysis_plan import AnalysisPlan
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID, STATUS
-from robot_runner.core.errors import AnalysisError, StorageError
+from robot_runner.core.errors import AnalysisError, Finding, StorageError
 from robot_runner.core.events.measure import QUALITY_SUFFIX, Quality, quality_of_value
 from robot_runner.core.storage.cells import RunStatus, typed_value, typed_values
+from robot_runner.core.storage.edited_cells import edited_findings
 from robot_runner.core.storage.executed_runs import ExcludedRuns, unrecorded_findings
 from robot_runner.core.storage.journal import read_journal
 from robot_runner.core.storage.lock import holder_of
@@ -23,11 +26,8 @@ from robot_runner.core.storage.table_columns import MARKS, ColumnDescription, Co
 from robot_runner.core.storage.table_schema import read_schema, type_of_values
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
     from enum import Enum
-    from pathlib import Path
 
-    from robot_runner.core.errors import Finding
     from robot_runner.core.storage.layout import ExperimentFolder
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
@@ -219,7 +219,8 @@ def read_run_frame(
     # Of an experiment that is executed the end of a run may have come since the journal was read.
     done = rows.done_runs if holder_of(folder.lock) is None else ()
     lost = unrecorded_findings(folder.journal, done, ended, manifest)
-    return RunFrame(_frame(rows, columns, manifest), (*rows.warnings, *lost), warm_ups)
+    edited = edited_findings(folder.journal, folder.run_table, rows)
+    return RunFrame(_frame(rows, columns, manifest), (*rows.warnings, *lost, *edited), warm_ups)
 
 
 def excluded_frame(frame: pd.DataFrame, known: ExcludedRuns) -> pd.DataFrame:

@@ -5,20 +5,21 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
+from robot_runner.analysis.arrays import Floats, Numbers
 from robot_runner.core.errors import AnalysisError, StorageError, did_you_mean
+from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.storage.guarded_files import LINE_LIMIT, open_text, open_to_read, read_json, require_file
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
     from numpy.typing import NDArray
 
     from robot_runner.core.storage.layout import ExperimentFolder
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 #: The name under which systems write the phases of their mission.
 PHASES = "phases.csv"
 
-#: Whose files are those that are in no plugin's folder.
-_CONFIG = "config"
 
 _MEND = "Mend it, or move it away."
 
@@ -104,7 +103,7 @@ def run_files(folder: ExperimentFolder, run_ids: Iterable[str]) -> dict[tuple[st
             # A config writes into the run's own folder, as those of the earlier tools do.
             for path in sorted(path for path in run.glob("*.csv") if not path.is_dir()):
                 require_file(path, folder.root)
-                found.setdefault((_CONFIG, path.name), {})[run_id] = path
+                found.setdefault((CONFIG_OWNER, path.name), {})[run_id] = path
             for path in sorted(run.glob("*/*.csv")):
                 require_file(path, folder.root)
                 found.setdefault((path.parent.name, path.name), {})[run_id] = path
@@ -215,8 +214,8 @@ class PhaseSpans:
         names: its name.
     """
 
-    starts: NDArray[np.float64]
-    ends: NDArray[np.float64]
+    starts: Floats
+    ends: Floats
     numbers: NDArray[np.int16]
     names: tuple[str, ...]
 
@@ -285,9 +284,7 @@ def phase_spans(phases: pd.DataFrame) -> dict[str, PhaseSpans]:
     return spans
 
 
-def _pieces(
-    starts: NDArray[np.float64], ends: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.intp]]:
+def _pieces(starts: Floats, ends: Floats) -> tuple[Floats, Floats, Numbers]:
     """Return where the pieces of spans that overlap begin and end, and the last span that each piece lies in."""
     edges = np.unique([starts, ends])
     within = [np.flatnonzero((starts <= edge) & (edge < ends)) for edge in edges[:-1]]

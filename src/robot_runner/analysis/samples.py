@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from os import cpu_count
@@ -14,13 +15,12 @@ import pandas as pd
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.guarded_files import open_to_read
 from robot_runner.core.storage.system_refusals import storage_error
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from numpy.typing import NDArray
 
     from robot_runner.analysis.sample_files import PhaseSpans, SampleFile
@@ -245,7 +245,7 @@ def _gather(reader: _Reader) -> tuple[NDArray[np.int64], dict[str, Any]]:
 def _columns(request: SampleRequest, lengths: NDArray[np.int64], columns: dict[str, Any]) -> dict[str, Any]:
     slices = _slices(request.run_ids, lengths)
     times = np.asarray(columns.pop(request.file.time), dtype=np.float64)
-    labels = _labels(request, lengths)
+    labels = labels_of(request.run_ids, request.factors, lengths)
     phases: dict[str, Any] = {}
     if request.phases is not None:
         names = list(dict.fromkeys(name for spans in request.phases.values() for name in spans.names))
@@ -259,7 +259,7 @@ def _columns(request: SampleRequest, lengths: NDArray[np.int64], columns: dict[s
 
 
 def are_within(
-    windows: Mapping[str, tuple[float, float]], times: NDArray[np.float64], slices: Mapping[str, slice]
+    windows: Mapping[str, tuple[float, float]], times: Floats, slices: Mapping[str, slice]
 ) -> NDArray[np.bool_]:
     """Return whether each sample lies in its run's window."""
     are_within = np.ones(len(times), dtype=bool)
@@ -332,20 +332,22 @@ class _Reader:
             return arrow_csv.read_csv(source, read_options=arrow_csv.ReadOptions(use_threads=False), **options)
 
 
-def _labels(request: SampleRequest, lengths: NDArray[np.int64]) -> dict[str, Any]:
-    """Return the run and its treatments for each sample: one small number each."""
-    count = len(request.run_ids)
+def labels_of(
+    run_ids: Sequence[str], factors: Mapping[str, pd.Categorical], lengths: NDArray[np.int64]
+) -> dict[str, Any]:
+    """Return the run and its treatments for each sample, of so many of each run: one small number each."""
+    count = len(run_ids)
     kind = next(kind for kind in (np.int8, np.int16, np.int32) if count <= np.iinfo(kind).max)
     places = np.repeat(np.arange(count, dtype=kind), lengths)
-    labels: dict[str, Any] = {"run_id": pd.Categorical.from_codes(places, list(request.run_ids))}
-    for name, treatments in request.factors.items():
+    labels: dict[str, Any] = {"run_id": pd.Categorical.from_codes(places, list(run_ids))}
+    for name, treatments in factors.items():
         codes = np.repeat(np.asarray(treatments.codes), lengths)
         labels[name] = pd.Categorical.from_codes(codes, treatments.categories, ordered=True)
     return labels
 
 
 def places_of_phases(
-    phases: Mapping[str, PhaseSpans], names: Sequence[str], times: NDArray[np.float64], slices: Mapping[str, slice]
+    phases: Mapping[str, PhaseSpans], names: Sequence[str], times: Floats, slices: Mapping[str, slice]
 ) -> tuple[NDArray[Any], NDArray[np.int16]]:
     """Return the phase of each sample, by its time on the run's clock.
 

@@ -7,15 +7,16 @@ import importlib
 import importlib.util
 import inspect
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import PluginError, did_you_mean
+from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.plugin import Plugin, installed_plugins, refused_name
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from types import ModuleType
 
 _ROBOT = "robot"
@@ -33,7 +34,7 @@ def make_plugin(chosen: str, values: Mapping[str, str]) -> tuple[Plugin, str | N
         PluginError: there is no such plugin or parameter, or it cannot be made; what its code raises is told.
     """
     kind = plugin_class(chosen)
-    parameters = inspect.signature(kind).parameters
+    parameters = signature_of(kind).parameters
     robot = None if _ROBOT in parameters else values.get(_ROBOT)
     own = {name: text for name, text in values.items() if name in parameters or name != _ROBOT}
     _check_names(kind, parameters, own)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from typing import TYPE_CHECKING, Any, NoReturn, Protocol
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import Any, NoReturn, Protocol
 
 from robot_runner.core.errors import RobotRunnerError, did_you_mean, nearest
 from robot_runner.core.words import enumerated
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
 
 
 class UsageError(RobotRunnerError):
@@ -50,6 +48,7 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
             formatter_class=_Folding,
         )
+        self.color = False  # which Python 3.14 and later would write as escapes, and we show as text
 
     def add_argument(
         self, *names: Any, completer: Callable[..., Iterable[str]] | None = None, **settings: Any

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.config.loader import own_parameters
+from robot_runner.core.config.loader import LoadedConfig, own_parameters
 from robot_runner.core.config.parameters import PARAMETERS, OperationType
 from robot_runner.core.errors import Finding, PluginError, did_you_mean
-from robot_runner.core.execution.durations import durations_of
+from robot_runner.core.execution.durations import Durations, Estimate, durations_of
+from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import is_simulated
 from robot_runner.core.links.declared_host import Host, Reboot
 from robot_runner.core.storage.journal import read_journal
@@ -19,13 +21,8 @@ from robot_runner.core.treatments import give_again, given_to
 from robot_runner.core.words import counted, enumerated, listed, shown_treatment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.config.loader import LoadedConfig
     from robot_runner.core.design.planned_runs import PlannedRun
-    from robot_runner.core.execution.durations import Durations, Estimate
     from robot_runner.core.plugin import Plugin
 
 
@@ -143,7 +140,7 @@ def _shorten_plugin(plugin: Any, changed: Mapping[str, Any], told: Shortening, f
 
 def _own_wishes(plugin: Any) -> Iterator[tuple[str, float]]:
     """Yield the parameters that a plugin proposes for smoke tests, where they are less than its own."""
-    signature = inspect.signature(type(plugin)).parameters
+    signature = signature_of(type(plugin)).parameters
     given = given_to(plugin)
     for name, value in plugin.smoke_parameters.items():
         present = given.get(name, signature[name].default if name in signature else None)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.config.loader import LoadedConfig
@@ -13,20 +15,16 @@ from robot_runner.core.config.source import CONFIG_CLASS, ConfigSource
 from robot_runner.core.design.factor import Factor
 from robot_runner.core.design.run_table_model import RunTableModel
 from robot_runner.core.errors import Finding, StorageError
+from robot_runner.core.events.context import RobotRunnerContext
 from robot_runner.core.events.manager import RUN_EVENTS, RobotRunnerEvents
 from robot_runner.core.execution.notices import AttemptFinished, Notice, RunRecord, SilentObserver
 from robot_runner.core.execution.orchestrator import execute_experiment
 from robot_runner.core.execution.probe import without_values
-from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.execution.task import AttemptStatus, RunOutcome
 from robot_runner.core.storage.guarded_files import open_to_read, read_json, read_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.core.config.experiment import Experiment
-    from robot_runner.core.events.context import RobotRunnerContext
-    from robot_runner.core.execution.task import RunOutcome
     from robot_runner.core.plugin import Plugin
 
 _NAME = "try"
@@ -153,7 +151,7 @@ def _loaded(
     config: Any = RobotRunnerConfig()
     config.robot, config.plugins = robot, [plugin]
     source = ConfigSource(path, path.read_text(encoding="utf-8"), CONFIG_CLASS)
-    return LoadedConfig(source, config, (), (), {}, ())
+    return LoadedConfig(source, config, (), (), {}, {})
 
 
 def _trial(experiment: Experiment, plugin: Plugin, witness: _Witness, findings: Sequence[Finding]) -> Trial:

@@ -6,15 +6,12 @@ import inspect
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn, Self
 
 from robot_runner.core.errors import PluginError, did_you_mean
 from robot_runner.core.inactive import INACTIVE
+from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.vain_parameters import check_set, parameters_of
-
-if TYPE_CHECKING:
-    from typing import Self
-
 
 _BINDING = "_robot_runner_binding"
 _WAITING = "_robot_runner_is_waiting"
@@ -125,7 +122,7 @@ class _Binding:
 
 
 def _named(kind: type, positional: tuple[Any, ...], keywords: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    signature = inspect.signature(kind)
+    signature = signature_of(kind)
     try:
         given = signature.bind(*positional, **keywords).arguments
     except TypeError as error:

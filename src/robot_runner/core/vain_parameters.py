@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from robot_runner.core.errors import PluginError, nearest
+from robot_runner.core.late_annotations import signature_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
     from types import FrameType
 
 
@@ -51,7 +52,7 @@ def parameters_of(kind: type) -> frozenset[str]:
     for each in kind.__mro__[:-1]:
         if "__init__" not in vars(each):
             continue
-        own = inspect.signature(vars(each)["__init__"]).parameters.values()
+        own = signature_of(vars(each)["__init__"]).parameters.values()
         names |= {parameter.name for parameter in list(own)[1:] if parameter.kind not in _OPEN}
         if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in own):
             break

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import lcm
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from robot_runner.core.design.design import DesignedRuns
+from robot_runner.core.design.design import DesignedRuns, IsAllowed
+from robot_runner.core.design.factor import Factor
 from robot_runner.core.errors import Finding
 from robot_runner.core.words import counted
 from robot_runner.designs.balanced_blocks import balanced_blocks, pair_count
 from robot_runner.designs.block_search import concurrences, distributed, efficiency, efficiency_bound
 from robot_runner.designs.factor_roles import Roles, factor_name, refused, role_findings, shuffled, texts_of_combination
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from robot_runner.core.design.design import IsAllowed
-    from robot_runner.core.design.factor import Factor
 
 #: More runs than this are spread at random and evenly, and not improved: the search would take long.
 _MOST_IMPROVED = 4000
@@ -99,7 +95,7 @@ class Blocks:
                 problem = f"some combinations are never compared within one {name}, not even by way of others"
                 raise refused("Blocks", problem, "Have more repetitions, or fewer blocks.")
         cells = product(*(factor.texts for factor in roles.blocks))
-        rows = [[*cell, ", ".join(texts[each] for each in held)] for cell, held in zip(cells, spread, strict=True)]
+        rows = [[*cell, " · ".join(texts[each] for each in held)] for cell, held in zip(cells, spread, strict=True)]
         what = " x ".join(factor.name for factor in roles.studied)
         return {
             **self.as_mapping(),

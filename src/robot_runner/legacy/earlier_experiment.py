@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import inspect
 import io
 import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TextIO
 
 from robot_runner.core.errors import ConfigError
+from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
 from robot_runner.core.events.manager import RobotRunnerEvents, place_of
+from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.storage.layout import ExperimentFolder, LazyLog
 from robot_runner.legacy.recognition import Dialect
 from robot_runner.legacy.run_data import as_mapping, publish_row
-from robot_runner.legacy.run_tables import value_of
+from robot_runner.legacy.run_tables import EarlierDesign, value_of
 from robot_runner.legacy.session import Session, active_session
 from robot_runner.legacy.stand_ins.events import EarlierContext
 from robot_runner.legacy.stand_ins.machinery import RunProgress
@@ -22,12 +24,8 @@ from robot_runner.legacy.stand_ins.models import MISSING
 from robot_runner.legacy.stand_ins.watched_row import WatchedRow, planned_of, unwatched
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.events.context import ExperimentContext, RobotRunnerContext
     from robot_runner.core.plugin import Plugin
-    from robot_runner.legacy.run_tables import EarlierDesign
     from robot_runner.legacy.stand_ins.modules import StandIns
 
 
@@ -90,7 +88,7 @@ def _wants_row(callback: Callable[..., Any], event: RobotRunnerEvents) -> bool:
     if event is not RobotRunnerEvents.BEFORE_RUN:
         return False
     try:
-        names = list(inspect.signature(callback).parameters)
+        names = list(signature_of(callback).parameters)
     except (TypeError, ValueError):
         return False
     return bool(names) and names[0] in ROW_NAMES
@@ -99,7 +97,7 @@ def _wants_row(callback: Callable[..., Any], event: RobotRunnerEvents) -> bool:
 @lru_cache(maxsize=256)
 def _takes(callback: Callable[..., Any], count: int) -> bool:
     try:
-        inspect.signature(callback).bind(*(object(),) * count)
+        signature_of(callback).bind(*(object(),) * count)
     except TypeError:
         return False
     except ValueError:  # written in C, without a signature
@@ -111,7 +109,7 @@ def _unfit(callback: Callable[..., Any], event: RobotRunnerEvents) -> ConfigErro
     name = getattr(callback, "__name__", repr(callback))
     signature = "self" if event in WITHOUT_CONTEXT else "self, context"
     return ConfigError(
-        f"{name}{inspect.signature(callback)} cannot be called at {event.name}",
+        f"{name}{signature_of(callback)} cannot be called at {event.name}",
         where=place_of(callback),
         fix=f"Write def {name}({signature}).",
     )

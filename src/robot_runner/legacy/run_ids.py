@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from robot_runner.legacy.recognition import Dialect
+from robot_runner.core.config.source import parsed
+from robot_runner.legacy.recognition import Dialect, Recognised
 from robot_runner.legacy.syntax import bound_names, imports_of
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from robot_runner.legacy.recognition import Recognised
-
 
 #: Where public forks keep modules of their own: beside the config, in the tool's folder of the same clone, or in a
 #: clone inside the user's own repository.
@@ -61,7 +56,7 @@ class Clone:
     def defines(self, module: str, name: str) -> bool:
         """Return whether the clone's own version of a module has a name."""
         try:
-            return name in bound_names(ast.parse(self.text_of(module)).body)
+            return name in bound_names(parsed(self.text_of(module)).body)
         except (SyntaxError, ValueError):
             return False
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import glob
 import time
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from robot_runner.core.errors import LinkError
+from robot_runner.core.events.context import Clock
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.declared_host import LOCAL
 from robot_runner.measuring.cpu_counters import (
@@ -22,12 +24,6 @@ from robot_runner.measuring.cpu_counters import (
 )
 from robot_runner.measuring.host import SUBJECT_VARIABLE, FileSample, SamplingReport, UtilisationSample, checked_words
 from robot_runner.measuring.periodic import PeriodicSampler, Sampling
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from robot_runner.core.events.context import Clock
-
 
 #: Seconds between two looks for new processes.
 _RESCAN = 1.0
@@ -144,8 +140,9 @@ def matches(selector: str, pid: int, name: str, words: Sequence[str], subject: s
     if kind == "subject":
         return value == subject
     if kind == "node":
-        bare = value.lstrip("/")
-        return f"__name:={bare}" in words or f"__node:={bare}" in words
+        namespace, _, bare = value.strip("/").rpartition("/")
+        is_there = not namespace or f"__ns:=/{namespace}" in words or f"__ns:={namespace}" in words
+        return is_there and (f"__name:={bare}" in words or f"__node:={bare}" in words)
     names = {name, *(PurePath(word).name for word in words[:1])}
     if len(words) > 1 and PurePath(words[0]).name.startswith(_INTERPRETERS):
         names.add(PurePath(words[1]).name)

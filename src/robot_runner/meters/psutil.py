@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from robot_runner.core.errors import Finding, LinkError, PluginError, did_you_mean
+from robot_runner.core.events.context import Clock, RobotRunnerContext
 from robot_runner.core.events.measure import Measure, Origin, Over
 from robot_runner.core.events.window import Window
 from robot_runner.core.links.declared_host import LOCAL
-from robot_runner.core.plugin import Profiler
+from robot_runner.core.plugin import Circumstances, Profiler
 from robot_runner.measuring.devices import connect_host
 from robot_runner.measuring.evaluation import publish_measures
 from robot_runner.measuring.host import (
     EndingSampler,
+    HostLink,
     ProcessHost,
     PromptSampler,
     RemoteHost,
     ReportingSampler,
     SamplingReport,
     TellingSampler,
+    UtilisationSample,
+    UtilisationSampler,
     process_selector,
 )
 from robot_runner.measuring.live_samples import LiveSamples
@@ -28,13 +33,6 @@ from robot_runner.measuring.on_board_session import FORMS
 from robot_runner.measuring.quality import Column
 from robot_runner.measuring.utilisation import Selection, Utilisation
 from robot_runner.meters.parameter_checks import check_list, check_positive
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from robot_runner.core.events.context import Clock, RobotRunnerContext
-    from robot_runner.core.plugin import Circumstances
-    from robot_runner.measuring.host import HostLink, UtilisationSample, UtilisationSampler
 
 _REMEDY = "Look at the load of the computer, at the network and at samples.csv before you use this run."
 #: For the estimate of raw data: bytes of a sample, of each core's share of it, and of each process's; a mission's
@@ -112,8 +110,8 @@ class PsUtil(Profiler):
         self.namespace = namespace
         self.selection = _selection(self.name, processes, cores)
         self.measures = (*type(self).measures, *self.selection.measures())
-        subjects = tuple(one for one in self.selection.processes if one.startswith("subject:"))
-        self.not_probed = [measure.name for measure in Selection(subjects).measures()]
+        started = tuple(one for one in self.selection.processes if not one.startswith("pid:"))  # by a run, it may be
+        self.not_probed = [measure.name for measure in Selection(started).measures()]
         line = _SAMPLE_BYTES + _CORES * _CORE_BYTES + len(self.selection.processes) * _PROCESS_BYTES
         self.bytes_per_run = round(line * rate_hz * _MISSION)
         self._link: HostLink | None = None

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shlex
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from starlette.applications import Starlette
@@ -14,19 +17,17 @@ from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.errors import ExecutionError, RobotRunnerError
+from robot_runner.core.storage.guarded_files import MissingFileError, read_bytes
+from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.page.event_stream import Channel, EventStream, Followers, as_json
 from robot_runner.page.found_experiments import FoundExperiments
 from robot_runner.page.page_access import Keys, RateLimit, Role, is_known_host, is_of_same_origin
 from robot_runner.page.page_metrics import metrics_text
 from robot_runner.page.person_actions import ACTIONS, RefusedAnswersError
-from robot_runner.page.report_copy import report_in
 from robot_runner.page.robot_pictures import RobotPictures
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator, Awaitable, Callable
-    from pathlib import Path
-
     from starlette.requests import Request
     from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -258,7 +259,7 @@ class LivePage:
         return Response(image, media_type="image/png")
 
     async def _report(self, request: Request) -> Response:
-        content = await asyncio.to_thread(report_in, await self._folder(request))
+        content = await asyncio.to_thread(_report_in, await self._folder(request))
         return Response(content, media_type="text/html", headers={"content-security-policy": _REPORT_POLICY})
 
     async def _act(self, request: Request) -> Response:
@@ -359,3 +360,11 @@ def _number(text: str | None, otherwise: int) -> int:
 
 def _asset(name: str, package: str) -> bytes:
     return files(package).joinpath("assets", name).read_bytes()
+
+
+def _report_in(folder: Path) -> bytes:
+    try:
+        return read_bytes(ExperimentFolder(folder).report / "report.html", folder)
+    except MissingFileError as error:
+        fix = f"Make it: robot-runner report {shlex.quote(folder.name)}"
+        raise ExecutionError("there is no report yet", where=folder.name, fix=fix) from error

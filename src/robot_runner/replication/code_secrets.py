@@ -5,15 +5,13 @@ from __future__ import annotations
 import ast
 import io
 import tokenize
+from collections.abc import Iterable, Iterator
 from itertools import accumulate
-from typing import TYPE_CHECKING
 
+from robot_runner.core.config.source import parsed
 from robot_runner.core.secret_names import is_placeholder, is_secret_name
 from robot_runner.replication.named_secrets import Grammar, named_secrets
 from robot_runner.replication.secret_kinds import Found
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
 
 _SHORTEST = 5
 #: Logins of half of the robots, and words of a default: where they stand elsewhere in the folder, they are no secret.
@@ -63,7 +61,7 @@ def _instead_of(node: ast.expr, source: bytes) -> bytes:
 def _secret_values(text: str) -> Iterator[ast.expr]:
     """Yield the nodes of values under a secret's name; of an f-string only where it has a text of its own."""
     try:
-        tree = ast.parse(text)
+        tree = parsed(text)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return
     for node in ast.walk(tree):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 
+from robot_runner.core.config.source import parsed
 from robot_runner.core.storage.guarded_files import read_text
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
-    from typing import Any
-
 
 #: Where measures are named that others yield.
 _DECLARING = frozenset({"__init__", "create_run_table"})
@@ -101,7 +98,7 @@ def _sources(root: Path) -> Iterator[_Source]:
     for path in sorted((root / "config").rglob("*.py")):
         text = read_text(path, root, errors="replace")
         try:
-            tree = ast.parse(text)
+            tree = parsed(text)
         except (SyntaxError, ValueError, RecursionError, MemoryError):  # the last two: nested as no config is
             continue
         yield _Source(path.relative_to(root).as_posix(), tuple(text.split("\n")), tree)

@@ -6,19 +6,19 @@ import os
 import re
 import stat
 from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, NamedTuple
 
 from robot_runner.core.errors import PackageError, did_you_mean
+from robot_runner.core.events.measure import CONFIG_OWNER
 from robot_runner.core.storage.input_files import read_index, shown_input
 from robot_runner.core.storage.system_refusals import storage_error
 from robot_runner.core.words import one_line
 from robot_runner.replication.redaction import forbidden_name
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Sequence
-
     from robot_runner.core.storage.layout import ExperimentFolder
 
 #: Version of the package's format; readers refuse a newer one.
@@ -170,8 +170,6 @@ def folders_of(names: Iterable[str], run_folders: Container[str]) -> set[str]:
 
 ALL, NONE = "all", "none"
 
-#: Whose raw data are those that lie in a run's folder itself.
-CONFIG_OWNER = "config"
 
 _RUN_FILES = frozenset({"log.txt", "refused.jsonl"})
 #: Of an execution: what is there while it lasts, and what is half written. Other people's files have other names.

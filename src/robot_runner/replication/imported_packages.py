@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import ast
 import sys
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import packages_distributions
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from robot_runner.core.config.source import parsed
 from robot_runner.core.entry_points import entry_points
 from robot_runner.core.storage.guarded_files import read_bytes
 from robot_runner.core.storage.input_files import copies_in
 from robot_runner.replication.distributions import canonical
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
 
 _LINKS = "links"
 #: What the program is made of whatever is measured: which robot and plugins there are, says nothing of it.
@@ -121,7 +120,7 @@ def _file_of(module: str) -> Path | None:
 def _imports(content: bytes, package: str) -> Iterable[str]:
     """Yield the full names of what a file imports, also where a function does; nothing of a file that is no Python."""
     try:
-        tree = ast.parse(content)
+        tree = parsed(content)
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         return
     for node in _statements(tree):

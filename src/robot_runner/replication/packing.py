@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import shlex
 import zipfile
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from robot_runner.core.errors import Finding, PackageError, StorageError
 from robot_runner.core.secret_names import forms_of, is_secret_name, secrets_of_environment
 from robot_runner.core.storage.cells import RunStatus
+from robot_runner.core.storage.edited_cells import edited_findings
 from robot_runner.core.storage.executed_runs import ended_runs, unrecorded_findings
 from robot_runner.core.storage.guarded_files import open_to_read, read_text
 from robot_runner.core.storage.layout import ExperimentFolder
@@ -19,7 +21,7 @@ from robot_runner.core.storage.lock import holder_of
 from robot_runner.core.storage.manifest import read_manifest
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.system_refusals import storage_error
-from robot_runner.core.storage.table_columns import TableLayout
+from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 from robot_runner.core.storage.table_schema import read_schema
 from robot_runner.core.words import listed
 from robot_runner.replication.about import About
@@ -29,18 +31,14 @@ from robot_runner.replication.contents import DESCRIPTION, LICENCE, LeftOut, cho
 from robot_runner.replication.crate import require_rocrate
 from robot_runner.replication.environment import record_environment
 from robot_runner.replication.index_hashes import findings_of_hashes, with_known_hashes
-from robot_runner.replication.plain_zip import written_beside
+from robot_runner.replication.plain_zip import Progress, written_beside
 from robot_runner.replication.redaction import Redactor
 from robot_runner.replication.run_by_run import statuses_that_count
 from robot_runner.replication.sealing import Packing, Sealing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-
     from robot_runner.core.storage.run_table_rows import RunTableRows
-    from robot_runner.core.storage.table_columns import ColumnDescription
     from robot_runner.replication.cleaning import Replaced
-    from robot_runner.replication.plain_zip import Progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,6 +223,7 @@ def _findings(
     if undone := sum(each is not RunStatus.DONE for each in statuses):
         yield Finding.warning(where, f"{undone} of {len(statuses)} runs are not done", "Resume the experiment first.")
     yield from unrecorded_findings(files.journal, rows.done_runs, ended_runs(files.journal), manifest)
+    yield from edited_findings(files.journal, files.run_table, rows)
 
 
 def _is_whole(files: ExperimentFolder, facts: Mapping[str, Any], stored: Container[str]) -> bool:

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 import types
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -17,14 +18,11 @@ from cyclonedds.idl import types as idl
 
 from robot_runner.ros.action_types import is_action_part
 from robot_runner.ros.message_codec import FILLER
-from robot_runner.ros.shapes import Shape
+from robot_runner.ros.shapes import Field, Shape
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from cyclonedds.domain import DomainParticipant
 
-    from robot_runner.ros.shapes import Field
 
 _logger = logging.getLogger(__name__)
 
@@ -90,9 +88,9 @@ def topic_wire_type(shape: Shape) -> WireType:
 
 
 @lru_cache(maxsize=256)
-def service_wire_type(shape: Shape, *, has_header: bool = True) -> WireType:
-    """Return the DDS type of a request or response; without a header for a middleware that puts none before it."""
-    return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER if has_header else {})
+def service_wire_type(shape: Shape) -> WireType:
+    """Return the DDS type of a request or response, with the header before it."""
+    return _structure(shape, wire_type_name(shape.type_name, "srv"), _SERVICE_HEADER)
 
 
 def _structure(shape: Shape, type_name: str, leading: dict[str, Any]) -> WireType:

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from robot_runner.core.errors import LinkError, nearest
-from robot_runner.core.links.robot import RawMessage
-from robot_runner.ros.shapes import plain_type
+from robot_runner.core.events.context import Clock
+from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, RawMessage, Subscription
+from robot_runner.ros.shapes import Shape, plain_type
 
 if TYPE_CHECKING:
     import threading
-    from collections.abc import Callable, Iterable, Mapping
 
-    from robot_runner.core.events.context import Clock
-    from robot_runner.core.links.robot import Encoding, GraphEndpoint, Message, Qos, Subscription
     from robot_runner.ros.action_calls import ActionDialect
-    from robot_runner.ros.shapes import Shape
 
 #: How long it takes at most until a graph of ROS 2 is known to who has just joined it, s. On Fast DDS (seen with 2.14,
 #: packets captured) a process answers a newcomer before that hears it in every second try, and tells of itself again
@@ -256,7 +254,7 @@ def already_offered(name: str, owner: str = "another node", *, what: str = "serv
     return LinkError(f"{owner} offers the {what} {name!r} already", where=name, fix=fix)
 
 
-def service_timeout(service: str, timeout: float, fix: str = "") -> LinkError:
-    """Return the error that a service did not answer in time; `fix` where the transport knows more."""
-    fix = fix or "Look whether its node is alive and did not fail, or give a longer timeout."
+def service_timeout(service: str, timeout: float) -> LinkError:
+    """Return the error that a service did not answer in time."""
+    fix = "Look whether its node is alive and did not fail, or give a longer timeout."
     return LinkError(f"the service does not answer within {timeout:g} s", where=service, fix=fix)

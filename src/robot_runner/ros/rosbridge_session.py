@@ -7,6 +7,7 @@ import logging
 import queue
 import socket
 import threading
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -16,8 +17,6 @@ from robot_runner.ros.graph_transport import link_closed, service_timeout
 from robot_runner.ros.rosbridge_frames import LARGEST_FRAME, FrameReader, as_json, closed_reason, connect, send_errors
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from robot_runner.ros.graph_addresses import RosbridgeAddress
 
 _logger = logging.getLogger(__name__)
@@ -314,8 +313,12 @@ class Session:
             todo, size = waiting
             with self._lock:
                 self._waiting_bytes -= size
-            if not self._is_closed:
-                todo()
+            try:
+                if not self._is_closed:
+                    todo()
+            except LinkError:
+                if not self._is_closed:  # else it was closed meanwhile, and nobody waits for what was to be sent
+                    raise
 
     def _lose(self, reason: str) -> None:
         with self._lock:

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import shlex
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.events.context import SystemClock
+from robot_runner.core.events.context import RobotRunnerContext, SystemClock
 from robot_runner.core.events.measure import Measure, Origin
 from robot_runner.subjects.read_files import script_input, scripts_in
 from robot_runner.subjects.subject import Subject
 from robot_runner.subjects.surroundings import holds_revision, is_known, word
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from robot_runner.core.events.context import RobotRunnerContext
     from robot_runner.core.storage.input_files import InputFile
     from robot_runner.subjects.supervised_program import Ended
 
@@ -114,8 +111,9 @@ class Program(Subject):
         if program is None:
             raise PluginError("it goes on through all runs, or was not started", where=self.name, fix="Say per='run'.")
         if ended is None:
-            problem = f"it has not ended within {timeout_s:g} s"
-            raise PluginError(problem, where=context.owner, fix="Allow it more time (timeout_s).")
+            problem = f"{self.name} has not ended within {timeout_s:g} s"
+            said = f"; it wrote last: {lines}" if (lines := program.last_lines()) else ""
+            raise PluginError(problem + said, where=context.owner, fix="Allow it more time (timeout_s).")
         if ended.code is None or not self.may_end(ended):
             fix = "Look at its output, or list the exit code among exit_codes."
             raise PluginError(program.death(self.name, ended), where=context.owner, fix=fix)

@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from robot_runner.core.storage.input_files import InputFile, fits, kept_copy
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
 
 #: Texts that YAML needs no quotes for, and those that everything else has in quotes.
 _PLAIN = re.compile(r"""[^\s"',\[\]{}|<>]+""")
@@ -58,9 +55,13 @@ def scripts_in(words: Sequence[str]) -> Iterator[str]:
         (['planner.py'], [])
     """
     program, *rest = words
-    if "/" in program and not is_installed(Path(program)):
+    path = Path(program)
+    is_interpreter = _INTERPRETER.fullmatch(path.name) is not None
+    # A copy of a virtual environment's Python finds none of its packages.
+    is_of_environment = is_interpreter and (path.parent.parent / "pyvenv.cfg").is_file()
+    if "/" in program and not is_installed(path) and not is_of_environment:
         yield program
-    if not _INTERPRETER.fullmatch(Path(program).name):
+    if not is_interpreter:
         return
     for each in rest:
         if _INLINE.fullmatch(each):

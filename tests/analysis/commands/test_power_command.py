@@ -53,6 +53,10 @@ def test_it_answers_with_a_table_a_curve_a_figure_and_json(
     needed = scenario["needed"]["repetitions"]
     assert f"{needed} repetitions ({4 * needed} runs) find what is sought" in answer.out
     assert "█" in answer.out
+    means = "-7.500 for Idle / 0.1, -7.500 for Idle / 0.2, 7.500 for Video / 0.1, 7.500 for Video / 0.2"
+    assert f"Assumed means of Energy: {means}; standard deviation 12.00" in " ".join(answer.out.split()).replace(
+        "\N{MINUS SIGN}", "-"
+    )
     assert "* Video costs more." in answer.out
     assert {path.name for path in (tmp_path / "power").iterdir()} == {"power.json", "power.svg", "power.png"}
     point = next(each for each in scenario["points"] if each["repetitions"] == needed)

@@ -17,6 +17,7 @@ from robot_runner.analysis import analyse, load_results
 from robot_runner.analysis.comparison.averaging import hedges_g, meta_analyse
 from robot_runner.analysis.comparison.combined_document import combined_document, json_of_meta_analysis
 from robot_runner.analysis.figures.style import FigureFormat, figure_bytes
+from robot_runner.analysis.wording import p_values_in_words
 from robot_runner.core.errors import AnalysisError
 
 
@@ -249,6 +250,15 @@ def test_contrasts_of_plans_are_combined_beside_the_pairs(lab):
     renamed = lab({"Video": 30.0, "Network": 20.0, "Nothing": 20.0}, factor="Job", manifest={"analysis": JOBS})
     *_, contrast = meta_analyse(renamed, other, same=["Task=Job", "Idle=Nothing"]).measure("Energy").effects
     assert (contrast.factor, contrast.weights) == ("Task", {"Idle": 2.0, "Video": -1.0, "Network": -1.0})
+
+
+def test_a_sentence_tells_which_p_value_is_after_correction(lab):
+    effects = meta_analyse(lab(TASKS), lab(TASKS), lab(TASKS)).measure("Energy").effects
+    averages = {each.conclusion: each.difference.random for each in effects}
+    corrected = [each for each in effects if each.adjusted_p_value != averages[each.conclusion].p_value]
+    assert corrected
+    for each in corrected:
+        assert p_values_in_words(averages[each.conclusion].p_value, each.adjusted_p_value) in each.conclusion
 
 
 @pytest.mark.long

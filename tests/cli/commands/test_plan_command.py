@@ -20,6 +20,13 @@ DRAWN = """\
     def create_run_table(self):
         return RunTableModel([Factor("A", range(30))], shuffle=True, data_columns=["Energy"])
 """
+DAYS = """\
+    def create_run_table(self):
+        from robot_runner.designs import Blocks
+
+        factors = [Factor("Day", ["Mon", "Tue"]), Factor("Planner", ["straight", "astar"]), Factor("Speed", [0.1, 0.2])]
+        return RunTableModel(factors, repetitions=2, design=Blocks("Day"))
+"""
 ODD = """\
     def create_run_table(self):
         return RunTableModel([Factor("Text", ["a, b", "two\\nlines", None, float("inf"), "[red]", "x" * 60])])
@@ -50,6 +57,14 @@ def test_numbers_stand_to_the_right_and_texts_to_the_left(
     end = header.index("Speed") + len("Speed")
     assert {row[:end].rstrip().split()[-1] for row in rows} == {"0.1", "10"}
     assert all(row[header.index("Room")] != " " for row in rows)
+
+
+def test_the_combinations_of_a_block_are_told_apart_and_none_is_cut_off(
+    robot_runner: Callable, write_config: Callable[..., Path]
+) -> None:
+    write_config(table=DAYS)
+    answer = robot_runner("plan", "config.py")
+    assert "Tue  straight, 0.1 · straight, 0.2 · astar, 0.1 · astar, 0.2\n" in answer.out, answer.out
 
 
 def test_a_drawn_seed_can_be_given(robot_runner: Callable, write_config: Callable[..., Path], tmp_path: Path) -> None:

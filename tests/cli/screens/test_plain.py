@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +54,13 @@ def test_failures_name_event_and_owner_and_stay_in_their_line(said: Any, notices
         f"run 1 of 4 (r_1) failed after 2.0 s: {reason}; it is tried again",
         f"run 1 of 4 (r_1, attempt 2) failed after 2.0 s: {reason}",
     ]
+
+
+def test_no_full_stop_comes_before_that_a_run_is_tried_again(said: Any, notices: Any) -> None:
+    failed = notices.failed(is_last=False)
+    outcome = replace(failed.outcome, failure=replace(failed.outcome.failure, problem="no odometry → Start it."))
+    lines = said(notices.started(), replace(failed, outcome=outcome))
+    assert lines[1].endswith("no odometry → Start it; it is tried again")
 
 
 def test_an_interrupted_run_is_still_to_do(said: Any, notices: Any) -> None:

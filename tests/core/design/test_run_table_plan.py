@@ -144,4 +144,4 @@ def test_a_large_table_takes_few_bytes_a_run() -> None:
         held, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert held / len(plan) < 310
+    assert held / len(plan) < 320  # bytes: 304 with Python 3.11; from 3.14 on each tuple keeps its hash as well

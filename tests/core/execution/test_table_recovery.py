@@ -170,6 +170,32 @@ def test_the_file_may_count_and_each_change_is_recorded_once(execute: Execute) -
     assert executed.table[0]["Energy"] == "12"
 
 
+def test_the_treatment_of_a_finished_run_is_changed_on_record_alone(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    edited(executed, "Video,1,11", "Network,1,11")
+    with pytest.raises(ExecutionError, match="the table has 'Network', the plan 'Video'"):
+        resume(executed)
+    finished = resume(executed, accept_changes=True)
+    changed = {"run": "r_1", "column": "Task", "was": "Video", "is": "Network"}
+    (record,) = executed.journal("deviation")
+    assert {name: record[name] for name in changed} == changed
+    assert [finding.problem for finding in finished.findings] == ["the table has 'Network', the journal 'Video'"]
+    problems = [finding.problem for finding in read_status(executed.folder).findings]
+    assert "Task was changed by hand from 'Video' to 'Network'" in problems
+    resume(executed)
+    assert len(executed.journal("deviation")) == 1
+    assert executed.table[0]["Task"] == "Network"
+
+
+def test_where_the_journal_counts_a_run_has_the_treatment_with_which_it_was_executed(execute: Execute) -> None:
+    executed = execute(COUNTING)
+    before = text_of(executed.folder / "run_table.csv")
+    edited(executed, "Video,2,", "Network,1,")
+    finished = resume(executed, table=TableChoice.JOURNAL)
+    assert text_of(executed.folder / "run_table.csv") == before
+    assert any("earlier_tables/1.csv" in finding.fix for finding in finished.findings)
+
+
 def test_a_table_restored_from_yesterday_executes_nothing_again_unasked(execute: Execute) -> None:
     executed = execute(COUNTING)
     edited(executed, "r_3,Done", "r_3,-")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,26 +30,27 @@ from robot_runner.cli.console import (
     shown_path,
 )
 from robot_runner.cli.findings import show_findings
-from robot_runner.cli.parser import UsageError, add_config, add_json, add_set
+from robot_runner.cli.parser import Parser, UsageError, add_config, add_json, add_set
 from robot_runner.cli.target import folder_of_target
 from robot_runner.core.config.loader import parse_assignments
 from robot_runner.core.config.preparation import prepare
 from robot_runner.core.design.batches import GrownRunTableModel
 from robot_runner.core.errors import ConfigError
 from robot_runner.core.storage.system_refusals import storage_error
+from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-
+    from robot_runner.analysis.planning.assumed_values import AssumedMeasure
     from robot_runner.analysis.planning.planned_study import Study
     from robot_runner.analysis.planning.power_analysis import PowerAnalysis
     from robot_runner.analysis.planning.power_search import PowerPoint, ScenarioPower, Search
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTableModel
 
 _RANGE = re.compile(r"(\d+)(?:\.\.(\d+))?")
 _BAR = 30
+#: The means of more combinations than this are in `--json` alone.
+_MOST_MEANS = 12
 #: With a single run of each treatment nothing is tested.
 _LEAST = 2
 
@@ -211,6 +213,8 @@ def _print(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPowe
 
     show_progress()
     console.print(f"Power at {scenario.scenario.title}", style="bold")
+    for measure in scenario.scenario.measures:
+        print_folded(console, "  ", _assumed_in_words(measure), style="dim")
     columns = [
         Column("Repetitions", 11, is_number=True),
         Column("Runs", 6, is_number=True),
@@ -229,6 +233,15 @@ def _print(console: UserConsole, analysis: PowerAnalysis, scenario: ScenarioPowe
     print_folded(console, "  ", answer_in_words(analysis, scenario), style="")
     _print_claims(console, analysis, scenario)
     console.print()
+
+
+def _assumed_in_words(measure: AssumedMeasure) -> str:
+    from robot_runner.analysis.wording import shown_number  # noqa: PLC0415 - slow, and an extra
+
+    means = [f"{shown_number(mean)} for {' / '.join(cell)}" for cell, mean in measure.means.items()]
+    ends = [shown_number(spread) for spread in (min(measure.spreads.values()), max(measure.spreads.values()))]
+    spread = " to ".join(dict.fromkeys(ends))
+    return f"Assumed means of {measure.name}: {listed(means, _MOST_MEANS)}; standard deviation {spread}"
 
 
 def _bar(point: PowerPoint, target: float) -> str:

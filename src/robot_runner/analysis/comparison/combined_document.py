@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.comparison.comparison_document import circumstances_table, not_computed
@@ -31,6 +32,7 @@ from robot_runner.analysis.wording import (
     difference_unit,
     labelled,
     p_in_words,
+    p_values_in_words,
     shown_interval,
     shown_number,
     with_unit,
@@ -38,8 +40,6 @@ from robot_runner.analysis.wording import (
 from robot_runner.core.words import counted, enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from robot_runner.analysis.comparison.combined import Combined, CombinedEffect, CombinedMeasure, MetaAnalysis
     from robot_runner.analysis.statistics.tested import Interval
 
@@ -231,10 +231,10 @@ def _sentences(effect: CombinedEffect, found: Combined, measure: str, unit: str,
 def _average(effect: CombinedEffect, found: Combined, measure: str, unit: str) -> str:
     random, count = found.random, counted(len(effect.experiments), "experiment")
     size = with_unit(random.estimate, unit)
-    if random.interval is None or effect.adjusted_p_value is None:
+    if random.interval is None or random.p_value is None or effect.adjusted_p_value is None:
         return f"All {count} found the same, {size}, so that chance has no measure."
     between = f"{100 * random.interval.level:g} % confidence interval {_between(random.interval, unit, 'to')}"
-    facts = f"({size}, {between}, {p_in_words(effect.adjusted_p_value)})"
+    facts = f"({size}, {between}, {p_values_in_words(random.p_value, effect.adjusted_p_value)})"
     if effect.statement:
         verdict = "differs from zero" if effect.is_significant else "is not shown to differ from zero"
         return f'Over {count} the contrast of "{effect.statement}" {verdict} on average {facts}.'

@@ -10,12 +10,14 @@ Bayesian estimation supersedes the t test, Journal of Experimental Psychology: G
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy import integrate, optimize, special, stats
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.comparison.compared import Agreement, Bound, PracticalEquivalence
 from robot_runner.analysis.comparison.matching import of_one_quantity
 from robot_runner.analysis.comparison.shared_units import APART, MeansTest, Units, estimate_of, shares_of
@@ -26,13 +28,7 @@ from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.errors import AnalysisError, did_you_mean
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.comparison.shared_units import Kinds
-
-    Floats = NDArray[np.float64]
 
 _PERCENT = 100.0
 _FEWEST = 2
@@ -49,9 +45,7 @@ class DifferenceTest:
     narrow: Interval
 
 
-def why_not_testable(
-    first: NDArray[np.float64], second: NDArray[np.float64], *, is_paired: bool, units: Units = APART
-) -> str:
+def why_not_testable(first: Floats, second: Floats, *, is_paired: bool, units: Units = APART) -> str:
     """Return why nothing can be tested, or nothing where it can."""
     if min(len(first), len(second)) < _FEWEST:
         return f"There are {len(first)} and {len(second)} runs; {_FEWEST} are needed of each."
@@ -73,7 +67,7 @@ def spread_of(values: Floats) -> float | None:
 
 
 def difference_test(
-    first: NDArray[np.float64], second: NDArray[np.float64], *, alpha: float, is_paired: bool, units: Units = APART
+    first: Floats, second: Floats, *, alpha: float, is_paired: bool, units: Units = APART
 ) -> DifferenceTest:
     """Test the difference of two means, second less first: Welch's t-test, or one of pairs.
 
@@ -93,9 +87,7 @@ def difference_test(
     return DifferenceTest(float(result.pvalue), *intervals)
 
 
-def equivalence_p_value(
-    first: NDArray[np.float64], second: NDArray[np.float64], bound: Bound, *, is_paired: bool, units: Units = APART
-) -> float:
+def equivalence_p_value(first: Floats, second: Floats, bound: Bound, *, is_paired: bool, units: Units = APART) -> float:
     """Return the p-value of two one-sided tests (TOST): the second mean lies within the bound around the first one.
 
     Args:
@@ -150,9 +142,7 @@ def _means_test(
     return MeansTest.of_means(estimate_of(one, units.second), estimate_of(other, units.first), alternative)
 
 
-def _t_test(
-    one: NDArray[np.float64], other: NDArray[np.float64], *, is_paired: bool, units: Units, **settings: str
-) -> Any:
+def _t_test(one: Floats, other: Floats, *, is_paired: bool, units: Units, **settings: str) -> Any:
     """Return scipy's t-test of pairs, or Welch's; of values that vary together the same of their units."""
     if units.are_shared:
         return _means_test(one, other, is_paired=is_paired, units=units, **settings)
@@ -168,7 +158,7 @@ _SPREAD = 1.96
 
 
 def agreement_of(
-    groups: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]],
+    groups: Mapping[str, tuple[Floats, Floats]],
     *,
     is_paired: bool,
     has_limits: bool = True,

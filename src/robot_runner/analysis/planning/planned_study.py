@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
 
 from robot_runner.analysis.results import Results
 from robot_runner.analysis.run_frame import RunFrame
+from robot_runner.analysis.statistics.execution_order import STAMP
 from robot_runner.analysis.statistics.known_design import KnownDesign
 from robot_runner.analysis.statistics.nested_factors import IDLE, NestedFactors, conditions_of
 from robot_runner.core.design.columns import BATCH, REPETITION, RUN_ID, STATUS
 from robot_runner.core.design.design import CombinationDesign
-from robot_runner.core.design.factor import treatment_text
+from robot_runner.core.design.factor import Factor, treatment_text
 from robot_runner.core.design.listed_runs import ListedRunTableModel
 from robot_runner.core.errors import AnalysisError, did_you_mean
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.table_columns import ColumnDescription, ColumnRole
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from typing import Self
-
     from robot_runner.core.design.analysis_plan import AnalysisPlan
-    from robot_runner.core.design.factor import Factor
     from robot_runner.core.design.run_table_model import RunTableModel
 
-#: When a run was measured.
-_STAMP = "start_measurement_at"
 #: The order of the runs is the same each time.
 _SEED = 20210525
 
@@ -204,8 +200,8 @@ class Study:
             frame[BATCH] = pd.array([1 + (run.repetition > first_batch) for run in rows], dtype="Int64")
             roles[BATCH] = ColumnRole.BATCH
         if self.plan is not None and self.plan.covariates:
-            frame[_STAMP] = self._stamps(repetitions)
-            roles[_STAMP] = ColumnRole.TIMESTAMP
+            frame[STAMP] = self._stamps(repetitions)
+            roles[STAMP] = ColumnRole.TIMESTAMP
         roles |= dict.fromkeys(values, ColumnRole.MEASURE)
         columns = {
             name: ColumnDescription(name=name, role=role, unit=self.units.get(name, "")) for name, role in roles.items()

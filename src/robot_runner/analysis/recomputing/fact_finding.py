@@ -7,16 +7,27 @@ import hashlib
 import io
 import os
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from robot_runner.analysis.recomputing.measure_facts import facts_of_measure
-from robot_runner.analysis.recomputing.study_facts import Adjustment, FactorColumn, Reported, StudyFacts, TableSource
+from robot_runner.analysis.recomputing.study_facts import (
+    Adjustment,
+    FactorColumn,
+    MeasureFacts,
+    Number,
+    Reported,
+    StudyFacts,
+    TableSource,
+)
 from robot_runner.analysis.run_frame import several
-from robot_runner.analysis.statistics.analysed_design import BATCH, PLACE, design_of
+from robot_runner.analysis.statistics.analysed_design import BATCH, PLACE, Design, design_of
 from robot_runner.analysis.statistics.disclosed import Beside, Reason
+from robot_runner.analysis.statistics.execution_order import STAMP
 from robot_runner.analysis.statistics.experiment_statistics import analyse
-from robot_runner.analysis.statistics.families import contrast_key, effect_key, families_of
+from robot_runner.analysis.statistics.families import Key, contrast_key, effect_key, families_of
 from robot_runner.analysis.statistics.tests import Choices
 from robot_runner.core.design.columns import EXCLUDED, RUN_ID, STATUS, WARM_UP
 from robot_runner.core.storage.guarded_files import read_bytes
@@ -27,13 +38,7 @@ from robot_runner.core.storage.table_columns import TableLayout
 from robot_runner.core.storage.table_decoders import TableFindings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from robot_runner.analysis.recomputing.study_facts import MeasureFacts, Number
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.analysed_design import Design
-    from robot_runner.analysis.statistics.families import Key
     from robot_runner.analysis.statistics.outcome import ExperimentStatistics, MeasureStatistics
     from robot_runner.core.design.analysis_plan import AnalysisPlan
 
@@ -235,7 +240,6 @@ def _correlations(statistics: ExperimentStatistics, *, is_plain: bool) -> Report
 
 
 _MARK = "\ufeff"
-_STAMP = "start_measurement_at"
 #: Of this length and form, the order of texts is that of times.
 _STAMPS = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", re.ASCII)
 
@@ -279,8 +283,8 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
     confirming = tuple(map(str, results.confirming_batches)) if batch else ()
     chosen = _chosen(cells, used, cells.column(batch) if batch else (), confirming)
     wanted = set(used)
-    stamps = [stamp for stamp, run in zip(cells.column(_STAMP), cells.column(RUN_ID), strict=True) if run in wanted]
-    is_stamped = _STAMP in results.done and all(map(_STAMPS.fullmatch, stamps))
+    stamps = [stamp for stamp, run in zip(cells.column(STAMP), cells.column(RUN_ID), strict=True) if run in wanted]
+    is_stamped = STAMP in results.done and all(map(_STAMPS.fullmatch, stamps))
     places = [int(place) for place in design.frame[PLACE]]
     # Not where the clock was set back: the journal, which the script does not read, knows the order.
     by_stamps = {at: place for place, at in enumerate(sorted(range(len(stamps)), key=stamps.__getitem__), start=1)}
@@ -297,7 +301,7 @@ def source_of(results: Results, design: Design, cells: Cells, folder: Path) -> T
         batch=batch,
         confirming=confirming,
         run_ids=() if chosen else tuple(used),
-        stamp=_STAMP if is_stamped else "",
+        stamp=STAMP if is_stamped else "",
         places=() if is_ordered else tuple(places),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -9,11 +10,11 @@ import pandas as pd
 from robot_runner.analysis.plan_file import choices_in_words
 from robot_runner.analysis.report.blocks import Block, Cell, Facts, Paragraph, Part, Section, Table, Tone
 from robot_runner.analysis.report.charts import points_chart
-from robot_runner.analysis.report.material import JOINT, correction_in_words
+from robot_runner.analysis.report.material import JOINT, Material, correction_in_words
 from robot_runner.analysis.report.tables import build_table, field, interval, number, text
-from robot_runner.analysis.statistics.known_precision import repeated_interval
+from robot_runner.analysis.statistics.known_precision import KnownPrecision, repeated_interval
 from robot_runner.analysis.statistics.nested_factors import IDLE
-from robot_runner.analysis.statistics.tested import named_within
+from robot_runner.analysis.statistics.tested import Interval, named_within
 from robot_runner.analysis.wording import ALPHA, MINUS, about_intervals, listed, sentence, with_unit
 from robot_runner.core.design.batch import CONFIRMATION
 from robot_runner.core.design.columns import RUN_ID, STATUS
@@ -26,18 +27,11 @@ from robot_runner.core.storage.executed_runs import moved_in_words
 from robot_runner.core.words import counted, shown_commit, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.statistics.known_precision import KnownPrecision
     from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Proportion
-    from robot_runner.analysis.statistics.tested import Interval
 
 _GIBI = 2**30
 _MOST_NAMED = 12  # outliers that fit a line
-#: With fewer values a bootstrap's intervals hold somewhat less often than they say.
-_ENOUGH_FOR_BOOTSTRAP = 10
 
 
 def design_section(material: Material) -> Section:
@@ -272,8 +266,7 @@ def _proportion_table(name: str, caption: str, heading: str, groups: Sequence[Pr
         number("Yes (%)", "percent"),
         interval("CI (%)", "interval"),
     )
-    found = [group.interval for group in groups if group.interval is not None]
-    note = about_intervals(found, f", {_methods(found)}").rstrip()
+    note = _about_intervals(group.interval for group in groups).rstrip()
     return build_table(name, caption, groups, fields, note).without_blank("Missing")
 
 
@@ -295,23 +288,15 @@ def _description_table(name: str, caption: str, heading: str, groups: Sequence[D
         interval("CI of the mean", "mean_interval"),
         field("Outliers", outliers),
     )
-    note = f"{_about_intervals(groups)}SD: standard deviation (n {MINUS} 1). IQR: interquartile range."
+    told = _about_intervals(group.mean_interval for group in groups)
+    note = f"{told}SD: standard deviation (n {MINUS} 1). IQR: interquartile range."
     return build_table(name, caption, groups, fields, note).without_blank("Missing", "Outliers")
 
 
-def _about_intervals(groups: Sequence[Description]) -> str:
-    """Return how the intervals of the means were computed, and how far they can be trusted."""
-    found = [(group.mean_interval, group.n) for group in groups if group.mean_interval is not None]
-    if not found:
-        return ""
-    methods = _methods(each for each, _ in found)
-    is_narrow = any(each.method.startswith("bootstrap") and n < _ENOUGH_FOR_BOOTSTRAP for each, n in found)
-    caveat = f" (rather narrow for fewer than {_ENOUGH_FOR_BOOTSTRAP} runs)" if is_narrow else ""
-    return about_intervals((each for each, _ in found), f", {methods}{caveat}")
-
-
-def _methods(intervals: Iterable[Interval]) -> str:
-    return " or ".join(dict.fromkeys(each.method for each in intervals))
+def _about_intervals(intervals: Iterable[Interval | None]) -> str:
+    """Return what the intervals of a table are, and how they were computed."""
+    found = [each for each in intervals if each is not None]
+    return about_intervals(found, f", {' or '.join(dict.fromkeys(each.method for each in found))}")
 
 
 def _notes(measure: MeasureStatistics) -> Iterator[str]:

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from matplotlib.image import imread
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.figures.courses import Course, MissionCourses, PhaseSpan, bin_width, course_of_run
 from robot_runner.analysis.figures.missions import Way, draw_mean_courses, draw_single_courses, draw_trajectories
 from robot_runner.analysis.figures.style import GREY, HIGHEST, PAGE, new_figure, shortened
 from robot_runner.analysis.report.blocks import Beside, Block, FigureBlock, Gallery, Paragraph, Part, Tone
 from robot_runner.analysis.report.charts import course_chart
-from robot_runner.analysis.report.material import origin_badges, origin_in_words
+from robot_runner.analysis.report.material import Material, origin_badges, origin_in_words
 from robot_runner.analysis.report.summary_section import means_table
-from robot_runner.analysis.sample_files import noted, split_unit
+from robot_runner.analysis.sample_files import SampleFile, noted, split_unit
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.errors import StorageError
@@ -25,19 +28,12 @@ from robot_runner.core.storage.layout import ExperimentFolder
 from robot_runner.core.words import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
-    from robot_runner.analysis.report.material import Material
     from robot_runner.analysis.results import Results
-    from robot_runner.analysis.sample_files import SampleFile
 
     #: By run and its treatments: what each still shows, and its file.
     Stills = dict[str, tuple[tuple[str, Path], ...]]
-
 
 _MOST_MEASURES = 4
 #: More lines than that cannot be told apart in a column.
@@ -134,9 +130,7 @@ def mission_courses(material: Material, measure: SampledMeasure, groups: Sequenc
     return MissionCourses(measure.label, measure.unit, groups, there, width, phases, events)
 
 
-def _samples(
-    material: Material, measure: SampledMeasure, groups: Sequence[str]
-) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _samples(material: Material, measure: SampledMeasure, groups: Sequence[str]) -> dict[str, tuple[Floats, Floats]]:
     """Return times, ascending, and values of each run that has two samples of its mission at least."""
     file, labels = measure.file, material.labels
     samples = material.results.samples(

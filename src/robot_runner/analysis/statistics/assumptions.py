@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.tested import AssumptionCheck, NotComputed, QuantilePairs
 from robot_runner.analysis.wording import p_in_words
 from robot_runner.core.words import enumerated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.statistics.grouped_runs import Group
 
 SHAPIRO_WILK = "Shapiro-Wilk"
@@ -33,11 +31,10 @@ _SAME = 1e-12
 
 
 def normality(
-    values: NDArray[np.float64],
+    values: Floats,
     alpha: float,
     treatments: Mapping[str, str] | None = None,
     *,
-    subject: str = "the residuals",
     freedom: int | None = None,
 ) -> AssumptionCheck | NotComputed:
     """Check by Shapiro and Wilk's test whether values may come from a normal distribution.
@@ -46,7 +43,6 @@ def normality(
         values: residuals of all groups together, or the values of one group.
         alpha: below this p-value they are taken not to.
         treatments: the group; empty for residuals.
-        subject: what the values are, where they are no group's.
         freedom: how many of the values are free to differ; None for all.
 
     Example:
@@ -54,7 +50,7 @@ def normality(
         True
     """
     group = dict(treatments or {})
-    what = f"{SHAPIRO_WILK} test of {' / '.join(group.values()) or subject}"
+    what = f"{SHAPIRO_WILK} test of {' / '.join(group.values()) or 'the residuals'}"
     if len(values) < _LEAST:
         return NotComputed(what, f"the test takes {_LEAST} values, and there {_are(len(values))}.")
     if freedom is not None and freedom < _LEAST:
@@ -68,7 +64,7 @@ def normality(
     if not np.isfinite([result.statistic, result.pvalue]).all():
         return NotComputed(what, "the values hardly vary.")
     holds = bool(result.pvalue >= alpha)
-    whose = f"The values of {' / '.join(group.values())}" if group else subject[0].upper() + subject[1:]
+    whose = f"The values of {' / '.join(group.values())}" if group else "The residuals"
     verdict = "may be normally distributed" if holds else "are not normally distributed"
     conclusion = f"{whose} {verdict} (W = {result.statistic:.3f}, {p_in_words(result.pvalue)})."
     return AssumptionCheck(SHAPIRO_WILK, group, float(result.statistic), float(result.pvalue), holds, conclusion)
@@ -104,7 +100,7 @@ def equal_variances(groups: Sequence[Group], alpha: float, within: Sequence[str]
     return AssumptionCheck(LEVENE, {}, float(result.statistic), float(result.pvalue), holds, conclusion)
 
 
-def quantile_pairs(residuals: NDArray[np.float64], run_ids: Sequence[str]) -> QuantilePairs | None:
+def quantile_pairs(residuals: Floats, run_ids: Sequence[str]) -> QuantilePairs | None:
     """Return the points of a normal Q-Q figure, as R's `qqnorm` and `qqline` draw them; None for fewer than three."""
     count = len(residuals)
     if count < _LEAST or np.ptp(residuals) == 0:

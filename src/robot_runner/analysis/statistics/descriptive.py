@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.outcome import Description, Outlier
 from robot_runner.analysis.statistics.tested import Interval
 from robot_runner.core.design.repeated_intervals import CONFIDENCE, METHOD, half_width_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from numpy.typing import NDArray
-
     from robot_runner.analysis.statistics.grouped_runs import Group
 
 
@@ -57,7 +55,7 @@ _T = "t distribution"
 _LEAST_FOR_OUTLIERS = 4
 
 
-def out_of_range(values: NDArray[np.float64]) -> str:
+def out_of_range(values: Floats) -> str:
     """Return why values cannot be computed with, as what a measure has; empty where they can."""
     largest = float(np.max(np.abs(values), initial=0.0))
     if largest > _LARGEST:
@@ -67,14 +65,13 @@ def out_of_range(values: NDArray[np.float64]) -> str:
     return ""
 
 
-def describe(group: Group, *, level: float = 0.95, level_of_looks: float | None = None) -> Description:
+def describe(group: Group, *, level_of_looks: float | None = None) -> Description:
     """Describe the values of one group.
 
     Quartiles are interpolated linearly (type 7 of Hyndman and Fan 1996, as R and numpy do by default).
 
     Args:
         group: the runs.
-        level: the confidence of the mean's interval.
         level_of_looks: the level of each interval, where runs were added until one was narrow; see `known_precision`.
 
     Example:
@@ -100,12 +97,12 @@ def describe(group: Group, *, level: float = 0.95, level_of_looks: float | None 
         third_quartile=third,
         minimum=float(np.min(values)),
         maximum=float(np.max(values)),
-        mean_interval=_mean_interval(group, level, level_of_looks),
+        mean_interval=_mean_interval(group, level_of_looks),
         outliers=_outliers(group, first, third),
     )
 
 
-def _mean_interval(group: Group, level: float, level_of_looks: float | None) -> Interval | None:
+def _mean_interval(group: Group, level_of_looks: float | None) -> Interval | None:
     """Return Student's interval; a bootstrap's is narrower than it claims (83 % at n = 5, normal or not).
 
     Where units have several runs of the group, what varies by chance is the units.
@@ -114,57 +111,47 @@ def _mean_interval(group: Group, level: float, level_of_looks: float | None) -> 
     if len(values) < _LEAST_FOR_SPREAD or np.ptp(values) == 0:
         return None
     if group.of_units is not None:
-        return _interval_of_units(group, *group.of_units, level, level_of_looks)
+        return _interval_of_units(group, *group.of_units, level_of_looks)
     if level_of_looks is not None:
         mean, half_width = float(np.mean(values)), half_width_of(values.tolist(), level_of_looks)
         return Interval(mean - half_width, mean + half_width, CONFIDENCE, METHOD)
-    low, high = stats.t.interval(level, len(values) - 1, loc=np.mean(values), scale=stats.sem(values))
-    return Interval(float(low), float(high), level, _T)
+    low, high = stats.t.interval(CONFIDENCE, len(values) - 1, loc=np.mean(values), scale=stats.sem(values))
+    return Interval(float(low), float(high), CONFIDENCE, _T)
 
 
-def _interval_of_units(
-    group: Group, variance: float, units: int, level: float, level_of_looks: float | None
-) -> Interval | None:
+def _interval_of_units(group: Group, variance: float, units: int, level_of_looks: float | None) -> Interval | None:
     """Return the interval of a mean, of units that vary as a whole; None where nothing tells how much they do."""
     mean, error = float(np.mean(group.values)), math.sqrt(variance)
     if units < _LEAST_FOR_SPREAD or error <= _ROUNDING * float(np.max(np.abs(group.values))):
         return None
-    half_width = float(stats.t.isf((1 - (level_of_looks or level)) / 2, units - 1)) * error
-    told, method = (level, _T) if level_of_looks is None else (CONFIDENCE, METHOD)
-    return Interval(mean - half_width, mean + half_width, told, f"{method}{group.in_words}")
+    half_width = float(stats.t.isf((1 - (level_of_looks or CONFIDENCE)) / 2, units - 1)) * error
+    method = _T if level_of_looks is None else METHOD
+    return Interval(mean - half_width, mean + half_width, CONFIDENCE, f"{method}{group.in_words}")
 
 
-def bootstrap_interval(
-    samples: tuple[NDArray[np.float64], ...],
-    statistic: Callable[..., Any],
-    *,
-    level: float = 0.95,
-    paired: bool = False,
-) -> Interval | None:
+def bootstrap_interval(values: Floats, statistic: Callable[..., Any], level: float) -> Interval | None:
     """Return a bootstrap confidence interval of a statistic: bias-corrected and accelerated (BCa), else by percentiles.
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), chapter 14.
 
     Args:
-        samples: one array a group; each is drawn from by itself.
-        statistic: takes the arrays and `axis`.
+        values: what is drawn from.
+        statistic: takes an array and `axis`.
         level: the confidence.
-        paired: whether the arrays belong together element by element.
 
     Returns:
-        None for fewer than five values in a group, or where no draw differs from another.
+        None for fewer than five values, or where no draw differs from another.
     """
-    if min(map(len, samples)) < _LEAST_FOR_BOOTSTRAP or all(np.ptp(sample) == 0 for sample in samples):
+    if len(values) < _LEAST_FOR_BOOTSTRAP or np.ptp(values) == 0:
         return None
     for method in ("BCa", "percentile"):
         with quiet():  # a degenerate distribution: percentiles are tried next
             found = stats.bootstrap(
-                samples,
+                (values,),
                 statistic,
-                n_resamples=_RESAMPLES if sum(map(len, samples)) <= _MANY else _RESAMPLES_OF_MANY,
+                n_resamples=_RESAMPLES if len(values) <= _MANY else _RESAMPLES_OF_MANY,
                 confidence_level=level,
                 method=method,
-                paired=paired,
                 vectorized=True,
                 batch=500,
                 rng=np.random.default_rng(_SEED),

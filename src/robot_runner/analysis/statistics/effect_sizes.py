@@ -8,22 +8,17 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import optimize, stats
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.descriptive import bootstrap_interval
 from robot_runner.analysis.statistics.tested import EffectSize, Interval, Magnitude
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
 
 _LEVEL = 0.95
 _MOST_STEPS = 1000  # each twice as long as the one before: past the largest number there is
@@ -205,9 +200,8 @@ def paired_rank_biserial(differences: Floats, level: float = _LEVEL) -> EffectSi
         ranks = stats.rankdata(np.abs(of), axis=axis)
         return np.sum(ranks * np.sign(of), axis=axis) / np.sum(ranks, axis=axis)
 
-    return _COHEN_R.size(
-        "rank-biserial correlation", float(share(nonzero)), bootstrap_interval((nonzero,), share, level=level)
-    )
+    interval = bootstrap_interval(nonzero, share, level)
+    return _COHEN_R.size("rank-biserial correlation", float(share(nonzero)), interval)
 
 
 def correlation_magnitude(value: float) -> Magnitude:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
 from robot_runner.analysis.statistics.adjustment import adjustment_of
-from robot_runner.analysis.statistics.analysed_design import VALUE
+from robot_runner.analysis.statistics.analysed_design import VALUE, Design, MeasureData
 from robot_runner.analysis.statistics.assumptions import equal_variances, normality, quantile_pairs
 from robot_runner.analysis.statistics.batch_strata import comparable
 from robot_runner.analysis.statistics.correlations import drift_of
@@ -18,33 +19,23 @@ from robot_runner.analysis.statistics.disclosed import LeftOut, Reason
 from robot_runner.analysis.statistics.execution_order import execution_order
 from robot_runner.analysis.statistics.known_precision import level_of_looks
 from robot_runner.analysis.statistics.left_out import false_positives
-from robot_runner.analysis.statistics.outcome import MeasureStatistics
-from robot_runner.analysis.statistics.post_hoc import (
-    MOST_PAIRS,
-    carry_out_contrast,
-    compare_pairs,
-    missing_intervals,
-)
+from robot_runner.analysis.statistics.outcome import Description, MeasureStatistics, Power
+from robot_runner.analysis.statistics.post_hoc import MOST_PAIRS, carry_out_contrast, compare_pairs, missing_intervals
 from robot_runner.analysis.statistics.proportions import carry_out_proportions, compare_proportions, proportions_of
 from robot_runner.analysis.statistics.surface_model import SurfaceModel
-from robot_runner.analysis.statistics.tested import NotComputed
+from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest, NotComputed
 from robot_runner.analysis.statistics.tests import Choices, carry_out, planned_model_of
 from robot_runner.core.design.columns import RUN_ID
 from robot_runner.core.words import enumerated, listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from robot_runner.analysis.statistics.analysed_design import Design, MeasureData
     from robot_runner.analysis.statistics.grouped_runs import Group
-    from robot_runner.analysis.statistics.outcome import Description, Power
-    from robot_runner.analysis.statistics.tested import AssumptionCheck, ContrastTest
     from robot_runner.core.design.analysis_plan import AnalysisPlan
     from robot_runner.core.design.hypothesis import Hypothesis
 
 _Found = TypeVar("_Found")
 
-#: Groups are described one by one up to this number; the table would not be read, and the bootstrap takes its time.
+#: Groups are described one by one up to this number: a longer table would not be read.
 _MOST_DESCRIBED = 200
 
 _PAIR = 2

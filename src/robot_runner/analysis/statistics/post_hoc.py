@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -10,25 +11,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
+from robot_runner.analysis.arrays import Floats
 from robot_runner.analysis.statistics.adjusted_means import AdjustedMeans
-from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE
+from robot_runner.analysis.statistics.analysed_design import BATCH, VALUE, MeasureData
 from robot_runner.analysis.statistics.descriptive import quiet
 from robot_runner.analysis.statistics.effect_sizes import cliffs_delta, cohens_d, paired_rank_biserial, vargha_delaney
 from robot_runner.analysis.statistics.linear_model import FittedModel
-from robot_runner.analysis.statistics.tested import Comparison, ContrastTest, Interval, NotComputed, PostHoc, TestMethod
-from robot_runner.analysis.statistics.tests import check_estimand, levels_of, planned_model_of
+from robot_runner.analysis.statistics.tested import (
+    Comparison,
+    ContrastTest,
+    EffectSize,
+    Interval,
+    MeasureTest,
+    NotComputed,
+    PostHoc,
+    TestMethod,
+)
+from robot_runner.analysis.statistics.tests import AnyModel, Choices, check_estimand, levels_of, planned_model_of
 from robot_runner.analysis.wording import listed
 from robot_runner.core.design.analysis_plan import Correction, Estimand
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from robot_runner.analysis.statistics.analysed_design import MeasureData
     from robot_runner.analysis.statistics.contrasts import Contrast
-    from robot_runner.analysis.statistics.tested import EffectSize, MeasureTest
-    from robot_runner.analysis.statistics.tests import AnyModel, Choices
     from robot_runner.core.design.hypothesis import Hypothesis
 
     #: The treatments of a group of runs, by factor.
@@ -160,7 +164,7 @@ def contrast_of(model: AnyModel, hypothesis: Hypothesis, estimand: Estimand) -> 
         return model.difference([({factor: level}, weight) for level, weight in weights.items()])
 
 
-def p_value_of_contrast(found: Contrast, hypothesis: Hypothesis) -> NDArray[np.float64]:
+def p_value_of_contrast(found: Contrast, hypothesis: Hypothesis) -> Floats:
     """Return the p-value of a difference from zero; with a bound, that of a difference smaller than it."""
     if hypothesis.within is None:
         return found.p_value
@@ -261,7 +265,7 @@ def _sizes(
         yield vargha_delaney(delta)
 
 
-def _within_blocks(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str, str]]) -> NDArray[np.float64] | None:
+def _within_blocks(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str, str]]) -> Floats | None:
     """Return the difference in each block that has both; None where none does."""
     means = []
     for treatments in pair:
@@ -271,9 +275,7 @@ def _within_blocks(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str
     return differences if len(differences) else None
 
 
-def _strata(
-    data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str, str]]
-) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _strata(data: MeasureData, pair: tuple[Mapping[str, str], Mapping[str, str]]) -> Iterator[tuple[Floats, Floats]]:
     """Yield the values of both, for each combination of the other factors, in each batch by itself.
 
     Runs of all treatments of what is nested within are put together.

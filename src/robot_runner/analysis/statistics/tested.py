@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,8 +10,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from robot_runner.core.design.analysis_plan import Correction
 
 
@@ -134,15 +133,15 @@ class AssumptionCheck:
     Attributes:
         name: `Shapiro-Wilk` or `Levene`.
         treatments: the group that was looked at; empty for all groups together (residuals).
-        holds: whether it is not refuted at alpha; None where it could not be computed.
+        holds: whether it is not refuted at alpha.
         conclusion: one sentence.
     """
 
     name: str
     treatments: Mapping[str, str]
-    statistic: float | None
-    p_value: float | None
-    holds: bool | None
+    statistic: float
+    p_value: float
+    holds: bool
     conclusion: str
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import grp
 import importlib.metadata
-import inspect
 import os
 import platform
 import queue
@@ -17,32 +16,26 @@ import shutil
 import sys
 import threading
 import time
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from robot_runner.cli.console import complaints, is_on_path, output, print_folded, print_json
+from robot_runner.cli.console import UserConsole, complaints, is_on_path, output, print_folded, print_json
 from robot_runner.cli.findings import installed_here
 from robot_runner.cli.guard import SOME_FAILED
-from robot_runner.cli.parser import add_json
+from robot_runner.cli.parser import Parser, add_json
 from robot_runner.core.errors import RobotRunnerError
+from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.links.connect import link_findings
 from robot_runner.core.links.kinds import installed_links
-from robot_runner.core.plugin import Circumstances, installed_plugins
+from robot_runner.core.plugin import Circumstances, InstalledPlugin, installed_plugins
 from robot_runner.core.words import enumerated, one_line
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from robot_runner.cli.console import UserConsole
-    from robot_runner.cli.parser import Parser
-    from robot_runner.core.plugin import InstalledPlugin
 
 #: It can be used; it is not here, or has to be told something; it is here and cannot be used.
 READY, ABSENT, BROKEN = "ready", "absent", "broken"
@@ -268,7 +261,7 @@ def _meter(installed: InstalledPlugin) -> tuple[str, str, str]:
         kind = installed.load()
     except RobotRunnerError as error:
         return BROKEN, error.problem, error.fix
-    parameters = inspect.signature(kind).parameters
+    parameters = signature_of(kind).parameters
     needed = [name for name, each in parameters.items() if each.default is each.empty]
     if needed:
         return READY, f"has to be told {enumerated(needed)}", ""

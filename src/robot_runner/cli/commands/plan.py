@@ -5,11 +5,24 @@ It has every run in its order, and tells what the order comes from.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
-from robot_runner.cli.console import Column, aligned, output, print_facts, print_json, quiet_loading, width_of
+from rich.cells import cell_len
+
+from robot_runner.cli.console import (
+    Column,
+    UserConsole,
+    aligned,
+    output,
+    print_facts,
+    print_json,
+    quiet_loading,
+    width_of,
+)
 from robot_runner.cli.design_words import (
     columns_as_json,
     design_as_json,
@@ -21,18 +34,10 @@ from robot_runner.cli.design_words import (
     warm_ups_in_words,
 )
 from robot_runner.cli.findings import as_json, show_findings
-from robot_runner.cli.parser import add_config, add_json, add_set
+from robot_runner.cli.parser import Parser, add_config, add_json, add_set
 from robot_runner.cli.planning import Plan, plan_of
 from robot_runner.core.config.loader import parse_assignments
-from robot_runner.core.words import counted, listed
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Mapping, Sequence
-    from typing import Any
-
-    from robot_runner.cli.console import UserConsole
-    from robot_runner.cli.parser import Parser
+from robot_runner.core.words import counted, listed, one_line
 
 
 def add_arguments(parser: Parser) -> None:
@@ -113,6 +118,9 @@ def _print_layouts(console: UserConsole, facts: Mapping[str, Any], *, shows_all:
 def _print_table(console: UserConsole, rows: Sequence[Sequence[str]], *, shows_all: bool) -> None:
     """Print rows, the first of which is the heading."""
     columns = [Column(str(cells[0]), width_of(list(cells))) for cells in zip(*rows, strict=True)]
+    columns[-1] = replace(
+        columns[-1], width=max(cell_len(one_line(row[-1])) for row in rows)
+    )  # nothing beside it needs the room
     shown = rows if shows_all else rows[: _MOST_ROWS + 1]
     for place, row in enumerate(shown):
         console.print(aligned(columns, row), style="dim" if not place else None, soft_wrap=True, markup=False)

@@ -7,6 +7,8 @@ their entry points, as our own are.
 from __future__ import annotations
 
 import inspect
+from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -15,17 +17,13 @@ from rich.text import Text
 
 from robot_runner.cli.console import UserConsole, output, print_facts, print_folded, print_json
 from robot_runner.cli.findings import as_json, print_findings
-from robot_runner.cli.parser import add_json
+from robot_runner.cli.parser import Parser, add_json
 from robot_runner.core.errors import Finding, PluginError
-from robot_runner.core.plugin import GROUPS, InstalledPlugin, installed_plugins
+from robot_runner.core.late_annotations import signature_of
+from robot_runner.core.plugin import GROUPS, InstalledPlugin, Plugin, installed_plugins
 
 if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Sequence
-
-    from robot_runner.cli.parser import Parser
     from robot_runner.core.events.measure import Measure
-    from robot_runner.core.plugin import Plugin
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +80,7 @@ def _parameters(plugin: type[Plugin]) -> tuple[str, ...]:
     passed_on: dict[str, str] = {}
     for kind in plugin.__mro__[:-1]:
         if "__init__" in vars(kind):
-            own = list(inspect.signature(vars(kind)["__init__"]).parameters.values())[1:]
+            own = list(signature_of(vars(kind)["__init__"]).parameters.values())[1:]
             passed_on = {each.name: _written(each) for each in own if each.kind is each.VAR_KEYWORD}
             for each in own:
                 if each.name not in passed_on:

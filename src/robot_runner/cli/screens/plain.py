@@ -5,10 +5,12 @@ from __future__ import annotations
 import shlex
 import sys
 import termios
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Self
 
-from robot_runner.cli.console import command_line, folded, shown_path
+from robot_runner.cli.console import UserConsole, command_line, folded, shown_path
 from robot_runner.cli.findings import print_findings
 from robot_runner.cli.harmless_stream import let_go_of
 from robot_runner.cli.screens.progress import Progress
@@ -33,20 +35,14 @@ from robot_runner.core.execution.notices import (
     RunRecord,
     WaitingForUser,
 )
-from robot_runner.core.execution.task import AttemptStatus
+from robot_runner.core.execution.task import AttemptStatus, RunOutcome, RunTask
 from robot_runner.core.secret_names import shown_settings
 from robot_runner.core.words import counted, enumerated, one_line, shown_duration
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-    from typing import Self
-
-    from robot_runner.cli.console import UserConsole
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.config.operator_steps import Question
     from robot_runner.core.design.run_table_model import RunTableModel
-    from robot_runner.core.execution.task import RunOutcome, RunTask
 
 #: A shorter experiment is over before its duration is read, s.
 _WORTH_TELLING = 60.0
@@ -277,8 +273,8 @@ class PlainScreen:
             return f"is done {after}: {measures}" if measures else f"is done {after}"
         if outcome.status is AttemptStatus.INTERRUPTED:
             return f"was interrupted {after}; it is still to do"
-        again = "" if is_last else "; it is tried again"
-        return f"failed {after}: {one_line(str(outcome.failure))}{again}"
+        reason = one_line(str(outcome.failure))
+        return f"failed {after}: {reason}" if is_last else f"failed {after}: {reason.rstrip('.')}; it is tried again"
 
     def _measures(self, outcome: RunOutcome) -> list[str]:
         shown = []

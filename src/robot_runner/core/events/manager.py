@@ -7,20 +7,17 @@ import os
 import sys
 import traceback
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from types import AsyncGeneratorType, CoroutineType, GeneratorType
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from robot_runner.core.errors import ConfigError, did_you_mean
+from robot_runner.core.late_annotations import signature_of
 from robot_runner.core.vain_parameters import parameters_guarded
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
-
 
 # The events of an experiment and their order (paper, Fig. 2): the one table that says which process each is emitted in.
 
@@ -238,7 +235,7 @@ def takes_a_context(name: str, callback: Callback, owner: str) -> bool:
         problem = f"{name} is {what}: its body would never be executed"
         raise ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=fix)
     try:
-        signature = inspect.signature(callback)
+        signature = signature_of(callback)
     except (TypeError, ValueError):  # written in C, without a signature: the context is what an event gives
         return True
     for arguments in ((object(),), ()):
@@ -265,7 +262,7 @@ def check_executed(returned: object, name: str, callback: Callback, owner: str) 
 
 def no_context(name: str, callback: Callback, owner: str) -> ConfigError:
     """Return the error that a callback cannot be called with a context."""
-    problem = f"{name}{inspect.signature(callback)} cannot be called with a context"
+    problem = f"{name}{signature_of(callback)} cannot be called with a context"
     return ConfigError(problem, where=f"{owner}, {place_of(callback)}", fix=f"Write def {name}(self, context).")
 
 

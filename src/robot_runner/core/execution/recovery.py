@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import difflib
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from importlib.util import decode_source
@@ -12,9 +13,10 @@ from operator import is_
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from robot_runner.core.config.source import parsed
 from robot_runner.core.design.columns import BATCH, EXCLUDED, REPETITION, STATUS, WARM_UP
 from robot_runner.core.design.selection import Chosen, RunChooser
-from robot_runner.core.design.warm_up import with_warm_ups_again
+from robot_runner.core.design.warm_up import WarmUp, with_warm_ups_again
 from robot_runner.core.errors import ExecutionError, Finding
 from robot_runner.core.execution.given_values import changed_values
 from robot_runner.core.secret_names import is_same_setting, shown_settings
@@ -24,12 +26,9 @@ from robot_runner.core.storage.input_files import input_changes
 from robot_runner.core.storage.manifest import is_damaged, read_manifest
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.planned_runs import PlannedRun
     from robot_runner.core.design.run_table_model import RunTable
-    from robot_runner.core.design.warm_up import WarmUp
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
 
@@ -147,7 +146,10 @@ ACCEPT = "--accept-changes"
 
 _CONFIG_FIX = f"Undo the change, accept it ({ACCEPT}), or choose another experiment_name."
 _FROM_OUTSIDE = ", and comes from outside the file, such as from an environment variable"
-_TABLE_FIX = f"Undo the change, let the table count ({ACCEPT}), or choose another experiment_name."
+_TABLE_FIX = (
+    f"Undo the change (--table journal does, in runs that are done), let the table count ({ACCEPT}), or choose another "
+    "experiment_name."
+)
 
 
 def config_files(experiment: Experiment) -> dict[Path, Path]:
@@ -196,8 +198,13 @@ def _earlier_name(experiment: Experiment, manifest: Mapping[str, Any]) -> str | 
     return name if has_other and not (kept / experiment.config_path.name).exists() else None
 
 
-def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterator[Finding]:
-    """Yield each cell in which the run table on disk differs from the plan, and each run that only one of them has."""
+def table_differences(
+    path: Path, plan: RunTable, rows: RunTableRows, accepted: Container[tuple[str, str, str]] = ()
+) -> Iterator[Finding]:
+    """Yield each cell in which the run table on disk differs from the plan, and each run that only one of them has.
+
+    Cells of which run, column and text are `accepted` were told before.
+    """
     if len(plan) == len(rows) and all(map(is_, plan, rows.planned)):  # as nearly always, and many times faster
         return
     planned = {run.run_id: run for run in plan}
@@ -206,18 +213,25 @@ def table_differences(path: Path, plan: RunTable, rows: RunTableRows) -> Iterato
         if run is None:
             yield Finding.error(f"{path}, run {found.run_id}", "the plan has no such run", _TABLE_FIX)
         else:
-            yield from _different_cells(path, run, found, has_repetition=rows.layout.has_repetition)
+            yield from _different_cells(path, run, found, accepted, has_repetition=rows.layout.has_repetition)
     for run_id in planned:
         yield Finding.error(f"{path}, run {run_id}", "the table lacks this run of the plan", _TABLE_FIX)
 
 
-def _different_cells(path: Path, run: PlannedRun, found: PlannedRun, *, has_repetition: bool) -> Iterator[Finding]:
+def _different_cells(
+    path: Path,
+    run: PlannedRun,
+    found: PlannedRun,
+    accepted: Container[tuple[str, str, str]],
+    *,
+    has_repetition: bool,
+) -> Iterator[Finding]:
     pairs = [(name, found.combination[name], value) for name, value in run.combination.items()]
     if has_repetition:
         pairs.append((REPETITION, found.repetition, run.repetition))
     pairs += [(BATCH, found.batch, run.batch), (WARM_UP, found.is_warm_up, run.is_warm_up)]
     for name, is_now, value in pairs:
-        if is_now is not value and str(is_now) != str(value):
+        if is_now is not value and str(is_now) != str(value) and (run.run_id, name, str(is_now)) not in accepted:
             where = f"{path}, run {run.run_id}, column {name!r}"
             yield Finding.error(where, f"the table has {is_now!r}, the plan {value!r}", _TABLE_FIX)
 
@@ -248,7 +262,7 @@ def _changed_lines(source: Path, before: str, now: str, ignored: frozenset[str])
 def _means_the_same(before: str, now: str, ignored: frozenset[str]) -> bool:
     """Return whether two versions of a file are the same program, functions of these names left aside."""
     try:
-        trees = ast.parse(before), ast.parse(now)
+        trees = parsed(before), parsed(now)
     except (SyntaxError, ValueError):  # what is no program has bytes that are zero
         return False
     for function in (each for tree in trees for each in ast.walk(tree) if isinstance(each, ast.FunctionDef)):

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from robot_runner.core.design.columns import EXCLUDED, RUN_ID
+from robot_runner.core.design.columns import EXCLUDED, REPETITION, RUN_ID
 from robot_runner.core.errors import Finding, Severity
-from robot_runner.core.execution.recovered_table import ENDS, Deviation
+from robot_runner.core.execution.recovered_table import ENDS, Deviation, texts_of
 from robot_runner.core.storage.cells import RunStatus, measure_text
 from robot_runner.core.words import listed
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from robot_runner.core.storage.executed_runs import ExcludedRuns
     from robot_runner.core.storage.run_table_rows import RunTableRows
 
@@ -57,6 +56,33 @@ def _expected(rows: RunTableRows, status: Any, record: Mapping[str, Any]) -> dic
     stamps = {f"{event}_at": stamp for event, stamp in record["stamps"].items()}
     expected |= {name: stamp for name, stamp in stamps.items() if name in layout.stamps}
     return expected | {name: measure_text(record["measures"].get(name, {}).get("value")) for name in layout.measures}
+
+
+def treatment_deviations(
+    rows: RunTableRows,
+    record: Mapping[str, Any],
+    defaults: Mapping[str, Any],
+    changed: Mapping[tuple[str, str], str],
+) -> Iterator[Deviation]:
+    """Yield what of a done run's treatments and repetition is not as it was executed, or changed since.
+
+    Args:
+        rows: the table as it is on disk.
+        record: the beginning of the run's last attempt.
+        defaults: the treatments, of factors that were added later, that count for earlier runs.
+        changed: the changes that were recorded since, by run and column.
+    """
+    run_id, executed = record["run"], record.get("combination")
+    place = rows.place_of(run_id)
+    if executed is None or place is None or rows.status(place) is not RunStatus.DONE:
+        return
+    expected, found = {**texts_of(defaults), **executed}, texts_of(rows.combination(place))
+    if rows.layout.has_repetition and "repetition" in record:
+        expected[REPETITION], found[REPETITION] = str(record["repetition"]), str(rows.repetition(place))
+    for name, is_now in found.items():
+        was = changed.get((run_id, name), expected.get(name, is_now))
+        if was != is_now:
+            yield Deviation(run_id, name, was, is_now)
 
 
 def changed_exclusions(rows: RunTableRows, excluded: ExcludedRuns) -> Iterator[Deviation]:

@@ -10,7 +10,9 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_runner.core.design.columns import EXCLUDED, STATUS
@@ -26,6 +28,7 @@ from robot_runner.core.execution.recovered_table import (
     with_later_batches,
 )
 from robot_runner.core.execution.recovery import (
+    Resumption,
     TableChoice,
     TableDisagreementError,
     refuse_differences,
@@ -37,6 +40,7 @@ from robot_runner.core.execution.table_deviations import (
     cell_deviations,
     changed_exclusions,
     deviation_findings,
+    treatment_deviations,
 )
 from robot_runner.core.storage.cells import RunStatus
 from robot_runner.core.storage.executed_runs import unrecorded_in_words, unrecorded_runs
@@ -51,17 +55,12 @@ from robot_runner.core.storage.journal import journal_lines, parsed_record
 from robot_runner.core.storage.run_table_reading import read_run_table
 from robot_runner.core.storage.run_table_rows import RunTableRows
 from robot_runner.core.storage.system_refusals import storage_errors
-from robot_runner.core.storage.table_columns import former_measures
+from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout, former_measures
 from robot_runner.core.storage.table_schema import read_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
-
     from robot_runner.core.config.experiment import Experiment
     from robot_runner.core.design.run_table_model import RunTable
-    from robot_runner.core.execution.recovery import Resumption
-    from robot_runner.core.storage.table_columns import ColumnDescription, TableLayout
 
 
 _CHOOSE = (
@@ -151,7 +150,7 @@ class _Recovery:
         if not self._is_by_hand and self._choice is TableChoice.JOURNAL and lacks_runs(self._plan, rows):
             return self._rebuilt("the run table lacked runs that are planned")
         if not self._is_by_hand and not self._accepts_changes and self._choice is not TableChoice.JOURNAL:
-            refuse_differences(table_differences(self._path, self._plan, rows))
+            self._refuse_unaccepted(rows)
         is_on_disk = rows.has_file and bool(self._schema) and not added
         table = RecoveredTable(self._experiment, rows, findings=(*rows.warnings, *added), is_on_disk=is_on_disk)
         if self._history.has_ends and digest_of(self._path) != self._history.written:
@@ -162,6 +161,11 @@ class _Recovery:
         if unrecorded:
             self._settle_unrecorded(table, unrecorded)
         return self._with_order(table)
+
+    def _refuse_unaccepted(self, rows: RunTableRows) -> None:
+        if next(table_differences(self._path, self._plan, rows), None) is not None:  # as nearly never
+            accepted = {(*cell, is_now) for cell, is_now in self._last_ends()[1].items()}
+            refuse_differences(table_differences(self._path, self._plan, rows, accepted))
 
     def _unrecorded(self, rows: RunTableRows) -> list[str]:
         """Return the runs that are done and of which the journal has no end: it is older than the table, or missing.
@@ -204,7 +208,8 @@ class _Recovery:
             if run_id in newer and not has_come:
                 continue  # it ended after the file was written: the journal alone has it
             found += cell_deviations(table.rows, parsed_record(self._journal, line), earlier)
-        found += changed_exclusions(table.rows, self._history.excluded)
+        treatments = list(self._changed_treatments(table.rows, earlier))
+        found += [*treatments, *changed_exclusions(table.rows, self._history.excluded)]
         table.is_on_disk = False  # from here on it is as we write it, so that it need not be compared again
         if not found:
             return
@@ -213,8 +218,9 @@ class _Recovery:
         if self._choice is TableChoice.FILE:
             table.deviations = tuple(found)
             table.findings = (*table.findings, *deviation_findings(self._path, found, Severity.WARNING))
-        elif any(each.column == ROW for each in found):
-            rebuilt = self._rebuilt("the run table lacked runs that were executed")
+        elif treatments or any(each.column == ROW for each in found):
+            had = "had other treatments than" if treatments else "lacked runs that"
+            rebuilt = self._rebuilt(f"the run table {had} were executed")
             table.rows, table.findings = rebuilt.rows, rebuilt.findings
         else:
             self._put_aside()
@@ -223,6 +229,13 @@ class _Recovery:
             self._leave_out(table)
             problem = f"{len(found)} cells of the run table were put back to what the journal has"
             table.findings = (*table.findings, Finding.warning(str(self._path), problem, self._kept_fix()))
+
+    def _changed_treatments(self, rows: RunTableRows, changed: Mapping[tuple[str, str], str]) -> Iterator[Deviation]:
+        begun = journal_lines(self._journal, kinds={"attempt_started"})
+        last = {run_of(self._journal, line): line for line in begun}
+        for line in last.values():
+            record = parsed_record(self._journal, line)
+            yield from treatment_deviations(rows, record, self._experiment.model.defaults, changed)
 
     def _rebuilt(self, reason: str) -> RecoveredTable:
         """Return the table made anew from the plan and the journal.

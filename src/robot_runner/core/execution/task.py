@@ -5,20 +5,15 @@ from __future__ import annotations
 import hashlib
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_runner.core.config.parameters import BadValuePolicy
 from robot_runner.core.errors import Finding
-from robot_runner.core.events.measure import OPERATOR_OWNER, Origin, PublishedMeasure, quality_text
+from robot_runner.core.events.measure import OPERATOR_OWNER, MeasureColumns, Origin, PublishedMeasure, quality_text
 from robot_runner.core.execution.run_records import FINISHED, POPULATE
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from robot_runner.core.events.measure import MeasureColumns
 
 #: Takes what happens in a run as it happens: the kind of the record and its plain fields.
 Report = Callable[[str, dict[str, Any]], None]
@@ -113,7 +108,8 @@ class RunFailure:
 
     def __str__(self) -> str:
         place = " of ".join(part for part in (self.event, self.owner) if part)
-        return f"{place}: {self.problem}" if place else self.problem
+        # An error that a plugin raises mostly says by itself whose it is.
+        return f"{place}: {self.problem.removeprefix(f'{self.owner}: ')}" if place else self.problem
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+from robot_runner.core.config.source import parsed
 from robot_runner.core.errors import Finding
 from robot_runner.legacy.profilers.profiler_catalogue import plugin_of
 from robot_runner.legacy.recognition import is_earlier_import
@@ -13,10 +15,6 @@ from robot_runner.legacy.run_ids import clone_around
 from robot_runner.legacy.stand_ins.machinery import OutputProcedure
 from robot_runner.legacy.stand_ins.modules import MODULES
 from robot_runner.legacy.syntax import Edits, attributes_of, imports_of, names_of_types, nodes, used_names
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
 
 _WIDTH = 120
 _OUTPUT = "OutputProcedure"
@@ -170,7 +168,7 @@ def modules_beside(config: Path, imported: Iterable[Path]) -> dict[str, str]:
         text = _converted_module(file, beside) if file.name not in beside else None
         if text is not None:
             beside[file.name] = text
-            names = {each.module.partition(".")[0] for each in imports_of(ast.parse(text))}
+            names = {each.module.partition(".")[0] for each in imports_of(parsed(text))}
             left += [each for name in names if (each := file.with_name(f"{name}.py")).is_file()]
     return beside
 
@@ -182,7 +180,7 @@ def _converted_module(file: Path, beside: dict[str, str]) -> str | None:
     """
     try:
         text = file.read_text(encoding="utf-8")
-        converted = ConvertedFile(file, ast.parse(text), Edits(text))
+        converted = ConvertedFile(file, parsed(text), Edits(text))
     except (SyntaxError, ValueError, OSError):
         return None
     lines = convert_imports(converted)

@@ -185,8 +185,9 @@ def is_match(kind: str, value: str, pid: str, names: "set[str]", words: "list[st
         mark = f"ROBOT_RUNNER_SUBJECT={value}".encode()
         return mark in whole_file(f"/proc/{pid}/environ").split(b"\0")
     if kind == "node":
-        bare = value.lstrip("/")
-        return any(word in ("__name:=" + bare, "__node:=" + bare) for word in words)
+        namespace, _, bare = value.strip("/").rpartition("/")
+        is_there = not namespace or "__ns:=/" + namespace in words or "__ns:=" + namespace in words
+        return is_there and ("__name:=" + bare in words or "__node:=" + bare in words)
     return value in names
 
 

@@ -118,7 +118,7 @@ scan() {
         case $selector in
             pid:*) matches="$matches $place:$value" ;;
             name:*) scan_names ;;
-            node:*) scan_files cmdline "__name:=${value#/}" "__node:=${value#/}" ;;
+            node:*) scan_nodes ;;
             subject:*)
                 families="$families $place"
                 scan_files environ "ROBOT_RUNNER_SUBJECT=$value" "ROBOT_RUNNER_SUBJECT=$value"
@@ -158,6 +158,24 @@ scan_files() {
             matches="$matches $place:$pid"
         fi
     done
+}
+
+# A node's name and its namespace are words of their own: `-r __node:=ear -r __ns:=/alice`.
+scan_nodes() {
+    bare=${value##*/}
+    space=${value%"$bare"}
+    space=${space#/}
+    space=${space%/}
+    found=$matches
+    matches=
+    scan_files cmdline "__name:=$bare" "__node:=$bare"
+    for match in $matches; do
+        if [ -z "$space" ] || { tr '\0' '\n' <"/proc/${match#*:}/cmdline"; } 2>/dev/null |
+            grep -qx -F -e "__ns:=/$space" -e "__ns:=$space"; then
+            found="$found $match"
+        fi
+    done
+    matches=$found
 }
 
 # Sample: `keep_sampling utilisation|files WHAT...`, every $period hundredths of a second.
@@ -206,7 +224,7 @@ keep_asking_ps() {
             return shown + 0
         }
         function base(word) { sub(/.*\//, "", word); return word }
-        function matches(selector, words, count, value, place) {
+        function matches(selector, words, count, value, place, space, named, within) {
             value = substr(selector, index(selector, ":") + 1)
             if (selector ~ /^pid:/) return words[1] == value
             if (selector ~ /^subject:/) return 0  # ps does not tell of environments
@@ -214,10 +232,15 @@ keep_asking_ps() {
                 if (base(words[4]) == value) return 1
                 return base(words[4]) ~ /^(python|perl|ruby|node|sh|bash|dash)/ && base(words[5]) == value
             }
-            sub(/^\//, "", value)
-            for (place = 4; place <= count; place++)
-                if (words[place] == "__name:=" value || words[place] == "__node:=" value) return 1
-            return 0
+            space = value
+            sub(/^\//, "", space)
+            if (!sub(/\/[^\/]*$/, "", space)) space = ""
+            value = base(value)
+            for (place = 4; place <= count; place++) {
+                if (words[place] == "__name:=" value || words[place] == "__node:=" value) named = 1
+                if (words[place] == "__ns:=/" space || words[place] == "__ns:=" space) within = 1
+            }
+            return named && (space == "" || within)
         }
         BEGIN {
             asked = split(ENVIRON["selectors"], selector, "\n")
@@ -225,7 +248,8 @@ keep_asking_ps() {
             first = due = now = clock()
             for (look = 0; !system("kill -0 " ENVIRON["parent"] " 2>/dev/null"); look++) {
                 resident = 0; processes = ""
-                command = "ps -A -o pid= -o time= -o rss= -o args="
+                # Some ps cut lines off at 79 characters, or at what COLUMNS says, and with them the name of a node.
+                command = "COLUMNS=32000 ps -A -o pid= -o time= -o rss= -o args="
                 while ((command | getline line) > 0) {
                     count = split(line, words, " ")
                     used = seconds(words[2])

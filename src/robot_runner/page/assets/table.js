@@ -2,7 +2,7 @@
 import { $, ask, element, number, setText } from "./parts.js";
 
 const HEIGHT = 34, PAGE = 100, MARGIN = 12, MOST_PAGES = 30;
-const seen = { base: "", columns: null, total: 0, pages: new Map(), asked: new Set(), chosen: null, choose: null, frame: 0, query: "", generation: 0 };
+const seen = { base: "", columns: null, total: 0, pages: new Map(), asked: new Set(), fetching: new Map(), chosen: null, choose: null, frame: 0, query: "", generation: 0 };
 
 export function begin(base, choose) {
   Object.assign(seen, { base: base, columns: null, total: 0, choose: choose, chosen: null });
@@ -25,8 +25,9 @@ export function setColumns(columns) {
 export function change(data) {
   if (seen.query || !data.is_all) { seen.stale = true; }
   for (const row of data.rows) {
-    const page = seen.pages.get(Math.floor(row[0] / PAGE));
+    const number = Math.floor(row[0] / PAGE), page = seen.pages.get(number);
     if (page && !seen.query) { page[row[0] % PAGE] = row; }
+    if (seen.fetching.has(number) && !seen.query) { seen.fetching.get(number).push(row); }
   }
   const last = data.rows[data.rows.length - 1];
   if ($("follow").checked && !seen.query && last) { bringIntoView(last[0]); }
@@ -36,6 +37,7 @@ export function change(data) {
 function forget(keep) {
   seen.generation += 1;
   seen.asked.clear();
+  seen.fetching.clear();
   if (!keep) { seen.pages.clear(); } else { seen.isOld = new Set(seen.pages.keys()); return; }
   seen.isOld = new Set();
 }
@@ -48,10 +50,14 @@ function bringIntoView(place) {
 async function fetchPage(number) {
   if (seen.asked.has(number)) { return; }
   seen.asked.add(number);
-  const generation = seen.generation;
+  const generation = seen.generation, changed = [];
+  seen.fetching.set(number, changed);
   const answer = await ask(seen.base + "/rows?start=" + number * PAGE + "&count=" + PAGE + seen.query).catch(() => null);
   if (generation !== seen.generation) { return; }
+  seen.fetching.delete(number);
   if (!answer || !answer.ok) { setTimeout(() => { seen.asked.delete(number); draw(); }, 1500); return; }
+  // What changed meanwhile may be newer than what was fetched; where it is older, its own change is still to come.
+  for (const row of changed) { answer.said.rows[row[0] % PAGE] = row; }
   seen.pages.set(number, answer.said.rows);
   if (seen.isOld) { seen.isOld.delete(number); }
   if (seen.pages.size > MOST_PAGES) {

@@ -1,0 +1,47 @@
+"""What callables take and classes name, as it is written: no annotation is evaluated for it.
+
+From Python 3.14 on an annotation is evaluated when somebody asks for it. Until then nobody misses what it names,
+and that may be imported for type checkers alone.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable
+from typing import Any
+
+if sys.version_info >= (3, 14):
+    from annotationlib import Format
+
+
+def signature_of(called: Callable[..., Any]) -> inspect.Signature:
+    """Return the signature of a function or class, as `inspect.signature`; nothing is said of how annotations look.
+
+    Raises:
+        TypeError: it cannot be called.
+        ValueError: it is written in C, and has no signature.
+
+    Example:
+        >>> list(signature_of(lambda context, speed=0.2: None).parameters)
+        ['context', 'speed']
+    """
+    if sys.version_info >= (3, 14):
+        return inspect.signature(called, annotation_format=Format.STRING)
+    return inspect.signature(called)
+
+
+def names_in(parent: type) -> set[str]:
+    """Return the names that a class itself has, also those that it annotates and gives no value.
+
+    Example:
+        >>> class Robot:
+        ...     speed: float
+        >>> "speed" in names_in(Robot)
+        True
+    """
+    if sys.version_info >= (3, 14):
+        annotated = inspect.get_annotations(parent, format=Format.STRING)
+    else:
+        annotated = vars(parent).get("__annotations__", {})
+    return {*vars(parent), *annotated}
